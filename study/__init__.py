@@ -1,0 +1,30 @@
+"""Design of experiments and honest statistics for simulations of soft materials."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_LAZY = {
+    "load_design": "study.api",
+    "run": "study.api",
+    "solve": "study.api",
+    "calibrate": "study.api",
+    "analyze": "study.api",
+    "converge": "study.api",
+    "report": "study.api",
+    "anova": "study.api",
+    "ryan_joiner": "study.api",
+    "bartlett": "study.api",
+    "grid_convergence": "study.api",
+}
+__all__ = [*_LAZY, "__version__"]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public function on first use, so that ``import study`` stays fast."""
+    if name not in _LAZY:
+        raise AttributeError(f"module 'study' has no attribute {name!r}")
+    return getattr(importlib.import_module(_LAZY[name]), name)

@@ -1,0 +1,89 @@
+"""The error tree.
+
+::
+
+    StudyError                 anything a user can mend; carries the exit code of the command line
+    |-- InputError             bad input (exit 2): one or many Faults, nothing was written
+    |   `-- UnitError          a value without its unit, or with one of the wrong dimension
+    |-- RefusedError           the answer would be meaningless (exit 3)
+    `-- StoreError             records that cannot be read, written or locked (exit 2)
+
+Expected failure of a computation (a case that did not converge) is a status in a
+record, never an exception that leaves ``runner``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+class StudyError(Exception):
+    """Base of every error that a user can mend."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing wrong with an input.
+
+    Parameters
+    ----------
+    where : str
+        File, key or line, for example ``"design.toml: model.mesh_size"``.
+    rule : str
+        The rule and the offending value.
+    mend : str
+        How to mend it; may be empty.
+    """
+
+    where: str
+    rule: str
+    mend: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.rule}" + (f"\n    {self.mend}" if self.mend else "")
+
+
+class InputError(StudyError):
+    """Bad input: all faults of a file at once."""
+
+    def __init__(self, faults: Fault | str | Iterable[Fault]) -> None:
+        if isinstance(faults, str):
+            faults = Fault("input", faults)
+        self.faults: tuple[Fault, ...] = (
+            (faults,) if isinstance(faults, Fault) else tuple(faults)
+        )
+        super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class UnitError(InputError):
+    """A value without its unit, or with one of the wrong dimension."""
+
+
+class RefusedError(StudyError):
+    """The computation would give a meaningless answer; the message says what to do instead."""
+
+    exit_code = 3
+
+
+class StoreError(StudyError):
+    """Records on disk that cannot be read, written or locked."""
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Sentence naming the valid name nearest to ``name``.
+
+    Examples
+    --------
+    >>> nearest("hieght", ["height", "radius"])
+    "did you mean 'height'? Valid: height, radius"
+    >>> nearest("zzz", ["height", "radius"])
+    'Valid: height, radius'
+    """
+    names = list(valid)
+    close = difflib.get_close_matches(name, names, n=1)
+    listed = "Valid: " + ", ".join(names)
+    return f"did you mean {close[0]!r}? {listed}" if close else listed

@@ -1,0 +1,107 @@
+"""What the solver needs and nothing else: specimen, test, material with numbers, model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from study.material import Material
+
+Space = Literal["axisymmetric", "3d"]
+Order = Literal["linear", "quadratic"]
+Shape = Literal["simplex", "tensor"]
+Formulation = Literal["mixed", "displacement"]
+Interface = Literal["frictionless", "bonded"]
+
+#: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
+MESH_LEVELS = ("coarse", "medium", "fine")
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """Circular cylinder standing on its base (mm)."""
+
+    radius_mm: float
+    height_mm: float
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rectangular block standing on its base (mm)."""
+
+    width_mm: float
+    depth_mm: float
+    height_mm: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Closed surface read from a file; every point below ``clamp_below_mm`` is held."""
+
+    file: str
+    clamp_below_mm: float
+
+
+@dataclass(frozen=True)
+class Flat:
+    """Flat-ended cylindrical indenter with a rounded edge (mm)."""
+
+    radius_mm: float
+    edge_radius_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Cone with a spherical tip; the half-angle is measured from the axis (deg, mm)."""
+
+    half_angle_deg: float
+    tip_radius_mm: float = 0.0
+    shaft_radius_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Spherical indenter (mm)."""
+
+    radius_mm: float
+
+
+Specimen = Cylinder | Block | Surface
+Indenter = Flat | Cone | Sphere
+
+
+@dataclass(frozen=True)
+class Test:
+    """How the specimen is loaded; the displacement is positive into the specimen."""
+
+    __test__ = False  # not a pytest class
+
+    kind: Literal["compression", "indentation"]
+    displacement_mm: float
+    interface: Interface = "frictionless"
+    base: Interface = "frictionless"
+    steps: int = 10
+    indenter: Indenter | None = None
+
+
+@dataclass(frozen=True)
+class Model:
+    """Discretisation. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins)."""
+
+    space: Space = "axisymmetric"
+    element_order: Order = "quadratic"
+    element_shape: Shape = "simplex"
+    formulation: Formulation = "mixed"
+    mesh: Literal["coarse", "medium", "fine"] = "medium"
+    mesh_ratio: float = 1.5
+    mesh_size_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One forward simulation."""
+
+    specimen: Specimen
+    test: Test
+    material: Material
+    model: Model
