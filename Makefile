@@ -1,0 +1,54 @@
+# The commands of the README. Every target sets .venv up first where that is not done yet.
+#   make demo     a complete small study on virtual specimens, to the report
+#   make test     the test suite
+#   make verify   the long verification: expected, got, error
+#   make bench    the speed comparisons
+#   make check    the gates: style, types, layers, doctests
+
+PYTEST_WORKERS ?= 2
+ready := .venv/.ready
+# pytest-xdist uses the cores; threads inside a worker would only get in each other's way.
+one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
+
+export PYTHON
+
+.PHONY: help setup demo test verify bench check lint format-check types layers doctests
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+setup: $(ready)
+
+# The mark is written last, so that a set-up that was stopped is done again.
+$(ready): pyproject.toml scripts/setup.sh scripts/system_libraries.py
+	@sh scripts/setup.sh
+	@touch $@
+
+demo: $(ready)
+	@.venv/bin/study demo
+
+test: $(ready)
+	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) -q
+
+verify: $(ready)
+	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests
+
+bench: $(ready)
+	@.venv/bin/python -m benchmarks
+
+check: lint format-check types layers doctests
+
+lint: $(ready)
+	@.venv/bin/ruff check .
+
+format-check: $(ready)
+	@.venv/bin/ruff format --check .
+
+types: $(ready)
+	@.venv/bin/mypy
+
+layers: $(ready)
+	@.venv/bin/lint-imports
+
+doctests: $(ready)
+	@$(one_thread) .venv/bin/python -m pytest -q --doctest-modules study

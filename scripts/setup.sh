@@ -1,0 +1,61 @@
+#!/bin/sh
+# Sets up .venv: finds a Python, creates the environment, installs the package and checks
+# that gmsh can be imported. Called by make; may be run again at any time.
+set -eu
+cd "$(dirname "$0")/.."
+venv=.venv
+
+fail() {
+    printf '\nset-up stopped: %s\n' "$1" >&2
+    exit 1
+}
+
+new_enough() {
+    "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
+}
+
+find_python() {
+    for candidate in ${PYTHON:-} python3 python3.14 python3.13 python3.12 python3.11; do
+        if new_enough "$candidate"; then
+            echo "$candidate"
+            return
+        fi
+    done
+}
+
+create_environment() {
+    python=$(find_python)
+    [ -n "$python" ] || fail "Python 3.11 or newer is needed; found: $(python3 --version 2>&1 || true)
+    Debian 12, Ubuntu 24.04 or newer:  sudo apt-get install python3 python3-venv
+    elsewhere:                         make PYTHON=/path/to/python3.11"
+    if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
+        # Debian splits these off, and python -m venv would leave a broken folder behind.
+        package="python$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv"
+        if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+            apt-get update || true
+            apt-get install -y "$package" || fail "apt-get could not install $package"
+        else
+            fail "this Python cannot create virtual environments. Install what it lacks:
+    sudo apt-get update && sudo apt-get install -y $package"
+        fi
+    fi
+    echo "creating $venv with $("$python" --version)"
+    "$python" -m venv "$venv" || fail "$python could not create $venv"
+}
+
+install_package() {
+    extras=test
+    case "$(uname -m)" in x86_64 | amd64) extras=fast,test ;; esac
+    echo "installing study with its extras [$extras] into $venv (some 700 MB to download the first time)"
+    if "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[$extras]"; then
+        return
+    fi
+    [ "$extras" != test ] || fail "pip could not install the package; its reason stands above"
+    echo "trying again without the fast 3D solver (extra 'fast')" >&2
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[test]" ||
+        fail "pip could not install the package; its reason stands above"
+}
+
+[ -x "$venv/bin/python" ] && new_enough "$venv/bin/python" || create_environment
+install_package
+"$venv/bin/python" scripts/system_libraries.py || fail "gmsh does not work yet"
