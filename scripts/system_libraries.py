@@ -47,7 +47,7 @@ def is_missing_library(error: str) -> bool:
 
 
 def message(error: str) -> str:
-    """What is wrong and the command that mends it."""
+    """Say what is wrong, and the command that mends it."""
     if not is_missing_library(error):
         return (
             f"gmsh cannot be imported: {error}\n"
