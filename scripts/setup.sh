@@ -14,6 +14,12 @@ new_enough() {
     "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1
 }
 
+# A folder without pip is what Debian leaves behind where python3-venv was missing.
+usable() {
+    [ -x "$venv/bin/python" ] && new_enough "$venv/bin/python" &&
+        "$venv/bin/python" -c 'import pip' >/dev/null 2>&1
+}
+
 find_python() {
     for candidate in ${PYTHON:-} python3 python3.14 python3.13 python3.12 python3.11; do
         if new_enough "$candidate"; then
@@ -40,22 +46,22 @@ create_environment() {
         fi
     fi
     echo "creating $venv with $("$python" --version)"
-    "$python" -m venv "$venv" || fail "$python could not create $venv"
+    "$python" -m venv --clear "$venv" || fail "$python could not create $venv"
 }
 
 install_package() {
     extras=test
     case "$(uname -m)" in x86_64 | amd64) extras=fast,test ;; esac
     echo "installing study with its extras [$extras] into $venv (some 700 MB to download the first time)"
-    if "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[$extras]"; then
+    if "$venv/bin/python" -m pip install -qq --disable-pip-version-check --editable ".[$extras]"; then
         return
     fi
     [ "$extras" != test ] || fail "pip could not install the package; its reason stands above"
     echo "trying again without the fast 3D solver (extra 'fast')" >&2
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable ".[test]" ||
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --editable ".[test]" ||
         fail "pip could not install the package; its reason stands above"
 }
 
-[ -x "$venv/bin/python" ] && new_enough "$venv/bin/python" || create_environment
+usable || create_environment
 install_package
 "$venv/bin/python" scripts/system_libraries.py || fail "gmsh does not work yet"

@@ -1,0 +1,47 @@
+"""The public names are a contract: this test changes only when the contract does."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import study
+
+ROOT = Path(__file__).resolve().parent.parent
+PUBLIC = {
+    "load_design",
+    "run",
+    "solve",
+    "calibrate",
+    "analyze",
+    "converge",
+    "report",
+    "anova",
+    "ryan_joiner",
+    "bartlett",
+    "grid_convergence",
+}
+
+
+def test_public_names_are_these() -> None:
+    assert set(study.__all__) == PUBLIC | {"__version__"}
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_public_name_is_a_documented_function(name: str) -> None:
+    function = getattr(study, name)
+    assert callable(function)
+    assert function.__doc__
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="analyse"):
+        _ = study.analyse
+
+
+def test_version_is_the_same_everywhere() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert study.__version__ == project["version"] == importlib.metadata.version("study")
