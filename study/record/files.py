@@ -1,0 +1,90 @@
+"""Files that are either there whole or not at all.
+
+A file is written beside its place, flushed to the disk, renamed over its final name, and the
+folder is flushed: after a crash or a power loss the old content or the new one is there,
+never something in between (Pillai et al. 2014, OSDI, "All file systems are not created
+equal").
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from study.errors import StoreError
+
+TEMPORARY = ".part"
+
+
+class FileSystem:
+    """The operations that change the disk; tests replace it to crash at each of them."""
+
+    def make_folder(self, path: Path) -> None:
+        """Make a folder and those above it."""
+        path.mkdir(parents=True, exist_ok=True)
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Write a new file."""
+        with open(path, "wb") as stream:
+            stream.write(data)
+
+    def sync_file(self, path: Path) -> None:
+        """Flush a file to the disk."""
+        _sync(path, os.O_RDONLY)
+
+    def replace(self, source: Path, target: Path) -> None:
+        """Rename, atomically, over whatever stands there."""
+        os.replace(source, target)
+
+    def sync_folder(self, path: Path) -> None:
+        """Flush the names in a folder to the disk."""
+        _sync(path, os.O_RDONLY)
+
+    def unlink(self, path: Path) -> None:
+        """Delete a file."""
+        path.unlink(missing_ok=True)
+
+
+def _sync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> None:
+    """Write ``data`` to ``path`` so that a crash leaves the old content or the new.
+
+    Raises
+    ------
+    StoreError
+        If the disk is full, the folder read-only or the name too long; nothing stands under
+        the final name that was not there before.
+    """
+    system = system or FileSystem()
+    part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    try:
+        system.make_folder(path.parent)
+        system.write(part, data)
+        system.sync_file(part)
+        system.replace(part, path)
+        system.sync_folder(path.parent)
+    except OSError as error:
+        _discard(part, system)
+        raise StoreError(
+            f"{path}: could not be written ({error.strerror or error}); what was there before "
+            "is unharmed. Free space or choose another folder, then run again: it resumes"
+        ) from error
+
+
+def is_leftover(path: Path) -> bool:
+    """Whether a file is what an interrupted write left behind."""
+    return path.name.startswith(".") and path.name.endswith(TEMPORARY)
+
+
+def _discard(part: Path, system: FileSystem) -> None:
+    try:
+        system.unlink(part)
+    except OSError:
+        return  # the disk refuses even this; the next run clears the leftover

@@ -1,0 +1,96 @@
+"""One runner per results folder.
+
+The lock is the operating system's (flock), so it dies with its owner: there is no stale lock
+to clear by hand. On a network file system flock may hold on one machine only.
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from study.errors import StoreError
+
+LOCK_NAME = ".lock"
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold the lock of a results folder, or say who holds it.
+
+    Raises
+    ------
+    StoreError
+        If another process holds it, or the folder cannot be written.
+    """
+    path = folder / LOCK_NAME
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise StoreError(_held(folder, path)) from error
+        except OSError as error:
+            raise StoreError(
+                f"{path}: this file system cannot lock files ({error.strerror or error}); keep "
+                "results on a local disk"
+            ) from error
+        _sign(handle)
+        yield
+    finally:
+        os.close(handle)  # releases the lock
+
+
+def holder(folder: Path) -> dict[str, object]:
+    """Owner that the lock file names (pid, host, since); empty if unreadable or never locked."""
+    try:
+        found = json.loads((folder / LOCK_NAME).read_bytes()[:4096])
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a runner is at work in the folder just now."""
+    try:
+        handle = os.open(folder / LOCK_NAME, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return False
+
+
+def _sign(handle: int) -> None:
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": now})
+    try:
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, text.encode(), 0)
+    except OSError:
+        return  # a full disk: the lock holds all the same, it only cannot name its owner
+
+
+def _held(folder: Path, path: Path) -> str:
+    owner = holder(folder)
+    if not owner:
+        return f"{path.parent}: locked by another runner; wait for it or stop it"
+    return (
+        f"{path.parent}: locked by pid {owner.get('pid')} on host {owner.get('host')} since "
+        f"{owner.get('since')}; wait for it or stop it"
+    )

@@ -1,0 +1,132 @@
+"""The tidy table of a study: one row per case, failed cases included."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from study.errors import Fault, InputError, StoreError
+from study.record.csvfile import NUMBER
+from study.record.files import FileSystem, write_atomic
+from study.record.record import Record
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+FIXED = ("case_id", "block", "status", "seconds", "dofs")
+_FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+def table(records: Sequence[Record]) -> DataFrame:
+    """Tidy table of records, in the order given.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records of one study.
+
+    Returns
+    -------
+    DataFrame
+        ``case_id``, ``block``, a column of labels for each factor, ``status``, a column of
+        numbers for each response (missing unless the case converged), ``seconds``, ``dofs``.
+        ``attrs["units"]`` maps each response to its unit.
+
+    Raises
+    ------
+    StoreError
+        If records of different studies are mixed: other factors, units, or the same case twice.
+    """
+    import pandas as pd
+
+    factors = list(records[0].levels) if records else []
+    _check_same_study(records, factors)
+    units = _units(records)
+    clash = [n for n in factors if n in FIXED or n in units]
+    if clash:
+        raise StoreError(f"factor {clash[0]!r} has the name of another column; rename it")
+    columns: dict[str, list[object]] = {
+        "case_id": [r.case_id for r in records],
+        "block": [r.block for r in records],
+        **{name: [r.levels[name] for r in records] for name in factors},
+        "status": [r.status for r in records],
+    }
+    numbers = {name: [r.response(name) for r in records] for name in units}
+    numbers.setdefault("seconds", [_number(r.timings.get("total")) for r in records])
+    numbers.setdefault("dofs", [_number(r.mesh.get("dofs")) for r in records])
+    frame = pd.DataFrame(
+        {name: pd.Series(values, dtype=object) for name, values in columns.items()}
+        | {name: pd.Series(values, dtype=float) for name, values in numbers.items()}
+    )
+    frame.attrs["units"] = units
+    return frame
+
+
+def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:
+    """Write a table as CSV, whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If a name or label would be run as a formula by a spreadsheet (CWE-1236): quoting does
+        not survive the next save there, so such names are refused.
+    StoreError
+        If the file cannot be written.
+    """
+    faults = [
+        Fault(f"{path.name}: {place}", f"a spreadsheet would run {text[:40]!r} as a formula",
+              "rename it so that it does not begin with = + - @ or a control character")
+        for place, text in _texts(frame)
+        if _is_formula(text)
+    ]
+    if faults:
+        raise InputError(list(dict.fromkeys(faults))[:20])
+    text = frame.to_csv(index=False, lineterminator="\n", float_format=repr)
+    try:
+        data = text.encode()
+    except UnicodeEncodeError as error:
+        raise InputError(Fault(path.name, f"a name is not valid text ({error.reason})")) from error
+    write_atomic(path, data, system)
+
+
+def _is_formula(text: str) -> bool:
+    return bool(_FORMULA.match(text.lstrip(" "))) and NUMBER.fullmatch(text) is None
+
+
+def _texts(frame: DataFrame) -> list[tuple[str, str]]:
+    found = [("header", str(name)) for name in frame.columns]
+    for name in frame.columns:
+        values = dict.fromkeys(v for v in frame[name].tolist() if isinstance(v, str))
+        found += [(f"column {name}", value) for value in values]
+    return found
+
+
+def _check_same_study(records: Sequence[Record], factors: list[str]) -> None:
+    seen: set[str] = set()
+    for record in records:
+        if set(record.levels) != set(factors):
+            raise StoreError(
+                f"case {record.case_id}: its factors are {sorted(record.levels)}, those of the "
+                f"first record {sorted(factors)}; records of different studies are not mixed"
+            )
+        if record.case_id in seen:
+            raise StoreError(f"case {record.case_id} stands twice among the records")
+        seen.add(record.case_id)
+
+
+def _units(records: Sequence[Record]) -> dict[str, str]:
+    units: dict[str, str] = {}
+    for record in records:
+        for name, response in record.responses.items():
+            unit = str(response.get("unit", ""))
+            if units.setdefault(name, unit) != unit:
+                raise StoreError(
+                    f"case {record.case_id}: {name} is in {unit!r}, elsewhere in {units[name]!r}"
+                )
+    return units
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, (int, float)) else float("nan")
