@@ -1,0 +1,142 @@
+"""Frictionless contact of boundary points with rigid surfaces: a semismooth active set.
+
+A contact point is a place on a boundary facet: nodes, shape values and a weight (area).
+Its condition ``gap >= 0, pressure >= 0, gap * pressure = 0`` is solved by the primal-dual
+active set of Hueeber and Wohlmuth (2005), with the switching constant ``c`` kept apart
+from the stiffness ``eps`` that only regularizes the linear solve: after every Newton
+solve the multiplier takes up what the spring carried, so forces do not depend on ``eps``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
+STIFFNESS, SWITCHING = 4e4, 20.0
+
+
+class RigidSurface(Protocol):
+    """A rigid obstacle that moves with the displacement of the test."""
+
+    #: d(gap)/d(displacement) is -normal_z * speed
+    speed: float
+
+    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
+        """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A rigid plane across the axis that presses downwards (``sense = -1``) or stands below (+1).
+
+    Parameters
+    ----------
+    height_mm : float
+        Axial position at no displacement.
+    sense : {-1, 1}
+        Direction of the normal into the specimen's side.
+    speed : float
+        Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model.
+    """
+
+    height_mm: float
+    sense: int
+    speed: float
+
+    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
+        """Signed distance, normal and (zero) Hessian."""
+        n, dim = x.shape
+        normal = np.zeros((n, dim))
+        normal[:, -1] = self.sense
+        level = self.height_mm - self.speed * displacement_mm
+        return self.sense * (x[:, -1] - level), normal, np.zeros((n, dim, dim))
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Points that may touch one rigid surface.
+
+    Parameters
+    ----------
+    surface : RigidSurface
+        The obstacle.
+    nodes : ndarray of int, shape (n_points, k)
+        Nodes of the facet of each point.
+    shape : ndarray, shape (n_points, k)
+        Shape functions there.
+    weights : ndarray, shape (n_points,)
+        Area that the point stands for, mm^2.
+    eps, c : float
+        Stiffness of the regularization and switching constant, N/mm^3.
+    """
+
+    surface: RigidSurface
+    nodes: Ints
+    shape: Array
+    weights: Array
+    eps: float
+    c: float
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return int(self.weights.size)
+
+    def dofs(self, dim: int) -> Ints:
+        """Displacement unknowns of every point, shape (n_points, dim * k)."""
+        return np.asarray((dim * self.nodes[:, :, None] + np.arange(dim)).reshape(self.size, -1))
+
+    def evaluate(
+        self, nodes: Array, u: Array, displacement_mm: float, multiplier: Array
+    ) -> ContactState:
+        """Gap, active set, nodal forces and stiffness at displacements ``u`` (n_nodes, dim)."""
+        position = np.einsum("ck,ckj->cj", self.shape, (nodes + u)[self.nodes])
+        gap, normal, hessian = self.surface.gap(position, displacement_mm)
+        active = multiplier - self.c * gap > 0
+        pressure = np.where(active, multiplier - self.eps * gap, 0.0)
+        direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
+        return ContactState(gap, active, pressure, direction, hessian)
+
+    def forces(self, state: ContactState) -> Array:
+        """Residual contributions, shape (n_points, dim * k)."""
+        return -(self.weights * state.pressure)[:, None] * state.direction
+
+    def stiffness(self, state: ContactState) -> Array:
+        """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
+        rows, columns = np.triu_indices(state.direction.shape[1])
+        spring = self.weights * np.where(state.active, self.eps, 0.0)
+        blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
+        if state.hessian.any():
+            dim = state.hessian.shape[1]
+            curved = (self.weights * state.pressure)[:, None, None] * state.hessian
+            a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
+            blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
+        return np.asarray(blocks)
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Contact at one configuration; arrays have one row a point."""
+
+    gap: Array
+    active: NDArray[np.bool_]
+    pressure: Array
+    direction: Array
+    hessian: Array
+
+    def new_multiplier(self, contact: ContactPoints, increment: Array) -> Array:
+        """Multiplier after a solve that moved the points' unknowns by ``increment``."""
+        predicted = self.gap + np.einsum("ck,ck->c", self.direction, increment)
+        taken = self.pressure + contact.eps * (self.gap - predicted)
+        return np.where(self.active, taken, 0.0)
+
+    def largest_violation(self) -> float:
+        """Largest |gap| of the active points, mm."""
+        return float(np.abs(self.gap[self.active]).max()) if self.active.any() else 0.0

@@ -1,0 +1,143 @@
+"""Sparse symmetric indefinite solves: PARDISO where it installs, SuperLU everywhere.
+
+Both are given the fixed pattern once and then only new numbers. PARDISO is used with
+matrix type -2 (real, symmetric, indefinite), which halves the time and memory of the
+unsymmetric default.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from study.forward.pattern import Pattern
+
+Array = NDArray[np.float64]
+
+
+class SingularMatrixError(ArithmeticError):
+    """The matrix could not be factorized."""
+
+
+class LinearSolver(Protocol):
+    """What Newton needs of a direct solver."""
+
+    name: str
+
+    def factorize(self, data: Array) -> None:
+        """Factorize the matrix with these entries of the pattern."""
+
+    def solve(self, right: Array) -> Array:
+        """Solve for one (n,) or several (n, k) right-hand sides."""
+
+    def close(self) -> None:
+        """Give the memory back."""
+
+
+def pardiso_available() -> bool:
+    """Whether the fast solver is installed."""
+    return importlib.util.find_spec("pypardiso") is not None
+
+
+def make_solver(pattern: Pattern, name: str = "auto") -> LinearSolver:
+    """Return a solver for a pattern: ``auto``, ``pardiso`` or ``superlu``."""
+    if name == "superlu" or (name == "auto" and not pardiso_available()):
+        return SuperLU(pattern)
+    return Pardiso(pattern)
+
+
+class Pardiso:
+    """MKL PARDISO: symbolic analysis once, numerical factorization for each matrix."""
+
+    name = "pardiso"
+
+    def __init__(self, pattern: Pattern) -> None:
+        import pypardiso
+
+        self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
+        self._solver = pypardiso.PyPardisoSolver(mtype=-2)
+        n = pattern.free.size
+        self._matrix = sp.csr_matrix(
+            (np.zeros(pattern.indices.size), pattern.indices, pattern.indptr), shape=(n, n)
+        )
+        self._analyzed = False
+
+    def factorize(self, data: Array) -> None:
+        """Numerical factorization (phase 22), after the analysis (11) the first time."""
+        self._matrix.data = data
+        empty = np.zeros(data.shape[0] and self._matrix.shape[0])
+        if not self._analyzed:
+            self._call(11, empty)
+            self._analyzed = True
+        self._call(22, empty)
+
+    def solve(self, right: Array) -> Array:
+        """Back-substitution (phase 33) for one or several right-hand sides."""
+        b = np.asfortranarray(right, dtype=np.float64)
+        return np.ascontiguousarray(self._call(33, b))
+
+    def close(self) -> None:
+        """Release the memory that MKL holds for this factorization."""
+        if self._analyzed:
+            self._call(-1, np.zeros(self._matrix.shape[0]))
+            self._analyzed = False
+
+    def _call(self, phase: int, b: Array) -> Array:
+        self._solver.set_phase(phase)
+        try:
+            return np.asarray(self._solver._call_pardiso(self._matrix, b))
+        except self._error as error:
+            if error.args and error.args[0] == -2:
+                raise MemoryError("the factorization does not fit into memory") from error
+            raise SingularMatrixError(f"phase {phase}: {error}") from error
+
+    def __del__(self) -> None:
+        try:
+            self.close()
+        except Exception:  # noqa: BLE001 - interpreter shutdown: MKL may be gone already
+            return
+
+
+class SuperLU:
+    """SciPy's SuperLU in symmetric mode: always there, many times slower in 3D."""
+
+    name = "superlu"
+
+    def __init__(self, pattern: Pattern) -> None:
+        n = pattern.free.size
+        upper = sp.csr_matrix(
+            (np.arange(1.0, pattern.indices.size + 1), pattern.indices, pattern.indptr),
+            shape=(n, n),
+        )
+        full = (upper + sp.triu(upper, 1).T).tocsc()
+        full.sort_indices()
+        self._source = full.data.astype(np.int64) - 1
+        self._matrix = full
+        self._factors: Any = None
+
+    def factorize(self, data: Array) -> None:
+        """Factorize with minimum degree on A + A' and a small pivot threshold."""
+        from scipy.sparse.linalg import splu
+
+        self._matrix.data = data[self._source]
+        try:
+            self._factors = splu(
+                self._matrix,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=1e-3,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise SingularMatrixError(str(error)) from error
+
+    def solve(self, right: Array) -> Array:
+        """Back-substitution for one or several right-hand sides."""
+        return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
+
+    def close(self) -> None:
+        """Drop the factors."""
+        self._factors = None

@@ -1,0 +1,134 @@
+"""Fixed sparsity pattern of the free unknowns and the map that scatters element tangents into it.
+
+Built once per mesh in one compiled pass; every Newton iteration then only adds numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Upper triangle, in compressed rows, of the matrix of the free unknowns.
+
+    Parameters
+    ----------
+    free : ndarray of int, shape (n_free,)
+        Unknowns that are solved for, ascending.
+    number : ndarray of int32, shape (n,)
+        Row of each unknown among the free ones, -1 where constrained.
+    indptr, indices : ndarray of int32
+        Compressed rows with sorted columns and an entry on every diagonal.
+    positions : ndarray of int32, shape (n_elements * m * (m + 1) / 2,)
+        Where each packed element entry goes; -1 where a constrained unknown takes part.
+    """
+
+    free: NDArray[np.int64]
+    number: NDArray[np.int32]
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    positions: NDArray[np.int32]
+
+    @classmethod
+    def build(cls, dofs: NDArray[np.int32], n: int, constrained: NDArray[np.int64]) -> Pattern:
+        """Pattern of the elements' unknowns ``dofs`` (n_elements, m) without the constrained."""
+        mask = np.ones(n, dtype=bool)
+        mask[constrained] = False
+        free = np.flatnonzero(mask)
+        number = np.full(n, -1, dtype=np.int32)
+        number[free] = np.arange(free.size, dtype=np.int32)
+        start, owner = _elements_of_unknowns(dofs, n)
+        indptr, indices, positions = _fill(dofs, number, free, start, owner)
+        return cls(free, number, indptr, indices, positions)
+
+    def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2).
+
+        Every pair must already share an element, as the nodes of a face do.
+        """
+        m = dofs.shape[1]
+        rows, columns = np.triu_indices(m)
+        a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
+        low, high = np.minimum(a, b).ravel(), np.maximum(a, b).ravel()
+        return _find(self.indptr, self.indices, low, high).reshape(a.shape)
+
+
+@njit(cache=True)
+def _elements_of_unknowns(dofs, n):
+    """Elements around each unknown: (element, local number) packed as element * m + local."""
+    ne, m = dofs.shape
+    start = np.zeros(n + 1, np.int64)
+    for e in range(ne):
+        for i in range(m):
+            start[dofs[e, i] + 1] += 1
+    for i in range(n):
+        start[i + 1] += start[i]
+    fill = start[:-1].copy()
+    owner = np.empty(start[n], np.int64)
+    for e in range(ne):
+        for i in range(m):
+            owner[fill[dofs[e, i]]] = e * m + i
+            fill[dofs[e, i]] += 1
+    return start, owner
+
+
+@njit(cache=True)
+def _fill(dofs, number, free, start, owner):
+    ne, m = dofs.shape
+    nf = free.size
+    indptr = np.zeros(nf + 1, np.int32)
+    seen = np.full(nf, -1, np.int32)
+    for r in range(nf):
+        count = 0
+        for s in range(start[free[r]], start[free[r] + 1]):
+            e = owner[s] // m
+            for j in range(m):
+                c = number[dofs[e, j]]
+                if c >= r and seen[c] != r:
+                    seen[c] = r
+                    count += 1
+        indptr[r + 1] = indptr[r] + count
+    indices = np.empty(indptr[nf], np.int32)
+    positions = np.full(ne * (m * (m + 1) // 2), -1, np.int32)
+    where = np.empty(nf, np.int32)
+    seen[:] = -1
+    for r in range(nf):
+        k = indptr[r]
+        for s in range(start[free[r]], start[free[r] + 1]):
+            e = owner[s] // m
+            for j in range(m):
+                c = number[dofs[e, j]]
+                if c >= r and seen[c] != r:
+                    seen[c] = r
+                    indices[k] = c
+                    k += 1
+        indices[indptr[r] : k] = np.sort(indices[indptr[r] : k])
+        for k in range(indptr[r], indptr[r + 1]):
+            where[indices[k]] = k
+        for s in range(start[free[r]], start[free[r] + 1]):
+            e = owner[s] // m
+            i = owner[s] % m
+            for j in range(m):
+                c = number[dofs[e, j]]
+                if c >= r:
+                    a, b = (i, j) if i <= j else (j, i)
+                    packed = a * m - a * (a - 1) // 2 + b - a
+                    positions[e * (m * (m + 1) // 2) + packed] = where[c]
+    return indptr, indices, positions
+
+
+@njit(cache=True)
+def _find(indptr, indices, low, high):
+    out = np.full(low.size, -1, np.int32)
+    for i in range(low.size):
+        if low[i] >= 0:
+            a, b = indptr[low[i]], indptr[low[i] + 1]
+            k = a + np.searchsorted(indices[a:b], high[i])
+            if k < b and indices[k] == high[i]:
+                out[i] = k
+    return out
