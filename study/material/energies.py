@@ -125,7 +125,7 @@ MODELS: tuple[str, ...] = tuple(ENERGIES)
 
 
 def energy(model: str) -> Energy:
-    """Declaration of an energy by its name.
+    """Find the declaration of an energy by its name.
 
     Raises
     ------

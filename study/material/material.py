@@ -78,7 +78,7 @@ class Material:
         return float(sum(w * self.constants[n] for n, w in self.mu0_gradient().items()))
 
     def mu0_gradient(self) -> dict[str, float]:
-        """Derivative of mu0 with respect to every constant."""
+        """Differentiate mu0 with respect to every constant."""
         if self.family == "linear-elastic":
             modulus, mu = self.constants["youngs_modulus"], self.mu0
             if self.bulk_modulus is not None:  # 1/mu = 3/E - 1/(3K)

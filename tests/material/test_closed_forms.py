@@ -1,0 +1,181 @@
+"""V01-V07 at the material point: every energy in every homogeneous test."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.material import Material
+from study.material.homogeneous import (
+    MODES,
+    confined,
+    equibiaxial,
+    planar,
+    response,
+    simple_shear,
+    uniaxial,
+    uniaxial_gradient,
+)
+from study.material.tensor import first_piola
+
+ROOT = Path(__file__).resolve().parents[2]
+with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:
+    POINTS = list(csv.DictReader(_file))
+
+
+def _material(row):
+    constants = dict(pair.split("=") for pair in row["constants"].split())
+    values = {name: float(value) for name, value in constants.items()}
+    if row["bulk_modulus"] == "inf":
+        return Material(row["model"], values, incompressible=True)
+    return Material(row["model"], values, bulk_modulus=float(row["bulk_modulus"]))
+
+
+@pytest.mark.parametrize(
+    "row", POINTS, ids=lambda r: "-".join([r["constants"], r["test"], r["stretch"], r["quantity"]])
+)
+def test_published_material_points(row):
+    state = response(_material(row), row["test"], float(row["stretch"]))
+    expected = float(row["expected"])
+    # the tables print 10 decimals, or 9 for free stretches and J and 9 digits for P at finite K
+    half_unit = 0.6 * 10.0 ** -len(row["expected"].split(".")[1])
+    assert getattr(state, row["quantity"])[0] == pytest.approx(expected, rel=1e-10, abs=half_unit)
+
+
+def test_textbook_formulas_over_the_whole_range():
+    x = np.linspace(0.3, 3, 50)
+    mr = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, incompressible=True)
+    assert uniaxial(mr, x) == pytest.approx(2 * (x - x**-2) * (0.4 + 0.1 / x), rel=1e-12, abs=1e-14)
+    assert equibiaxial(mr, x) == pytest.approx(
+        2 * (x - x**-5) * (0.4 + 0.1 * x**2), rel=1e-12, abs=1e-14
+    )
+    assert planar(mr, x) == pytest.approx(2 * (x - x**-3) * 0.5, rel=1e-12, abs=1e-14)
+    ogden = Material("ogden", {"mu1": 0.7, "alpha1": -3.3}, incompressible=True)
+    expected = 2 * 0.7 / -3.3 * (x**-4.3 - x ** (3.3 / 2 - 1))
+    assert uniaxial(ogden, x) == pytest.approx(expected, rel=1e-12, abs=1e-14)
+
+
+def test_simple_shear():
+    mr = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, incompressible=True)
+    s12, s11, s22 = simple_shear(mr, 0.8)
+    # V05: s12 = 2 (C10 + C01) g, s11 = 2 C10 g^2, s22 = -2 C01 g^2
+    assert [float(s) for s in (s12, s11, s22)] == pytest.approx([0.8, 0.512, -0.128], abs=1e-12)
+
+
+def test_hydrostatic_stress_is_the_volumetric_law():
+    yeoh = Material(
+        "reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1000
+    )
+    F = 0.99 * np.eye(3)
+    sigma = first_piola(yeoh, F) @ F.T / np.linalg.det(F)
+    # V07: sigma = K (J - 1) I exactly; 1e-12 of K is rounding
+    assert sigma == pytest.approx(1000 * (0.99**3 - 1) * np.eye(3), abs=1e-12 * 1000)
+    assert sigma[0, 0] == pytest.approx(-29.701, abs=1e-9)
+
+
+def test_zero_exponent_is_the_logarithmic_limit():
+    x = np.array([0.4, 0.999, 1.0, 1.7])
+    zero = Material("ogden", {"mu1": 1.0, "alpha1": 0.0}, incompressible=True)
+    # P = sigma/x with sigma = 2 mu ln(x / x^(-1/2)) = 3 mu ln x
+    assert uniaxial(zero, x) == pytest.approx(3 * np.log(x) / x, rel=1e-13, abs=1e-15)
+    tiny = Material("ogden", {"mu1": 1.0, "alpha1": 1e-9}, incompressible=True)
+    assert uniaxial(tiny, x) == pytest.approx(uniaxial(zero, x), rel=1e-8)
+
+
+@pytest.mark.parametrize(("mode", "power"), [("uniaxial", 1), ("equibiaxial", 2), ("planar", 1)])
+def test_large_bulk_modulus_approaches_incompressible(mode, power):
+    constants = {"C10": 0.4, "C01": 0.1}
+    exact = response(Material("mooney-rivlin", constants, incompressible=True), mode, 0.7)
+    gaps = [
+        abs(
+            response(Material("mooney-rivlin", constants, bulk_modulus=K), mode, 0.7).stress
+            - exact.stress
+        )[0]
+        for K in (1e4, 1e5)
+    ]
+    # the difference is first order in mu/K, so ten times K is ten times closer
+    assert gaps[0] / gaps[1] == pytest.approx(10, rel=2e-3)
+
+
+MATERIALS = [
+    Material("neo-hookean", {"C10": 0.5}, poisson_ratio=0.49),
+    Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, poisson_ratio=0.4995),
+    Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, incompressible=True),
+    Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=20),
+    Material("polynomial", {"C10": 0.3, "C01": 0.1, "C11": 0.05, "C02": 0.02}, poisson_ratio=0.45),
+    Material("ogden", {"mu1": 1, "alpha1": 4}, incompressible=True),
+    Material("ogden", {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 0.0}, poisson_ratio=0.49),
+    Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.4),
+    Material("linear-elastic", {"youngs_modulus": 3.0}, bulk_modulus=7.0),
+]
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda m: m.model)
+@pytest.mark.parametrize("mode", MODES)
+def test_gradients_pass_the_taylor_test(material, mode):
+    """V41: without the gradient the remainder is first order in the step, with it second."""
+    if mode == "confined" and material.incompressible:
+        pytest.skip("no such test")
+    x = np.array([0.6, 0.9, 1.3])
+    state = response(material, mode, x)
+    # relative steps, small enough that the third order is a twentieth of the second
+    size = np.where(material.values == 0, 1, np.abs(material.values))
+    direction = 0.02 * size * np.random.default_rng(2011).uniform(0.5, 1, size.size)
+    change = sum(d * state.gradient[n] for d, n in zip(direction, material.names, strict=True))
+    steps = 0.5 ** np.arange(4)
+
+    def remainder(h):
+        moved = response(material.with_constants(material.values + h * direction), mode, x)
+        return np.linalg.norm(moved.stress - state.stress - h * change)
+
+    remainders = np.array([remainder(h) for h in steps])
+    if remainders.max() < 1e-11 * np.linalg.norm(state.stress):
+        return  # linear in the constants: no remainder at all
+    slopes = np.log2(remainders[:-1] / remainders[1:])
+    assert np.all((slopes > 1.9) & (slopes < 2.1)), slopes
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda m: m.model)
+@pytest.mark.parametrize("mode", MODES)
+def test_slope_is_the_derivative(material, mode):
+    if mode == "confined" and material.incompressible:
+        pytest.skip("no such test")
+    x, h = np.array([0.6, 0.9, 1.3]), 1e-5
+    ahead, behind = (response(material, mode, x + s * h).stress for s in (1, -1))
+    # central differences of step 1e-5: truncation 1e-10 of the third derivative, rounding 1e-11
+    slope = response(material, mode, x).slope
+    assert slope == pytest.approx((ahead - behind) / (2 * h), rel=2e-7)
+
+
+def test_poisson_ratio_makes_the_gradient_total():
+    fixed = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=49.66666666666666)
+    follows = Material("neo-hookean", {"C10": 0.5}, poisson_ratio=0.49)
+    assert follows.bulk == pytest.approx(fixed.bulk, rel=1e-12)
+    difference = uniaxial_gradient(follows, 0.7)["C10"] - uniaxial_gradient(fixed, 0.7)["C10"]
+    assert abs(difference) > 1e-3 * abs(uniaxial_gradient(fixed, 0.7)["C10"])
+
+
+def test_linear_elastic_moduli():
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
+    assert uniaxial(material, 1.01) == pytest.approx(0.03, rel=1e-12)
+    assert equibiaxial(material, 1.01) == pytest.approx(0.03 / 0.7, rel=1e-12)
+    assert planar(material, 1.01) == pytest.approx(0.03 / 0.91, rel=1e-12)
+    assert confined(material, 1.01) == pytest.approx(0.03 * 0.7 / (1.3 * 0.4), rel=1e-12)
+
+
+def test_unstable_constants_give_nan_not_an_exception():
+    # a negative modulus with K following it has no equilibrium; a fit must survive meeting it
+    material = Material("neo-hookean", {"C10": -5.0}, poisson_ratio=0.49)
+    assert np.all(np.isnan(uniaxial(material, [0.2, 0.3])))
+
+
+def test_bad_stretches_and_tests_are_refused():
+    material = Material("neo-hookean", {"C10": 0.5}, incompressible=True)
+    with pytest.raises(InputError, match="positive"):
+        uniaxial(material, [0.5, 0.0])
+    with pytest.raises(InputError, match="did you mean 'uniaxial'"):
+        response(material, "uniaxail", 1.1)
+    with pytest.raises(InputError, match="rigid box"):
+        confined(material, 0.9)
