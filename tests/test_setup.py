@@ -1,0 +1,209 @@
+"""Set-up on a machine that lacks something: the message names the command that mends it."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SH = shutil.which("sh") or "/bin/sh"
+libraries = runpy.run_path(str(ROOT / "scripts" / "system_libraries.py"))
+
+MISSING = "OSError: libGLU.so.1: cannot open shared object file: No such file or directory"
+# What the gmsh wheel links, by the names of Debian and Ubuntu.
+LINKED = {
+    "libglu1-mesa",
+    "libgl1",
+    "libopengl0",
+    "libxcursor1",
+    "libxft2",
+    "libxinerama1",
+    "libxrender1",
+    "libxfixes3",
+    "libxext6",
+    "libfontconfig1",
+    "libgomp1",
+}
+COMMAND = "sudo apt-get update && sudo apt-get install -y --no-install-recommends libglu1-mesa"
+
+
+def test_message_names_the_command_and_every_library() -> None:
+    text = libraries["message"](MISSING)
+    assert "libGLU.so.1" in text
+    assert COMMAND in text
+    assert set(text.split()) >= LINKED
+
+
+def test_message_for_a_missing_wheel_does_not_speak_of_libraries() -> None:
+    text = libraries["message"]("ModuleNotFoundError: No module named 'gmsh'")
+    assert "make setup" in text
+    assert "apt-get" not in text
+
+
+def test_gmsh_that_works_needs_nothing() -> None:
+    assert libraries["main"](check=lambda: None, mend=lambda: pytest.fail("installed")) == 0
+
+
+def test_without_rights_it_says_the_command_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    code = libraries["main"](
+        check=lambda: MISSING, mend=lambda: pytest.fail("installed"), may_install=False
+    )
+    assert code == 1
+    assert COMMAND in capsys.readouterr().err
+
+
+def test_with_rights_it_installs_and_checks_again() -> None:
+    answers = iter([MISSING, None])
+    assert libraries["main"](check=lambda: next(answers), mend=lambda: True, may_install=True) == 0
+
+
+def test_an_install_that_fails_says_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    code = libraries["main"](check=lambda: MISSING, mend=lambda: False, may_install=True)
+    assert code == 1
+    assert COMMAND in capsys.readouterr().err
+
+
+def test_install_goes_on_after_an_update_that_failed() -> None:
+    calls: list[list[str]] = []
+
+    def call(command: list[str]) -> int:
+        calls.append(list(command))
+        return 100 if command[1] == "update" else 0
+
+    assert libraries["install"](call)
+    assert [command[1] for command in calls] == ["update", "install"]
+    assert "libglu1-mesa" in calls[1]
+
+
+def test_the_check_is_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "gmsh.py").write_text(f"raise OSError({MISSING.removeprefix('OSError: ')!r})\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert libraries["import_error"](sys.executable) == MISSING
+    assert libraries["is_missing_library"](MISSING)
+
+
+def test_this_machine_is_set_up() -> None:
+    assert libraries["import_error"](sys.executable) is None
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Path:
+    """Bare machine: a copy of the set-up script, and a PATH with the few tools it uses."""
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "setup.sh", tmp_path / "scripts")
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    # Small programs of our own, never links to the real ones.
+    tool(tmp_path, "dirname", 'echo "${1%/*}"')
+    tool(tmp_path, "uname", "echo x86_64")
+    tool(tmp_path, "id", "echo 1000")
+    return tmp_path
+
+
+def tool(machine: Path, name: str, body: str) -> None:
+    """Put a small program on the PATH of the bare machine."""
+    path = machine / "bin" / name
+    # Writing through a link would overwrite the real program of this machine.
+    path.unlink(missing_ok=True)
+    path.write_text(f"#!{SH}\n{body}\n")
+    path.chmod(0o755)
+
+
+def set_up(machine: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [SH, str(machine / "scripts" / "setup.sh")],
+        env={"PATH": str(machine / "bin")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_setup_says_that_python_is_too_old(machine: Path) -> None:
+    # The script asks for the version with -c, and prints it with --version.
+    tool(machine, "python3", '[ "$1" = --version ] && echo Python 3.9.2 || exit 1')
+    run = set_up(machine)
+    assert run.returncode == 1
+    assert "Python 3.11 or newer is needed; found: Python 3.9.2" in run.stderr
+    assert "sudo apt-get install python3 python3-venv" in run.stderr
+    assert "make PYTHON=" in run.stderr
+
+
+PYTHON_WITHOUT_VENV = 'case "$2" in *ensurepip*) exit 1 ;; *print*) echo 3.12 ;; esac'
+
+
+def test_setup_says_that_venv_is_missing(machine: Path) -> None:
+    tool(machine, "python3", PYTHON_WITHOUT_VENV)
+    run = set_up(machine)
+    assert run.returncode == 1
+    assert "sudo apt-get update && sudo apt-get install -y python3.12-venv" in run.stderr
+    assert not (machine / ".venv").exists()
+
+
+def test_setup_installs_venv_as_root(machine: Path) -> None:
+    tool(machine, "python3", PYTHON_WITHOUT_VENV)
+    tool(machine, "id", "echo 0")
+    tool(machine, "apt-get", 'echo "apt-get $*"; exit 1')
+    run = set_up(machine)
+    assert run.returncode == 1
+    assert "apt-get install -y python3.12-venv" in run.stdout
+    assert "apt-get could not install python3.12-venv" in run.stderr
+
+
+def test_setup_falls_back_without_the_fast_solver(machine: Path) -> None:
+    python = machine / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(
+        f"#!{SH}\ncase \"$*\" in *'.[fast'*) exit 1 ;; *'.[test]'*) echo installed ;; esac\n"
+    )
+    python.chmod(0o755)
+    run = set_up(machine)
+    assert run.returncode == 0, run.stderr
+    assert "again without the fast 3D solver" in run.stderr
+    assert "installed" in run.stdout
+
+
+def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
+    python = machine / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!{SH}\necho "$*"\n')
+    python.chmod(0o755)
+    extras = {}
+    for processor in ("x86_64", "aarch64"):
+        tool(machine, "uname", f"echo {processor}")
+        extras[processor] = re.findall(r"--editable \.\[(.*)\]", set_up(machine).stdout)
+    assert extras == {"x86_64": ["fast,test"], "aarch64": ["test"]}
+
+
+TARGETS = ("setup", "demo", "test", "verify", "bench", "check")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_make_knows_the_target(target: str) -> None:
+    make = shutil.which("make")
+    if make is None:
+        pytest.skip("make is not on this machine")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}
+    run = subprocess.run(
+        [make, "-n", target],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+
+
+def test_readme_names_the_two_commands_first() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^make (\w+)", readme, flags=re.MULTILINE)
+    assert commands[:2] == ["demo", "test"]
+    assert set(commands) <= set(TARGETS)
