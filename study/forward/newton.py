@@ -1,0 +1,162 @@
+"""Newton's method at one displacement: full steps, a filter on J, the active set of the contact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.linear_solver import SingularMatrixError
+from study.forward.system import Assembly, State, System
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """When Newton stops.
+
+    Parameters
+    ----------
+    tolerance : float
+        On the residual of the free unknowns over the reaction.
+    gap_mm : float
+        Largest |gap| of an active contact point, in multiples of the specimen's height.
+    max_iterations : int
+        After as many the step has failed.
+    j_filter : float
+        A step is halved until no J falls below this fraction of its last value.
+    """
+
+    tolerance: float = 1e-8
+    gap: float = 2e-9
+    max_iterations: int = 25
+    j_filter: float = 0.1
+
+
+@dataclass(frozen=True)
+class NewtonResult:
+    """A converged state, or the reason why there is none."""
+
+    state: State
+    converged: bool
+    iterations: int
+    reason: str
+    residuals: tuple[float, ...]
+    assembly: Assembly | None = None
+
+
+def solve_step(
+    system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
+) -> NewtonResult:
+    """Equilibrium at ``guess.displacement_mm``.
+
+    Parameters
+    ----------
+    guess : State
+        Start of the iteration; its constrained unknowns already have their values.
+    lifted_from : State, optional
+        Start here instead: the first solve puts the prescribed increment on the right-hand
+        side, so that the jump at the plate spreads through the specimen at once.
+    """
+    state, lift = guess, np.zeros(0)
+    if lifted_from is not None:
+        lift = system.prescribed(guess.displacement_mm) - system.prescribed(
+            lifted_from.displacement_mm
+        )
+        state = lifted_from
+    residuals: list[float] = []
+    for iteration in range(settings.max_iterations + 1):
+        assembly = system.assemble(state)
+        if not assembly.min_j > 0:
+            return NewtonResult(state, False, iteration, "an element is inverted", ())
+        free = system.pattern.free
+        right = -assembly.residual[free]
+        if lift.size:
+            jump = np.zeros(system.space.n)
+            jump[system.constraints.dofs] = lift
+            right -= system.tangent_product(jump, contact=False)[free]
+        else:
+            residuals.append(_relative(system, state, assembly))
+            if _done(system, residuals[-1], assembly, settings):
+                return NewtonResult(
+                    state, True, iteration, "converged", tuple(residuals), assembly
+                )
+        if iteration == settings.max_iterations:
+            break
+        try:
+            system.factorize()
+        except SingularMatrixError as error:
+            return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
+        increment = np.zeros(system.space.n)
+        increment[free] = system.back_substitute(right)
+        if not np.isfinite(increment).all():
+            return NewtonResult(state, False, iteration, "singular tangent", ())
+        if lift.size:
+            increment[system.constraints.dofs] = lift
+            state = replace(state, displacement_mm=guess.displacement_mm)
+        moved = _filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
+        if moved is None:
+            return NewtonResult(state, False, iteration, "an element would be inverted", ())
+        state, lift = moved, np.zeros(0)
+    reason = f"no equilibrium after {settings.max_iterations} iterations"
+    return NewtonResult(state, False, settings.max_iterations, reason, tuple(residuals))
+
+
+def _filtered(
+    system: System,
+    state: State,
+    assembly: Assembly,
+    increment: Array,
+    settings: NewtonSettings,
+    *,
+    whole: bool,
+) -> State | None:
+    """The longest halving of the step that keeps every J; none where 1/1024 is not enough."""
+    before = system.volume_ratios(state.x)
+    fraction = 1.0
+    while fraction > 1e-3:
+        x = state.x + fraction * increment
+        if (system.volume_ratios(x) > settings.j_filter * before).all():
+            return replace(
+                state, x=x, multipliers=_multipliers(system, state, assembly, increment, fraction)
+            )
+        if whole:  # a shortened lift would leave the plate on its way
+            return None
+        fraction /= 2
+    return None
+
+
+def _multipliers(
+    system: System, state: State, assembly: Assembly, increment: Array, fraction: float
+) -> tuple[Array, ...]:
+    updated = []
+    for points, old, touch in zip(
+        system.contact, state.multipliers, assembly.contact, strict=True
+    ):
+        new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
+        updated.append(old + fraction * (new - old))
+    return tuple(updated)
+
+
+def _relative(system: System, state: State, assembly: Assembly) -> float:
+    """Largest of the force residual over the reaction and the volume residual over the volume."""
+    n_u = system.space.n_displacement
+    out_of_balance = assembly.residual.copy()
+    out_of_balance[system.constraints.dofs] = 0.0
+    reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
+    strain = abs(state.displacement_mm) / system.height_mm
+    floor = 1e-6 * system.material.mu0 * system.area_mm2 * max(strain, 1e-12)
+    force = float(np.linalg.norm(out_of_balance[:n_u])) / max(reaction, floor)
+    volume = float(np.linalg.norm(out_of_balance[n_u:])) / float(system.space.weights.sum())
+    return max(force, volume)
+
+
+def _done(
+    system: System, residual: float, assembly: Assembly, settings: NewtonSettings
+) -> bool:
+    if not residual < settings.tolerance:
+        return False
+    gap = settings.gap * system.height_mm
+    return all(touch.largest_violation() < gap for touch in assembly.contact)

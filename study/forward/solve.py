@@ -1,0 +1,376 @@
+"""One forward simulation: adaptive load steps to a force-displacement curve with gradients."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+from study.errors import InputError
+from study.forward.gradients import Rate, StepGradients, step_gradients
+from study.forward.mesh import Mesh, build_mesh
+from study.forward.newton import NewtonResult, NewtonSettings, solve_step
+from study.forward.problem import Problem
+from study.forward.system import State, System
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Load steps, as fractions of the specimen's height.
+
+    A step grows after few Newton iterations, shrinks after many and is halved on failure;
+    the run ends as ``not-converged`` when a step falls below ``smallest``.
+    """
+
+    largest: float = 0.03
+    smallest: float = 1e-5
+    growth: float = 1.4
+    easy: int = 7
+    hard: int = 14
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything that shapes a run besides the problem; part of what makes a result."""
+
+    newton: NewtonSettings = field(default_factory=NewtonSettings)
+    steps: StepSettings = field(default_factory=StepSettings)
+    linear_solver: str = "auto"
+
+
+@dataclass(frozen=True)
+class WarmStep:
+    """A converged step of an earlier solve and how it moves with the constants."""
+
+    state: State
+    constants: dict[str, Rate]
+
+
+@dataclass(frozen=True)
+class Warm:
+    """What a later solve of the same problem with other constants can start from."""
+
+    system: System
+    values: dict[str, float]
+    steps: tuple[WarmStep, ...]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of one forward simulation.
+
+    Parameters
+    ----------
+    status : str
+        ``converged``, ``not-converged``, ``mesh-failed``, ``unstable`` or ``out-of-memory``.
+    message : str
+        One sentence that says why it ended.
+    curve : Curve
+        Requested steps up to the last converged one, with stiffness and gradients.
+    reached_mm : float
+        Displacement of the last converged step, sub-steps of a cut-back included.
+    min_j : float
+        Smallest J of the last converged step.
+    base_reaction_N : ndarray, shape (n_steps,)
+        Reaction of the base, to be compared with the force.
+    newton_iterations : tuple of int
+        Iterations of each requested step (its sub-steps added up).
+    points, displacement : ndarray, shape (n_points, dim)
+        Vertices of the mesh in mm and their displacements at the last converged step.
+    cells : ndarray of int
+        Vertex numbers of each cell.
+    """
+
+    status: str
+    message: str
+    curve: Curve
+    reached_mm: float
+    min_j: float
+    base_reaction_N: Array
+    newton_iterations: tuple[int, ...]
+    dofs: int
+    elements: int
+    mesh_hash: str
+    mesh_size_mm: float
+    solver: str
+    seconds: dict[str, float]
+    points: Array
+    cells: NDArray[np.int64]
+    displacement: Array
+    warm: Warm | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether every requested step was reached."""
+        return self.status == "converged"
+
+
+def solve(
+    problem: Problem,
+    *,
+    gradients: bool = True,
+    warm: Solution | None = None,
+    progress: Callable[[float], None] | None = None,
+    options: Options | None = None,
+    mesh: Mesh | None = None,
+) -> Solution:
+    """Simulate one test.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is simulated.
+    gradients : bool
+        Whether dF/dconstant is computed at every requested step.
+    warm : Solution, optional
+        An earlier solution of the same problem with other constants; its mesh, symbolic
+        analysis and converged steps are reused.
+    progress : callable, optional
+        Called with the fraction of the displacement that is done.
+    options : Options, optional
+        Tolerances and step rule.
+    mesh : Mesh, optional
+        Use this mesh instead of the generated one.
+
+    Returns
+    -------
+    Solution
+        Expected failure is a status, not an exception.
+
+    Raises
+    ------
+    InputError
+        If the problem asks for something that is not modelled.
+    """
+    began = time.perf_counter()
+    options = options or Options()
+    _check(problem)
+    try:
+        system = _system(problem, warm, options, mesh)
+        run = _Run(system, problem, options, gradients, warm, progress)
+        run.to_the_end()
+    except MemoryError as error:
+        return _out_of_memory(problem, str(error), time.perf_counter() - began)
+    return run.solution(time.perf_counter() - began)
+
+
+def _check(problem: Problem) -> None:
+    if problem.test.kind != "compression":
+        raise InputError("only compression between plates is modelled so far")
+    if problem.material.family != "polynomial":
+        raise InputError(f"the solver has no {problem.material.model} energy yet")
+    if problem.test.displacement_mm >= problem.specimen.height_mm:  # type: ignore[union-attr]
+        raise InputError("the displacement must be smaller than the specimen's height")
+
+
+def _system(
+    problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None
+) -> System:
+    if warm is not None and warm.warm is not None:
+        return warm.warm.system.with_material(problem.material)
+    return System.build(
+        problem, build_mesh(problem) if mesh is None else mesh, solver=options.linear_solver
+    )
+
+
+class _Run:
+    """One pass over the requested steps."""
+
+    def __init__(
+        self,
+        system: System,
+        problem: Problem,
+        options: Options,
+        gradients: bool,
+        warm: Solution | None,
+        progress: Callable[[float], None] | None,
+    ) -> None:
+        self.system, self.problem, self.options = system, problem, options
+        self.wanted = problem.material.names if gradients else ()
+        self.warm = warm.warm if warm is not None else None
+        self.progress = progress or (lambda _: None)
+        self.state, self.previous = system.start(), None  # type: State, State | None
+        self.step_mm = options.steps.largest * system.height_mm
+        self.iterations: list[int] = []
+        self.rows: list[StepGradients] = []
+        self.reactions: list[float] = []
+        self.reached: list[float] = []
+        self.warm_steps: list[WarmStep] = []
+        self.min_j, self.reason = 1.0, ""
+
+    def to_the_end(self) -> None:
+        test = self.problem.test
+        targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
+        for number, target in enumerate(targets):
+            if not self._reach(float(target), number):
+                return
+            self.progress(float(target) / test.displacement_mm)
+
+    def _reach(self, target: float, number: int) -> bool:
+        """Advance to a requested step, in sub-steps where needed, and take its gradients."""
+        spent, result = 0, self._from_warm(target, number)
+        if result is not None:
+            spent += result.iterations
+            self._accept(result)
+        while result is None or not self._at(target):
+            remaining = target - self.state.displacement_mm
+            pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))
+            result = self._attempt(self.state.displacement_mm + remaining / pieces)
+            spent += result.iterations
+            if result.converged:
+                self._adapt(result.iterations, remaining / pieces)
+                self._accept(result)
+                continue
+            self.step_mm = remaining / pieces / 2
+            if self.step_mm < self.options.steps.smallest * self.system.height_mm:
+                self.reason = result.reason
+                return False
+        self.iterations.append(spent)
+        self._record(result)
+        return True
+
+    def _at(self, target: float) -> bool:
+        return abs(self.state.displacement_mm - target) < 1e-9 * self.system.height_mm
+
+    def _attempt(self, displacement: float) -> NewtonResult:
+        guess = self._extrapolated(displacement)
+        newton = self.options.newton
+        if guess is not None:
+            result = solve_step(self.system, guess, newton)
+            if result.converged:
+                return result
+            self.previous = None  # no extrapolation right after a failure
+        start = replace(self.state, displacement_mm=displacement)
+        return solve_step(self.system, start, newton, lifted_from=self.state)
+
+    def _extrapolated(self, displacement: float) -> State | None:
+        """Linear extrapolation of the last two states, where it keeps every J."""
+        if self.previous is None:
+            return None
+        last, before = self.state, self.previous
+        ratio = (displacement - last.displacement_mm) / (
+            last.displacement_mm - before.displacement_mm
+        )
+        if ratio > 1.5:
+            return None
+        x = last.x + ratio * (last.x - before.x)
+        return self._sound(replace(last, displacement_mm=displacement, x=x), last.x, 0.3)
+
+    def _from_warm(self, target: float, number: int) -> NewtonResult | None:
+        """Start from the same step of an earlier solve, moved along its sensitivities."""
+        if self.warm is None or number >= len(self.warm.steps):
+            return None
+        step = self.warm.steps[number]
+        x, multipliers = step.state.x.copy(), list(step.state.multipliers)
+        for name, rate in step.constants.items():
+            change = self.problem.material.constants[name] - self.warm.values[name]
+            x += change * rate.x
+            multipliers = [m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)]
+        pressed = tuple(np.maximum(m, 0.0) for m in multipliers)
+        guess = self._sound(State(target, x, pressed), step.state.x, 0.5)
+        if guess is None:
+            return None
+        result = solve_step(self.system, guess, replace(self.options.newton, max_iterations=8))
+        return result if result.converged else None
+
+    def _sound(self, guess: State, reference: Array, fraction: float) -> State | None:
+        guess.x[self.system.constraints.dofs] = self.system.prescribed(guess.displacement_mm)
+        J, old = self.system.volume_ratios(guess.x), self.system.volume_ratios(reference)
+        return guess if (fraction * old < J).all() else None
+
+    def _adapt(self, iterations: int, step: float) -> None:
+        rule = self.options.steps
+        largest = rule.largest * self.system.height_mm
+        if iterations <= rule.easy:
+            self.step_mm = min(largest, max(self.step_mm, step * rule.growth))
+        elif iterations > rule.hard:
+            self.step_mm = 0.7 * step
+
+    def _accept(self, result: NewtonResult) -> None:
+        self.previous, self.state = self.state, result.state
+        if result.assembly is not None:
+            self.min_j = result.assembly.min_j
+
+    def _record(self, result: NewtonResult) -> None:
+        if result.assembly is None:
+            raise RuntimeError("a converged step has an assembly")
+        if result.iterations == 0:
+            self.system.factorize()  # nothing was factorized on the way here
+        row = step_gradients(self.system, self.state, result.assembly, wanted=self.wanted)
+        self.rows.append(row)
+        self.reached.append(self.state.displacement_mm)
+        self.reactions.append(self._base_reaction(result))
+        self.warm_steps.append(WarmStep(self.state, row.constants))
+
+    def _base_reaction(self, result: NewtonResult) -> float:
+        """Axial reaction below: equal to the force at equilibrium."""
+        system = self.system
+        axial = system.space.nodes[:, -1]
+        low = np.flatnonzero(np.abs(axial - axial.min()) < 1e-9 * system.height_mm)
+        dofs = low * system.space.dim + system.space.dim - 1
+        sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
+        return sector * float(result.assembly.residual[dofs].sum())  # type: ignore[union-attr]
+
+    def solution(self, seconds: float) -> Solution:
+        system, names = self.system, self.wanted
+        done = len(self.rows) == self.problem.test.steps
+        curve = Curve(
+            np.array(self.reached),
+            np.array([row.force_N for row in self.rows]),
+            np.array([row.stiffness_N_per_mm for row in self.rows]),
+            {n: np.array([row.force_gradient[n] for row in self.rows]) for n in names},
+        )
+        vertices = system.mesh.points.shape[0]
+        reached = self.state.displacement_mm
+        message = "every step converged"
+        if not done:
+            asked = self.problem.test.displacement_mm
+            message = f"stopped at {reached:.4g} mm of {asked:.4g} mm: {self.reason}"
+        return Solution(
+            status="converged" if done else "not-converged",
+            message=message,
+            curve=curve,
+            reached_mm=reached,
+            min_j=self.min_j,
+            base_reaction_N=np.array(self.reactions),
+            newton_iterations=tuple(self.iterations),
+            dofs=system.dofs,
+            elements=system.space.n_elements,
+            mesh_hash=system.mesh.digest(),
+            mesh_size_mm=system.mesh.size_mm,
+            solver=system.solver.name,
+            seconds={**system.seconds, "total": seconds},
+            points=system.mesh.points,
+            cells=system.mesh.cells,
+            displacement=system.displacements(self.state.x)[:vertices],
+            warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
+        )
+
+
+def _out_of_memory(problem: Problem, message: str, seconds: float) -> Solution:
+    none: dict[str, Any] = {"points": np.zeros((0, 3)), "displacement": np.zeros((0, 3))}
+    empty = np.zeros(0)
+    return Solution(
+        status="out-of-memory",
+        message=f"{message}: use a larger mesh_size, or axisymmetric space",
+        curve=Curve(empty, empty, empty),
+        reached_mm=0.0,
+        min_j=1.0,
+        base_reaction_N=empty,
+        newton_iterations=(),
+        dofs=0,
+        elements=0,
+        mesh_hash="",
+        mesh_size_mm=problem.model.mesh_size_mm or 0.0,
+        solver="none",
+        seconds={"total": seconds},
+        cells=np.zeros((0, 4), dtype=np.int64),
+        **none,
+    )
