@@ -52,7 +52,7 @@ create_environment() {
 install_package() {
     extras=test
     case "$(uname -m)" in x86_64 | amd64) extras=fast,test ;; esac
-    echo "installing study with its extras [$extras] into $venv (some 700 MB to download the first time)"
+    echo "installing study with its extras [$extras] into $venv (several hundred MB to download the first time)"
     if "$venv/bin/python" -m pip install -qq --disable-pip-version-check --editable ".[$extras]"; then
         return
     fi
