@@ -42,7 +42,7 @@ lint: $(ready)
 	@.venv/bin/ruff check .
 
 format-check: $(ready)
-	@.venv/bin/ruff format --check .
+	@.venv/bin/ruff format --check --output-format concise .
 
 types: $(ready)
 	@.venv/bin/mypy
