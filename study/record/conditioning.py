@@ -27,6 +27,7 @@ ZERO_RULES = ("none", "first", "fit")
 SIGNS = ("positive", "negative")
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
+EQUAL_MM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -166,11 +167,13 @@ def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Arr
         counts["rows out of order sorted by displacement"] += out_of_order
         order = np.argsort(d, kind="stable")
         d, f = d[order], f[order]
-    unique, inverse, repeats = np.unique(d, return_inverse=True, return_counts=True)
-    if unique.size < d.size:
+    places, inverse, repeats = np.unique(
+        np.round(d / EQUAL_MM), return_inverse=True, return_counts=True
+    )
+    if places.size < d.size:
         counts["rows of equal displacement averaged"] += int(repeats[repeats > 1].sum())
+        d = np.bincount(inverse, weights=d) / repeats
         f = np.bincount(inverse, weights=f) / repeats
-        d = unique
     return d, f
 
 

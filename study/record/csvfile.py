@@ -28,11 +28,12 @@ MAX_ROWS = 2_000_000
 MAX_COLUMNS = 1_000
 MAX_LINE = 100_000
 MAX_FAULTS = 20
+MAX_LABEL = 200
 DELIMITERS = ",;\t|"
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d{1,4})?", re.ASCII)
-_INTEGER = re.compile(r"[+-]?\d+", re.ASCII)
+_FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
 @dataclass(frozen=True)
@@ -177,6 +178,24 @@ def parse_csv(
 
 def _changes(old: Sequence[str], new: Sequence[str]) -> int:
     return 0 if old == new else sum(a != b for a, b in zip(old, new, strict=True))
+
+
+def is_formula(text: str) -> bool:
+    """Whether a spreadsheet would run this text as a formula (CWE-1236); numbers are safe."""
+    return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text) is None
+
+
+def label_fault(label: str) -> str:
+    """Rule that a label of a test breaks; empty if it may stand in tables and reports."""
+    if not label:
+        return "the label is empty"
+    if len(label) > MAX_LABEL:
+        return f"the label has {len(label)} characters, at most {MAX_LABEL}"
+    if not label.isprintable():
+        return f"the label {label!r} holds a control character"
+    if is_formula(label):
+        return f"a spreadsheet would run the label {label!r} as a formula"
+    return ""
 
 
 def _read_bytes(path: Path, source: str) -> bytes:

@@ -65,7 +65,7 @@ def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> N
     system = system or FileSystem()
     part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     try:
-        system.make_folder(path.parent)
+        _make_folder(path.parent, system)
         system.write(part, data)
         system.sync_file(part)
         system.replace(part, path)
@@ -76,6 +76,16 @@ def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> N
             f"{path}: could not be written ({error.strerror or error}); what was there before "
             "is unharmed. Free space or choose another folder, then run again: it resumes"
         ) from error
+
+
+def _make_folder(folder: Path, system: FileSystem) -> None:
+    """Make a folder whose name survives a power loss too."""
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    if not new:
+        return
+    system.make_folder(folder)
+    for path in reversed(new):
+        system.sync_folder(path.parent)
 
 
 def is_leftover(path: Path) -> bool:

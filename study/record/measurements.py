@@ -19,7 +19,7 @@ from study.record.conditioning import (
     Rules,
     condition,
 )
-from study.record.csvfile import MAX_FAULTS, MAX_ROWS, CsvTable, read_csv
+from study.record.csvfile import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, read_csv
 from study.record.paths import locate, locate_pattern
 from study.record.selection import Measurements, SingleTest
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from study.design import MeasurementSpec
 
 Array = NDArray[np.float64]
+MAX_TRAVEL_MM = 1e5
+MAX_FORCE_N = 1e8
 _UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,6})[\])]?$")
 
 
@@ -125,7 +127,7 @@ def _range(
             Fault("measurements.range", "in percent needs the height of the specimen",
                   "give specimen.height, or the range in mm")
         )
-    low, high = spec.range.in_mm(height_mm)  # type: ignore[arg-type]
+    low, high = spec.range.in_mm(height_mm)
     return float(low), float(high)
 
 
@@ -140,7 +142,9 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     required = [columns["displacement"], columns["force"]]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
-    tables, faults, rows = [], [], 0
+    tables: list[tuple[CsvTable, dict[str, str]]] = []
+    faults: list[Fault] = []
+    rows = 0
     for name, labels in found:
         try:
             path = locate(name, root, citation=citation)
@@ -173,9 +177,12 @@ def _split(
 ) -> Iterable[tuple[str, dict[str, str], Array, Array]]:
     """Rows of each test of a table: name for messages, labels, displacement, force."""
     columns = spec.columns
-    d = table.numbers(columns["displacement"]) * _factor(table, spec, "displacement", "length")
-    f = table.numbers(columns["force"]) * _factor(table, spec, "force", "force")
+    d = _quantity(table, spec, "displacement", "length", MAX_TRAVEL_MM)
+    f = _quantity(table, spec, "force", "force", MAX_FORCE_N)
     inside = [name for name in groups if name not in labels]
+    for name, label in labels.items():
+        if rule := label_fault(label):
+            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
     clash = [name for name in labels if name in table.columns]
     if clash:
         raise InputError(
@@ -199,14 +206,15 @@ def _split(
 def _check_labels(
     table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]
 ) -> None:
-    if not names or all(all(key) for key in set(keys)):
-        return
-    k = next(k for k, key in enumerate(keys) if not all(key))
-    name = names[next(j for j, label in enumerate(keys[k]) if not label)]
-    raise InputError(
-        Fault(f"{table.source}:{table.lines[k]}: column {name!r}", "the cell is empty",
-              "every row needs the label of its test")
-    )
+    for key in dict.fromkeys(keys):
+        for name, label in zip(names, key, strict=True):
+            rule = label_fault(label)
+            if rule:
+                line = table.lines[keys.index(key)]
+                raise InputError(
+                    Fault(f"{table.source}:{line}: column {name!r}", rule,
+                          "every row needs the label of its test, in plain characters")
+                )
 
 
 def _check_one_test(
@@ -234,6 +242,23 @@ def _check_one_test(
               "name the column that tells them apart in `average` (repeats on one specimen) or "
               "in `block`, `fit` and `score`")
     )
+
+
+def _quantity(
+    table: CsvTable, spec: MeasurementSpec, what: str, dimension: str, limit: float
+) -> Array:
+    """Column in mm or N, refused where it is beyond any test."""
+    factor, column = _factor(table, spec, what, dimension), spec.columns[what]
+    values = table.numbers(column)
+    beyond = np.flatnonzero(np.abs(values) > limit / factor)
+    if beyond.size:
+        k = int(beyond[0])
+        raise InputError(
+            Fault(f"{table.source}:{table.lines[k]}: column {column!r}",
+                  f"{values[k]:.6g} {(spec.units or {})[what]} is beyond any test of a specimen",
+                  "check the cell and measurements.units")
+        )
+    return values * factor
 
 
 def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -> float:

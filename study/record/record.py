@@ -144,6 +144,7 @@ class Record:
         for name, kinds in _KINDS.items():
             if not isinstance(content[name], kinds):
                 raise StoreError(f"{source}: field {name!r} has the wrong type")
+        _check_parts(content, source)
         try:
             curves = {k: Curve.from_dict(v) for k, v in content.pop("curves").items()}
             return cls(**content, curves=curves)
@@ -161,6 +162,18 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
     "block": (str, type(None)),
     "fit": (dict, type(None)),
 }
+
+
+def _check_parts(content: Mapping[str, Any], source: str) -> None:
+    """Check the types inside the mappings that tables and reports read."""
+    number = (int, float, type(None))
+    if not all(isinstance(v, str) for v in content["levels"].values()):
+        raise StoreError(f"{source}: levels must be labels")
+    if not all(isinstance(v, number) for v in content["timings"].values()):
+        raise StoreError(f"{source}: timings must be numbers")
+    for name, found in content["responses"].items():
+        if not isinstance(found, dict) or not isinstance(found.get("value"), number):
+            raise StoreError(f"{source}: response {name!r} has no number or null as its value")
 
 
 def plain(value: Any, where: str, lost: dict[str, str]) -> Any:

@@ -187,7 +187,10 @@ class Store:
         Survey
             A record with another input hash counts as missing, and a warning says so.
         """
-        done, failed, missing, foreign = [], [], [], []
+        done: list[str] = []
+        failed: list[str] = []
+        missing: list[str] = []
+        foreign: list[str] = []
         for case_id, wanted in input_hashes.items():
             record = self.read(case_id)
             if record is None or record.input_hash != wanted:
@@ -224,13 +227,17 @@ class Store:
         return frozenset(found.done + found.failed) - again
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
-        """Records of this very input, in the order of ``input_hashes``."""
+        """Read the records of this very input, in the order of ``input_hashes``."""
         found = (self.read(case_id) for case_id in input_hashes)
         return [r for r in found if r is not None and r.input_hash == input_hashes[r.case_id]]
 
     def write_json(self, name: str, content: Any) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
-        write_atomic(self._json(name), seal(plain(content, name, {})).encode(), self._system)
+        lost: dict[str, str] = {}
+        clean = plain(content, name, lost)
+        if lost and isinstance(clean, dict):
+            clean["not_finite"] = lost
+        write_atomic(self._json(name), seal(clean).encode(), self._system)
 
     def read_json(self, name: str) -> Any | None:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""
@@ -249,7 +256,7 @@ class Store:
         self.write_json("study", dict(meta))
 
     def read_manifest(self) -> dict[str, Any] | None:
-        """What :meth:`write_manifest` stored."""
+        """Read what :meth:`write_manifest` stored; None if it is missing or was damaged."""
         found = self.read_json("study")
         return found if isinstance(found, dict) else None
 
@@ -258,7 +265,7 @@ class Store:
         self.write_json(f"fits/{fit_id}", dict(content))
 
     def read_fit(self, fit_id: str) -> dict[str, Any] | None:
-        """A shared calibration; None if it is missing or was damaged."""
+        """Read a shared calibration; None if it is missing or was damaged."""
         found = self.read_json(f"fits/{fit_id}")
         return found if isinstance(found, dict) else None
 
@@ -294,7 +301,8 @@ class Store:
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:
             if path.stat().st_size > limit:
-                raise StoreError(f"{path}: is larger than {limit} bytes, which no record is")
+                self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
+                return None
             return path.read_bytes()
         except (FileNotFoundError, NotADirectoryError):
             return None

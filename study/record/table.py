@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.errors import Fault, InputError, StoreError
-from study.record.csvfile import NUMBER
+from study.record.csvfile import is_formula
 from study.record.files import FileSystem, write_atomic
 from study.record.record import Record
 
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
-_FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
 def table(records: Sequence[Record]) -> DataFrame:
@@ -79,20 +77,16 @@ def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) ->
         Fault(f"{path.name}: {place}", f"a spreadsheet would run {text[:40]!r} as a formula",
               "rename it so that it does not begin with = + - @ or a control character")
         for place, text in _texts(frame)
-        if _is_formula(text)
+        if is_formula(text)
     ]
     if faults:
         raise InputError(list(dict.fromkeys(faults))[:20])
-    text = frame.to_csv(index=False, lineterminator="\n", float_format=repr)
+    text = frame.to_csv(index=False, lineterminator="\n")
     try:
         data = text.encode()
     except UnicodeEncodeError as error:
         raise InputError(Fault(path.name, f"a name is not valid text ({error.reason})")) from error
     write_atomic(path, data, system)
-
-
-def _is_formula(text: str) -> bool:
-    return bool(_FORMULA.match(text.lstrip(" "))) and NUMBER.fullmatch(text) is None
 
 
 def _texts(frame: DataFrame) -> list[tuple[str, str]]:

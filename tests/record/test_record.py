@@ -1,0 +1,136 @@
+"""A record comes back as it went, or is found to be damaged."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from study.curve import Curve
+from study.errors import StoreError
+from study.record import Record
+from study.record.record import seal
+from tests.record.samples import record
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+names = st.text(min_size=1, max_size=20)
+
+
+@given(value=finite, unit=names, force=st.lists(finite, min_size=1, max_size=5), level=names)
+def test_round_trip_is_exact(value, unit, force, level):
+    values = np.array(force)
+    curve = Curve(np.arange(1.0, len(force) + 1), values, values, {"C10": values})
+    one = record(levels={"m": level}, responses={"e": {"value": value, "unit": unit}},
+                 curves={"p": curve})
+    two = Record.from_json(one.to_json())
+    assert two == one
+    assert two.to_json() == one.to_json()
+    assert two.curves["p"].force_N.tolist() == force
+    assert two.levels == {"m": level}
+
+
+def test_numbers_that_are_not_finite_become_null_with_a_reason():
+    one = record(responses={"error": {"value": math.nan, "unit": "%"}}, timings={"total": math.inf},
+                 curves={"p": Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))})
+    text = one.to_json()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    two = Record.from_json(text)
+    assert two.responses["error"]["value"] is None
+    assert two.extra["not_finite"] == {
+        "responses.error.value": "nan", "timings.total": "inf", "curves.p.force_N.1": "nan"
+    }
+    assert math.isnan(two.curves["p"].force_N[1])
+    # once read, writing changes nothing any more, and what was lost stays listed
+    again = Record.from_json(two.to_json())
+    assert again.extra["not_finite"].keys() == two.extra["not_finite"].keys()
+
+
+def test_a_failed_case_has_no_response():
+    assert record().response("error") == 1.25
+    assert math.isnan(record(status="not-converged").response("error"))
+    assert math.isnan(record().response("unknown"))
+
+
+def test_an_unknown_status_is_a_bug_that_raises():
+    with pytest.raises(ValueError, match="did you mean 'converged'"):
+        record(status="convergd")
+
+
+def test_what_json_cannot_hold_raises():
+    with pytest.raises(TypeError, match=r"extra\.x: set has no place"):
+        record(extra={"x": {1}}).to_json()
+    with pytest.raises(TypeError, match="keys must be text"):
+        record(extra={"x": {1: 2}}).to_json()
+
+
+def test_every_single_changed_byte_is_found():
+    text = record().to_json().encode()
+    for k in range(0, len(text) - 1, 7):
+        damaged = text[:k] + bytes([text[k] ^ 1]) + text[k + 1 :]
+        with pytest.raises(StoreError):
+            Record.from_json(damaged)
+    for k in range(0, len(text) - 2, 11):
+        with pytest.raises(StoreError):
+            Record.from_json(text[:k])
+
+
+def forged(**changes):
+    """A record with a right checksum and wrong content."""
+    content = json.loads(record().to_json())["content"]
+    return seal({**content, **changes})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        forged(status="great"),
+        forged(levels={"a": 1}),
+        forged(levels=[]),
+        forged(responses={"e": 3}),
+        forged(responses={"e": {"value": "3"}}),
+        forged(timings={"total": "long"}),
+        forged(curves={"p": {"displacement_mm": [1]}}),
+        forged(curves={"p": {"displacement_mm": ["x"], "force_N": [1]}}),
+        forged(curves={"p": 3}),
+        forged(block=3),
+        forged(more=1),
+        seal([1]),
+        record().to_json().replace('"schema":1', '"schema":2'),
+        "[" * 100_000,
+        '{"schema":1,"checksum":"","content":1e999}',
+        '{"schema":1,"checksum":"","content":NaN}',
+        b"\xff\xfe",
+        b"",
+    ],
+)
+def test_wrong_content_is_refused_cleanly(text):
+    with pytest.raises(StoreError):
+        Record.from_json(text, "here")
+
+
+@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)))
+def test_any_bytes_as_a_record(data):
+    with pytest.raises(StoreError):
+        Record.from_json(data)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | finite | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3)
+    | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(st.sampled_from(sorted(json.loads(record().to_json())["content"])), json_values)
+def test_any_value_in_any_field_is_refused_or_a_valid_record(name, value):
+    try:
+        found = Record.from_json(forged(**{name: value}))
+    except StoreError:
+        return
+    assert Record.from_json(found.to_json()) == found

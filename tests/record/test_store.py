@@ -1,0 +1,333 @@
+"""The store loses no finished case and uses no damaged one, whatever happens in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    rule,
+    run_state_machine_as_test,
+)
+
+from study.errors import StoreError
+from study.record import Store, table
+from study.record.files import TEMPORARY
+from tests.record.disk import FailingDisk, PowerLoss
+from tests.record.samples import record
+
+CASES = ("a1", "b2", "c3")
+WANTED = {name: "h-" + name for name in CASES}
+
+
+def run(path: Path, disk: FailingDisk | None = None) -> Store:
+    """A study of three cases that share a fit: what is missing is computed and stored."""
+    store = Store(path, system=disk)
+    with store.lock():
+        store.write_manifest({"name": "demo"})
+        if store.read_fit("f1") is None:
+            store.write_fit("f1", {"C10": 1 / 3})
+        done = store.done_ids(WANTED)
+        for name in CASES:
+            if name not in done:
+                store.write(record(name), {"u": np.arange(6.0).reshape(2, 3)})
+    return store
+
+
+def state(path: Path) -> tuple:
+    store = Store(path)
+    records = store.records(WANTED)
+    fields = [store.read_fields(r)["u"].tolist() for r in records]
+    return (table(records).to_csv(), [r.to_json() for r in records], fields,
+            store.read_fit("f1"), store.read_manifest(), store.warnings)
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    path = tmp_path_factory.mktemp("clean")
+    disk = FailingDisk()
+    run(path, disk)
+    return state(path), disk.count
+
+
+@pytest.mark.parametrize("power_loss", [False, True], ids=["disk full", "power loss"])
+def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss):
+    expected, operations = clean
+    assert operations > 30
+    for k in range(1, operations + 1):
+        path = tmp_path / str(k)
+        disk = FailingDisk(k, power_loss)
+        with pytest.raises(PowerLoss if power_loss else StoreError):
+            run(path, disk)
+        # nothing in between: what can be read now is exactly what a clean run has
+        seen = Store(path)
+        for found in seen.read_all():
+            assert found.to_json() in expected[1], k
+            assert seen.read_fields(found)["u"].tolist() == expected[2][0], k
+        assert seen.warnings == [], k
+        run(path)
+        assert state(path) == expected, k
+        left = [p for p in path.rglob("*") if p.name.endswith(TEMPORARY)]
+        assert left == [], k
+
+
+def test_disk_full_says_what_to_do(tmp_path):
+    with pytest.raises(StoreError, match="No space left.*unharmed.*run again"):
+        run(tmp_path, FailingDisk(4))
+
+
+@pytest.mark.parametrize("damage", [b"", b"{", b"\0" * 50, b"\xff", b'{"schema":1}'])
+def test_a_damaged_record_is_set_aside_and_queued_again(tmp_path, clean, damage):
+    run(tmp_path)
+    victim = tmp_path / "cases" / "b2" / "record.json"
+    victim.write_bytes(damage or victim.read_bytes()[:100])
+    looker = Store(tmp_path)
+    assert looker.survey(WANTED).missing == ("b2",)
+    assert victim.exists()  # a reader without the lock moves nothing
+    store = run(tmp_path)
+    assert "renamed to record.json.corrupt-1" in store.warnings[0]
+    assert (victim.parent / "record.json.corrupt-1").exists()
+    assert state(tmp_path) == clean[0]
+
+
+def test_damaged_fit_and_manifest_are_computed_again(tmp_path, clean):
+    run(tmp_path)
+    (tmp_path / "fits" / "f1.json").write_text("{}")
+    run(tmp_path)
+    assert state(tmp_path) == clean[0]
+
+
+def test_a_record_in_the_wrong_folder_is_not_used(tmp_path):
+    run(tmp_path)
+    text = (tmp_path / "cases" / "a1" / "record.json").read_text()
+    (tmp_path / "cases" / "b2" / "record.json").write_text(text)
+    assert [r.case_id for r in Store(tmp_path).read_all()] == ["a1", "c3"]
+
+
+def test_records_of_another_version_are_not_mixed_in(tmp_path):
+    store = run(tmp_path)
+    newer = {**WANTED, "a1": "other"}
+    found = store.survey(newer)
+    assert (found.done, found.missing, found.foreign) == (("b2", "c3"), ("a1",), ("a1",))
+    assert "1 records come from another version" in store.warnings[-1]
+    assert store.done_ids(newer) == {"b2", "c3"}
+    assert [r.case_id for r in store.records(newer)] == ["b2", "c3"]
+
+
+def test_failed_cases_are_done_unless_tried_again(tmp_path):
+    store = run(tmp_path)
+    store.write(record("a1", status="crashed", message="signal 9"))
+    assert store.survey(WANTED).failed == ("a1",)
+    assert "a1" in store.done_ids(WANTED)
+    assert "a1" not in store.done_ids(WANTED, retry=("crashed", "timeout"))
+    assert "a1" in store.done_ids(WANTED, retry=("timeout",))
+    assert list((tmp_path / "cases" / "a1").glob("fields-*")) == []
+
+
+def test_warnings_are_handed_on_once(tmp_path):
+    run(tmp_path)
+    (tmp_path / "cases" / "a1" / "record.json").write_text("x")
+    heard: list[str] = []
+    store = Store(tmp_path, heard.append)
+    store.read("a1")
+    store.read("a1")
+    assert len(heard) == 1
+    assert heard == store.warnings
+
+
+HOLD = """
+import sys, time
+from study.record import Store
+with Store(sys.argv[1]).lock():
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_second_runner_is_refused_and_a_dead_one_forgotten(tmp_path):
+    root = Path(__file__).resolve().parents[2]
+    child = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], cwd=root,
+                             stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "held\n"
+        with pytest.raises(StoreError, match=f"locked by pid {child.pid} on host .* since 20"), \
+                Store(tmp_path).lock():
+            pass
+        assert (Store(tmp_path).running() or {})["pid"] == child.pid
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        child.stdout.close()
+    with Store(tmp_path).lock():
+        pass  # the lock of a killed runner dies with it
+    assert Store(tmp_path).running() is None
+
+
+def test_the_lock_is_released_when_the_run_raises(tmp_path):
+    with pytest.raises(KeyboardInterrupt), Store(tmp_path).lock():
+        raise KeyboardInterrupt
+    with Store(tmp_path).lock():
+        pass
+
+
+@pytest.mark.parametrize("name", ["../x", "A", "", "a/b", "a.b", "x" * 81, "a\0", "-a"])
+def test_ids_are_no_paths(tmp_path, name):
+    store = Store(tmp_path)
+    with pytest.raises(StoreError, match="no case id"):
+        store.read(name)
+    with pytest.raises(StoreError, match="no case id"):
+        store.write(record(name))
+    with pytest.raises(StoreError, match="no name"):
+        store.write_fit(name + "/..", {})
+
+
+def test_links_out_of_the_folder_are_refused(tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (tmp_path / "r" / "cases").mkdir(parents=True)
+    (tmp_path / "r" / "cases" / "a1").symlink_to(outside)
+    with pytest.raises(StoreError, match="leads outside"):
+        Store(tmp_path / "r").write(record("a1"))
+    assert list(outside.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_read_only_folder_is_refused_before_any_work(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(StoreError, match="cannot be made|cannot be written"), \
+            Store(tmp_path / "r").lock():
+        pass
+
+
+def test_a_file_in_the_way_is_refused_before_any_work(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be made"), Store(tmp_path / "file" / "r").lock():
+        pass
+
+
+def test_odd_and_overlong_names_of_the_folder(tmp_path):
+    run(tmp_path / "a b \u00fc \u6f22")
+    with pytest.raises(StoreError), Store(tmp_path / ("x" * 300)).lock():
+        pass
+
+
+def test_fields_are_arrays_and_nothing_else(tmp_path):
+    store = Store(tmp_path)
+    with pytest.raises(TypeError, match="Python objects"):
+        store.write(record("a1"), {"u": np.array([{}], dtype=object)})
+    kept = store.write(record("a1"), {"u": np.eye(2), "cells": np.arange(3)})
+    assert store.read("a1") == kept
+    assert store.read_fields(kept)["cells"].dtype == np.arange(3).dtype
+    path = next((tmp_path / "cases" / "a1").glob("fields-*.npz"))
+    path.write_bytes(path.read_bytes()[:-3])
+    with pytest.raises(StoreError, match="damaged"):
+        store.read_fields(kept)
+    with pytest.raises(StoreError, match="no name of a field file"):
+        store.read_fields(record("a1", extra={"fields": "../../x.npz"}))
+
+
+def test_json_names_what_was_not_finite(tmp_path):
+    store = Store(tmp_path)
+    store.write_json("study", {"a": float("nan"), "b": [1.5]})
+    assert store.read_json("study") == {"a": None, "b": [1.5], "not_finite": {"study.a": "nan"}}
+    assert "NaN" not in (tmp_path / "study.json").read_text()
+    json.loads((tmp_path / "study.json").read_text())
+
+
+@settings(max_examples=60)
+@given(st.binary(max_size=200))
+def test_any_bytes_as_a_stored_file(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("fuzz")
+    (path / "cases" / "a1").mkdir(parents=True)
+    (path / "cases" / "a1" / "record.json").write_bytes(data)
+    (path / "study.json").write_bytes(data)
+    start = time.perf_counter()
+    with Store(path).lock() as store:
+        assert store.read("a1") is None
+        assert store.read_manifest() is None
+    assert time.perf_counter() - start < 1
+
+
+class StoreMachine(RuleBasedStateMachine):
+    """Run, kill, damage and resume in any order; finished cases are never lost or run again."""
+
+    folder: Path
+
+    @initialize()
+    def start(self):
+        StoreMachine.runs += 1
+        self.path = self.folder / str(StoreMachine.runs)
+        self.finished: set[str] = set()
+
+    runs = 0
+
+    @rule(count=st.integers(0, 3), kill=st.integers(0, 25), power_loss=st.booleans())
+    def run_some(self, count, kill, power_loss):
+        store = Store(self.path, system=FailingDisk(kill, power_loss))
+        try:
+            with store.lock():
+                done = store.done_ids(WANTED)
+                assert self.finished <= done
+                for name in [n for n in CASES if n not in done][:count]:
+                    store.write(record(name), {"u": np.zeros(2)})
+                    self.finished.add(name)
+        except (PowerLoss, StoreError):
+            # a case may be whole on the disk although its writer was never told
+            self.finished |= {r.case_id for r in Store(self.path).read_all()}
+
+    @rule(name=st.sampled_from(CASES), data=st.binary(max_size=20))
+    def damage(self, name, data):
+        victim = self.path / "cases" / name / "record.json"
+        if victim.exists():
+            victim.write_bytes(data)
+            self.finished.discard(name)
+
+    @rule(name=st.sampled_from(CASES))
+    def leave_rubbish(self, name):
+        (self.path / "cases" / name).mkdir(parents=True, exist_ok=True)
+        (self.path / "cases" / name / f".record.json.1{TEMPORARY}").write_bytes(b"{")
+
+    @rule()
+    def finish(self):
+        with Store(self.path).lock() as store:
+            for name in set(CASES) - store.done_ids(WANTED):
+                store.write(record(name), {"u": np.zeros(2)})
+        self.finished = set(CASES)
+        stored = [r.to_json().replace(self._fields(r), "") for r in store.records(WANTED)]
+        assert len(stored) == len(CASES)
+        pattern = table([record(n) for n in CASES]).to_csv()
+        assert table(store.records(WANTED)).to_csv() == pattern
+
+    @staticmethod
+    def _fields(found):
+        return str(found.extra["fields"])
+
+    @invariant()
+    def nothing_is_lost_or_invented(self):
+        if hasattr(self, "path"):
+            found = {r.case_id: r for r in Store(self.path).read_all()}
+            assert set(found) == self.finished
+            for r in found.values():
+                assert Store(self.path).read_fields(r)["u"].tolist() == [0, 0]
+
+
+def test_any_order_of_run_kill_damage_and_resume(tmp_path):
+    class Machine(StoreMachine):
+        folder = tmp_path
+
+    run_state_machine_as_test(
+        Machine, settings=settings(max_examples=40, stateful_step_count=12, deadline=None)
+    )
