@@ -1,0 +1,146 @@
+"""Tables as written -> one resolved configuration, with every fault."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from study.design import physics, sections
+from study.design.measured import read_measurements_table
+from study.design.reader import Faults, Section, choice
+from study.design.spec import CalibrationSpec, Config, MeasurementSpec
+from study.errors import InputError
+
+METHODS = ("auto", "analytic", "inverse-fem", "none")
+#: tables that [calibration.problem] may replace
+REPLACEABLE = ("specimen", "test", "measurements")
+
+
+def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Config:
+    """Resolve a cell: sections in internal units, the displacement filled from the range.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables of a problem, or of a design with the levels of one cell laid over.
+    faults : Faults
+        Where faults go.
+    ratio : float
+        Refinement ratio between coarse, medium and fine.
+
+    Returns
+    -------
+    dict
+        ``specimen``, ``test``, ``material``, ``model``, ``measurements`` (a
+        :class:`MeasurementSpec` or None) and ``calibration``.
+    """
+    config = resolve_problem(tables, faults, ratio)
+    config["calibration"] = _calibration(tables, config, faults, ratio)
+    return config
+
+
+def resolve_problem(
+    tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5, prefix: str = ""
+) -> Config:
+    """Resolve specimen, test, material, model and measurements; ``prefix`` goes before keys."""
+    specimen = sections.read_specimen(tables.get("specimen", {}), faults, f"{prefix}specimen")
+    config: Config = {
+        "specimen": specimen,
+        "test": sections.read_test(tables.get("test", {}), faults, f"{prefix}test"),
+        "material": sections.read_material(tables.get("material", {}), faults),
+        "model": sections.read_model(tables.get("model", {}), faults, specimen["shape"], ratio),
+        "measurements": None,
+    }
+    if "measurements" in tables:
+        where = f"{prefix}measurements"
+        config["measurements"] = read_measurements_table(tables["measurements"], faults, where)
+    _fill_displacement(config, "measurements" in tables, tables, faults, prefix)
+    physics.check(config, faults, prefix)
+    return config
+
+
+def _fill_displacement(
+    config: Config, measured: bool, tables: Mapping[str, Any], faults: Faults, prefix: str
+) -> None:
+    """Take the end of the range for a displacement left out; both given must agree."""
+    test, spec = config["test"], config["measurements"]
+    where = f"{prefix}test.displacement"
+    written = isinstance(tables.get("test"), Mapping) and "displacement" in tables["test"]
+    high = _range_end(spec, config["specimen"], faults, prefix)
+    if test["displacement_mm"] is None:
+        test["displacement_mm"] = high
+        unread = measured and (spec is None or spec.range is not None)
+        if high is None and not written and not unread:
+            mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
+            faults.add(where, "is missing", mend)
+    elif high is not None and abs(high - test["displacement_mm"]) > 1e-9 * high:
+        rule = f"{test['displacement_mm']:g} mm, but measurements.range ends at {high:g} mm"
+        faults.add(where, rule, "make them agree, or leave the displacement out")
+
+
+def _range_end(
+    spec: MeasurementSpec | None, specimen: Config, faults: Faults, prefix: str
+) -> float | None:
+    if spec is None or spec.range is None:
+        return None
+    height = specimen.get("height_mm")
+    if spec.range.kind == "percent" and height is None and specimen["shape"] != "surface":
+        return None  # the height itself is faulty, and reported
+    try:
+        return spec.range.in_mm(height)[1]
+    except InputError as error:
+        fault = error.faults[0]
+        faults.add(f"{prefix}measurements.range", fault.rule, fault.mend)
+        return None
+
+
+def calibration_spec(table: Any, material: Config, faults: Faults) -> CalibrationSpec:
+    """Read ``[calibration]``; the method is ``auto`` unless the constants are given.
+
+    Parameters
+    ----------
+    table : mapping or None
+        The table as written.
+    material : dict
+        Resolved material.
+    faults : Faults
+        Where faults go.
+    """
+    section = Section({} if table is None else table, "calibration", faults)
+    default = "none" if material["constants"] else "auto"
+    method = section.take("method", choice(*METHODS), default)
+    leave_out = section.take("leave_out", choice("specimen", "test"), None)
+    problem = section.take("problem", lambda value: value, None)
+    section.finish()
+    if problem is not None:
+        inner = Section(problem, "calibration.problem", faults)
+        inner.finish(REPLACEABLE)
+        problem = problem if isinstance(problem, Mapping) else None
+    return CalibrationSpec(method, problem, leave_out)
+
+
+def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, ratio: float) -> Config:
+    spec = calibration_spec(tables.get("calibration"), config["material"], faults)
+    problem = None
+    if spec.problem is not None:
+        own = {**tables, **{k: v for k, v in spec.problem.items() if k in REPLACEABLE}}
+        problem = resolve_problem(own, faults, ratio, "calibration.problem.")
+    _check_method(spec, config, problem or config, faults)
+    return {"method": spec.method, "problem": problem, "leave_out": spec.leave_out}
+
+
+def _check_method(spec: CalibrationSpec, config: Config, fitted: Config, faults: Faults) -> None:
+    if spec.method == "none":
+        if not config["material"]["constants"] and config["material"]["model"]:
+            mend = "give them, or let [calibration] find them"
+            faults.add("material", "has no constants, and calibration.method is none", mend)
+        return
+    if spec.method is not None and fitted["measurements"] is None:
+        if not any("measurements" in f.where for f in faults):
+            mend = "add [measurements], or give the constants"
+            faults.add("measurements", "is missing: there is nothing to calibrate with", mend)
+        return
+    readable = None not in (fitted["test"]["kind"], fitted["test"]["interface"])
+    if spec.method == "analytic" and readable and not physics.is_homogeneous(fitted):
+        rule = "analytic needs compression of a cylinder or block with both faces frictionless"
+        faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')

@@ -1,0 +1,281 @@
+"""The sections of a problem: specimen, test, material, model, in internal units.
+
+Each function reads one table and returns plain values (mm, N, MPa, deg); None stands where
+a fault was found, and every fault is in ``faults``. Checks of one table against another are
+in :mod:`study.design.physics`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from study.design.reader import (
+    REQUIRED,
+    Bad,
+    Faults,
+    Section,
+    choice,
+    flag,
+    integer,
+    number,
+    quantity,
+    relative_path,
+)
+from study.design.spec import Config
+from study.errors import InputError
+from study.material import ENERGIES, MODELS, constant_names
+
+LENGTH, PRESSURE = quantity("length"), quantity("pressure")
+LENGTH_OR_ZERO = quantity("length", closed=True)
+INTERFACE = choice("frictionless", "bonded", synonyms={"lubricated": "frictionless"})
+
+#: keys of each shape and their readers; the key in the file + "_mm" or "_deg" inside
+SPECIMENS: Mapping[str, Mapping[str, Any]] = {
+    "cylinder": {"radius": LENGTH, "height": LENGTH},
+    "block": {"width": LENGTH, "depth": LENGTH, "height": LENGTH},
+    "surface": {"file": relative_path, "clamp_below": quantity("length", -math.inf)},
+}
+INDENTERS: Mapping[str, Mapping[str, Any]] = {
+    "flat": {"radius": LENGTH, "edge_radius": LENGTH_OR_ZERO},
+    "cone": {
+        "half_angle": quantity("angle", 0, 90),
+        "tip_radius": LENGTH_OR_ZERO,
+        "shaft_radius": LENGTH,
+    },
+    "sphere": {"radius": LENGTH},
+}
+_OPTIONAL: Mapping[str, Any] = {"edge_radius": 0.0, "tip_radius": 0.0, "shaft_radius": None}
+_SUFFIX = {"half_angle": "_deg", "file": ""}
+
+MESHES = ("coarse", "medium", "fine")
+CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
+#: keys of which a table may have one; laying one over a table takes the others away
+ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
+    "material": ("poisson_ratio", "bulk_modulus", "incompressible"),
+    "model": ("mesh", "mesh_size"),
+    "measurements": ("file", "files"),
+}
+MATERIAL_KEYS = ("model", "order", *ALTERNATIVES["material"])
+MODEL_KEYS = ("space", "element_order", "element_shape", "formulation", "mesh", "mesh_size")
+TEST_KEYS = ("kind", "interface", "base", "displacement", "steps", "indenter")
+
+
+def read_specimen(table: Any, faults: Faults, path: str = "specimen") -> Config:
+    """Specimen: its shape and sizes in mm."""
+    return _shaped(table, SPECIMENS, faults, path)
+
+
+def _shaped(
+    table: Any, kinds: Mapping[str, Mapping[str, Any]], faults: Faults, path: str
+) -> Config:
+    section = Section(table, path, faults)
+    shape = section.take("shape", choice(*kinds), mend=f"one of {', '.join(kinds)}")
+    out: Config = {"shape": shape}
+    for key, read in kinds.get(shape, {}).items():
+        inside = key + _SUFFIX.get(key, "_mm")
+        mend = f"{shape} takes {', '.join(kinds[shape])}"
+        out[inside] = section.take(key, read, _OPTIONAL.get(key, REQUIRED), mend)
+    if shape is not None:
+        section.finish()
+    return out
+
+
+def read_test(table: Any, faults: Faults, path: str = "test") -> Config:
+    """Read how the specimen is loaded; the displacement may be None, for the range to give it."""
+    section = Section(table, path, faults)
+    kind = section.take("kind", choice("compression", "indentation"), mend="compression, ...")
+    interface = section.take("interface", INTERFACE, mend="frictionless or bonded")
+    base = section.take("base", INTERFACE, "bonded" if kind == "indentation" else interface)
+    out: Config = {
+        "kind": kind,
+        "interface": interface,
+        "base": base,
+        "displacement_mm": section.take("displacement", LENGTH, None),
+        "steps": section.take("steps", integer(1, 10_000), 10),
+    }
+    if kind == "indentation":
+        section.take("indenter", lambda value: value, mend="{ shape = ... } with flat|cone|sphere")
+    if kind == "indentation" and "indenter" in section:
+        out["indenter"] = _shaped(section.table["indenter"], INDENTERS, faults, f"{path}.indenter")
+    section.finish(TEST_KEYS)
+    return out
+
+
+def read_model(
+    table: Any, faults: Faults, shape: str | None, ratio: float, path: str = "model"
+) -> Config:
+    """Discretisation.
+
+    Parameters
+    ----------
+    table : mapping
+        The table as written.
+    faults : Faults
+        Where faults go.
+    shape : str or None
+        Shape of the specimen: a cylinder is axisymmetric unless the file says 3d.
+    ratio : float
+        Refinement ratio between coarse, medium and fine.
+    path : str
+        Of the table.
+    """
+    section = Section(table, path, faults)
+    space = choice("axisymmetric", "3d")
+    out: Config = {
+        "space": section.take("space", space, "axisymmetric" if shape == "cylinder" else "3d"),
+        "element_order": section.take("element_order", choice("linear", "quadratic"), "quadratic"),
+        "element_shape": section.take("element_shape", _element_shape, "simplex"),
+        "formulation": section.take("formulation", choice("mixed", "displacement"), "mixed"),
+    }
+    size = section.take("mesh_size", LENGTH, None)
+    mesh = section.take("mesh", choice(*MESHES), "medium")
+    if "mesh" in section and "mesh_size" in section:
+        section.fault("mesh_size", "stands beside mesh", "give one of the two")
+    out |= {"mesh": mesh, "mesh_ratio": ratio} if size is None else {"mesh_size_mm": size}
+    section.finish(MODEL_KEYS)
+    return out
+
+
+_element_shape = choice(
+    "simplex",
+    "tensor",
+    synonyms={
+        "triangle": "simplex",
+        "tetrahedron": "simplex",
+        "quadrilateral": "tensor",
+        "hexahedron": "tensor",
+    },
+)
+
+
+def read_material(table: Any, faults: Faults, path: str = "material") -> Config:
+    """Energy, its constants in MPa as far as given, and the compressibility."""
+    section = Section(table, path, faults)
+    name = section.take("model", choice(*MODELS), mend=f"one of {', '.join(MODELS)}")
+    order = section.take("order", integer(1, 9), None)
+    section.take("mu", lambda value: value, None)
+    section.take("alpha", lambda value: value, None)
+    compressibility = _compressibility(section)
+    if name is None:
+        section.known += [key for key in section.table if CONSTANT.fullmatch(key)]
+        section.finish()
+        return {"model": None, "order": None, "constants": {}, **compressibility}
+    constants = _ogden(section) if name == "ogden" else _moduli(section, name)
+    order = _order(section, name, order, constants)
+    return {"model": name, "order": order, "constants": constants, **compressibility}
+
+
+def _compressibility(section: Section) -> Config:
+    nu = section.take("poisson_ratio", _poisson_ratio, None)
+    bulk = section.take("bulk_modulus", PRESSURE, None)
+    closed = section.take("incompressible", flag, False)
+    given = [k for k in ALTERNATIVES["material"] if k in section and section.table[k] is not False]
+    listed = ", ".join(ALTERNATIVES["material"])
+    if len(given) > 1:
+        section.fault(given[0], f"stands beside {' and '.join(given[1:])}", f"give one of {listed}")
+    if not given:
+        section.fault("poisson_ratio", "is missing", f"give one of {listed}")
+    if closed:
+        return {"incompressible": True}
+    return {"bulk_modulus_MPa": bulk} if nu is None and bulk is not None else {"poisson_ratio": nu}
+
+
+def _poisson_ratio(value: Any) -> float:
+    if value == 0.5 and not isinstance(value, bool):
+        raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
+    return float(number(-1.0, 0.5)(value))
+
+
+def _moduli(section: Section, name: str) -> dict[str, float]:
+    """Constants of every energy but Ogden's; all of them, or none where they are calibrated."""
+    declared = ENERGIES[name]
+    read = PRESSURE if name == "linear-elastic" else quantity("pressure", -math.inf)
+    found = [k for k in section.table if re.fullmatch(declared.grammar, k) and k != "C00"]
+    constants = {key: section.take(key, read) for key in sorted(found, key=_rank)}
+    for key in ("mu", "alpha"):
+        section.known.remove(key)
+    examples = constant_names(name, 3 if declared.open_ended else None)
+    section.finish(examples)
+    return constants
+
+
+def _rank(key: str) -> tuple[int, int, str]:
+    """Order of polynomial constants: C10, C01, C20, C11, C02, ..."""
+    digits = key.removeprefix("C")
+    if not digits.isdigit():
+        return (0, 0, key)
+    i, j = int(digits[:-1]), int(digits[-1])
+    return (i + j, j, key)
+
+
+def _ogden(section: Section) -> dict[str, float]:
+    section.finish(("mu", "alpha"))
+    mu = _list(section, "mu", quantity("pressure", -math.inf))
+    alpha = _list(section, "alpha", number(-30, 30, closed=True))
+    if ("mu" in section) != ("alpha" in section):
+        missing = "alpha" if "mu" in section else "mu"
+        section.fault(missing, "is missing", "give both lists, one entry for every term")
+    if len(mu) != len(alpha) and mu and alpha:
+        section.fault("alpha", f"has {len(alpha)} entries, mu has {len(mu)}", "one for every term")
+    for i, value in enumerate(alpha, 1):
+        if value == 0:
+            section.fault("alpha", f"must not be zero (term {i})", "its energy has no such term")
+    terms = zip(mu, alpha, strict=False)
+    return {
+        f"{key}{i}": value
+        for i, pair in enumerate(terms, 1)
+        for key, value in zip(("mu", "alpha"), pair, strict=True)
+    }
+
+
+def _list(section: Section, key: str, read: Any) -> list[Any]:
+    values = section.table.get(key, [])
+    if not isinstance(values, list) or len(values) > 9 or (key in section and not values):
+        section.fault(key, "must be a list of 1 to 9 entries", 'mu = ["5 kPa"], alpha = [2.0]')
+        return []
+    entry = Section({f"{key}[{i}]": v for i, v in enumerate(values)}, section.path, section.faults)
+    return [entry.take(k, read) for k in entry.table]
+
+
+def _order(
+    section: Section, name: str, order: int | None, constants: Mapping[str, float]
+) -> int | None:
+    """Check the number of terms against the constants; None for energies that have no choice."""
+    declared = ENERGIES[name]
+    if not declared.open_ended:
+        if order not in (None, 1):
+            section.fault("order", f"{name} has no order, got {order}", "leave it out")
+        _complete(section, name, constants, None)
+        return None
+    terms = _terms(declared.family, constants)
+    if order is None and not terms:
+        section.fault("order", "is missing", "give it, or the constants themselves")
+    elif order is not None and terms and order != terms:
+        rule = f"is {order}, but the constants given have {terms} terms"
+        section.fault("order", f"{rule} ({', '.join(constants)})", "make them agree")
+    elif terms:
+        _complete(section, name, constants, terms)
+    return order if order is not None else terms or None
+
+
+def _terms(family: str, constants: Mapping[str, float]) -> int:
+    if family == "ogden":
+        return len(constants) // 2
+    return max((int(k[1:-1]) + int(k[-1]) for k in constants), default=0)
+
+
+def _complete(
+    section: Section, name: str, constants: Mapping[str, float], terms: int | None
+) -> None:
+    if not constants or ENERGIES[name].sparse:
+        return
+    try:
+        missing = [n for n in constant_names(name, terms) if n not in constants]
+    except InputError as error:
+        section.fault("order", error.faults[0].rule)
+        return
+    for key in missing:
+        section.fault(key, "is missing", f"{name} takes {', '.join(constant_names(name, terms))}")
