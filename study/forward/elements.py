@@ -34,7 +34,7 @@ _RULES = {
     ("axisymmetric", "quadratic", "tensor"): 5,
     ("axisymmetric", "linear", "tensor"): 3,
     ("3d", "quadratic", "simplex"): 2,
-    ("3d", "linear", "simplex"): 4,
+    ("3d", "linear", "simplex"): 2,
     ("3d", "quadratic", "tensor"): 5,
     ("3d", "linear", "tensor"): 3,
 }
