@@ -114,8 +114,11 @@ def _apply_sign(
         what = "displacement" if np.ptp(d) == 0 else "force"
         value = d[0] if what == "displacement" else f[0]
         raise InputError(
-            Fault(where, f"the {what} is constant ({value:.6g}): nothing to fit",
-                  "check the columns and the recording")
+            Fault(
+                where,
+                f"the {what} is constant ({value:.6g}): nothing to fit",
+                "check the columns and the recording",
+            )
         )
     backwards = abs(float(d.min())) > abs(float(d.max()))
     if rules.sign == "negative":
@@ -125,16 +128,22 @@ def _apply_sign(
             counts["displacement reversed (declared sign negative)"] += d.size
     elif backwards:
         raise InputError(
-            Fault(where, f"displacement runs from {d.max():.4g} to {d.min():.4g} mm where the "
-                  "declared sign is positive into the specimen",
-                  'write sign = "negative" if compression is recorded as negative')
+            Fault(
+                where,
+                f"displacement runs from {d.max():.4g} to {d.min():.4g} mm where the "
+                "declared sign is positive into the specimen",
+                'write sign = "negative" if compression is recorded as negative',
+            )
         )
     if _covariance(d, f) < 0:
         other = "negative" if rules.sign == "positive" else "positive"
         raise InputError(
-            Fault(where, "force falls as displacement grows: the declared sign "
-                  f"({rules.sign}) does not fit the data",
-                  f'write sign = "{other}", or check the columns')
+            Fault(
+                where,
+                "force falls as displacement grows: the declared sign "
+                f"({rules.sign}) does not fit the data",
+                f'write sign = "{other}", or check the columns',
+            )
         )
     return d, f
 
@@ -187,8 +196,7 @@ def _toe(
     start = int(below[-1]) + 1 if below.size else 0
     if start >= d.size:
         raise InputError(
-            Fault(where, f"the force never stays above the toe of {rules.toe_N:.4g} N",
-                  "lower toe")
+            Fault(where, f"the force never stays above the toe of {rules.toe_N:.4g} N", "lower toe")
         )
     contact = float(d[start])
     if start:
@@ -205,14 +213,20 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
     slack = 1e-9 * high
     if d[-1] < high - slack:
         raise InputError(
-            Fault(where, f"ends at {_place(d[-1], rules)}, the range asks for "
-                  f"{_place(high, rules)}", "shorten the range or leave this test out")
+            Fault(
+                where,
+                f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}",
+                "shorten the range or leave this test out",
+            )
         )
     if d[0] > low + slack:
         if d[0] > low + spacing or low < 0:
             raise InputError(
-                Fault(where, f"begins at {_place(d[0], rules)}, the range asks for "
-                      f"{_place(low, rules)}", "raise the lower end of the range")
+                Fault(
+                    where,
+                    f"begins at {_place(d[0], rules)}, the range asks for {_place(low, rules)}",
+                    "raise the lower end of the range",
+                )
             )
         # the unloaded origin is part of every curve; it bridges less than one grid step here
         counts["tests whose start was joined to the unloaded origin"] += 1
@@ -220,9 +234,12 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
     inside = int(np.count_nonzero((d >= low - slack) & (d <= high + slack)))
     if inside < MIN_ROWS:
         raise InputError(
-            Fault(where, f"has {inside} rows between {_place(low, rules)} and "
-                  f"{_place(high, rules)}, a curve needs at least {MIN_ROWS}",
-                  "widen the range or record more points")
+            Fault(
+                where,
+                f"has {inside} rows between {_place(low, rules)} and "
+                f"{_place(high, rules)}, a curve needs at least {MIN_ROWS}",
+                "widen the range or record more points",
+            )
         )
     return np.asarray(np.interp(rules.grid(), d, f), dtype=float)
 

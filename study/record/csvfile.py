@@ -231,8 +231,11 @@ def _decode(data: bytes, source: str) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         raise InputError(
-            Fault(f"{source}:{line}", f"byte {data[error.start]:#04x} is not UTF-8",
-                  "save the file as UTF-8")
+            Fault(
+                f"{source}:{line}",
+                f"byte {data[error.start]:#04x} is not UTF-8",
+                "save the file as UTF-8",
+            )
         ) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
@@ -243,16 +246,21 @@ def _decode(data: bytes, source: str) -> str:
 def _check_shape(lines: list[str], source: str) -> None:
     if len(lines) > MAX_ROWS + 2:
         raise InputError(
-            Fault(source, f"has {len(lines)} rows, at most {MAX_ROWS} are read",
-                  "thin the recording out or split it into several files")
+            Fault(
+                source,
+                f"has {len(lines)} rows, at most {MAX_ROWS} are read",
+                "thin the recording out or split it into several files",
+            )
         )
     if not any(line.strip() for line in lines):
         raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
     longest = max(range(len(lines)), key=lambda k: len(lines[k]))
     if len(lines[longest]) > MAX_LINE:
         raise InputError(
-            Fault(f"{source}:{longest + 1}",
-                  f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read")
+            Fault(
+                f"{source}:{longest + 1}",
+                f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read",
+            )
         )
 
 
@@ -294,20 +302,24 @@ def _quoted_rows(text: str, delimiter: str, source: str) -> tuple[list[list[str]
             start = reader.line_num + 1
     except csv.Error as error:
         raise InputError(
-            Fault(f"{source}:{reader.line_num}", f"is not well-formed CSV ({error})",
-                  'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"')
+            Fault(
+                f"{source}:{reader.line_num}",
+                f"is not well-formed CSV ({error})",
+                'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"',
+            )
         ) from error
     return rows, numbers
 
 
-def _check_header(
-    header: list[str], required: Sequence[str], source: str
-) -> None:
+def _check_header(header: list[str], required: Sequence[str], source: str) -> None:
     if len(header) > MAX_COLUMNS:
         raise InputError(Fault(source, f"has {len(header)} columns, at most {MAX_COLUMNS}"))
     faults = [
-        Fault(f"{source}:1", f"column {name!r} stands {header.count(name)} times in the header",
-              "every column needs its own name")
+        Fault(
+            f"{source}:1",
+            f"column {name!r} stands {header.count(name)} times in the header",
+            "every column needs its own name",
+        )
         for name in dict.fromkeys(header)
         if name and header.count(name) > 1
     ]
@@ -331,8 +343,11 @@ def _check_widths(
         )
     more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
     raise InputError(
-        Fault(f"{source}:{numbers[k]}",
-              f"has {len(rows[k])} cells where the header has {width}{more}", mend)
+        Fault(
+            f"{source}:{numbers[k]}",
+            f"has {len(rows[k])} cells where the header has {width}{more}",
+            mend,
+        )
     )
 
 
@@ -343,9 +358,11 @@ def _check_decimal_comma(
         first = column[0].strip()
         if (name in required or not required) and _DECIMAL_COMMA.fullmatch(first):
             raise InputError(
-                Fault(f"{source}: column {name!r}",
-                      f"holds a decimal comma ({first!r}) but none is declared",
-                      'write decimal = "," in [measurements]')
+                Fault(
+                    f"{source}: column {name!r}",
+                    f"holds a decimal comma ({first!r}) but none is declared",
+                    'write decimal = "," in [measurements]',
+                )
             )
 
 
@@ -355,8 +372,11 @@ def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
 
 
 def _too_large(source: str, size: int) -> Fault:
-    return Fault(source, f"holds more than {MAX_BYTES // 10**6} MB ({size} bytes)",
-                 "thin the recording out or split it into several files")
+    return Fault(
+        source,
+        f"holds more than {MAX_BYTES // 10**6} MB ({size} bytes)",
+        "thin the recording out or split it into several files",
+    )
 
 
 def _short(cell: str) -> str:

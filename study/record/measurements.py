@@ -80,17 +80,21 @@ def read_measurements(
         raise InputError(_capped(faults))
     notes += _summary(done, rules)
     found = Measurements(
-        tuple(tests), rules.grid(), getattr(spec, "block", None), tuple(spec.average or ()),
-        spec.fit, spec.score, bool(spec.swap), tuple(notes),
+        tuple(tests),
+        rules.grid(),
+        getattr(spec, "block", None),
+        tuple(spec.average or ()),
+        spec.fit,
+        spec.score,
+        bool(spec.swap),
+        tuple(notes),
         {table.source: table.sha256 for table, _ in tables},
     )
     _check_selections(found)
     return found
 
 
-def _rules(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
-) -> Rules:
+def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None) -> Rules:
     sign, zero = spec.sign or "positive", spec.zero or "none"
     points = int(spec.points or 200)
     faults = []
@@ -118,14 +122,20 @@ def _range(
     if spec.range is None:
         if displacement_mm is None:
             raise InputError(
-                Fault("measurements.range", "is missing, and no test.displacement stands for it",
-                      'for example range = ["1 %", "20 %"]')
+                Fault(
+                    "measurements.range",
+                    "is missing, and no test.displacement stands for it",
+                    'for example range = ["1 %", "20 %"]',
+                )
             )
         return displacement_mm / max(points, 2), displacement_mm
     if spec.range.kind == "percent" and height_mm is None:
         raise InputError(
-            Fault("measurements.range", "in percent needs the height of the specimen",
-                  "give specimen.height, or the range in mm")
+            Fault(
+                "measurements.range",
+                "in percent needs the height of the specimen",
+                "give specimen.height, or the range in mm",
+            )
         )
     low, high = spec.range.in_mm(height_mm)
     return float(low), float(high)
@@ -186,8 +196,11 @@ def _split(
     clash = [name for name in labels if name in table.columns]
     if clash:
         raise InputError(
-            Fault(table.source, f"{clash[0]!r} is both a column and part of the file's name",
-                  "rename one of them in the pattern of `files`")
+            Fault(
+                table.source,
+                f"{clash[0]!r} is both a column and part of the file's name",
+                "rename one of them in the pattern of `files`",
+            )
         )
     keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
     _check_labels(table, inside, keys)
@@ -203,17 +216,18 @@ def _split(
         yield where, ordered, d[members], f[members]
 
 
-def _check_labels(
-    table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]
-) -> None:
+def _check_labels(table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]) -> None:
     for key in dict.fromkeys(keys):
         for name, label in zip(names, key, strict=True):
             rule = label_fault(label)
             if rule:
                 line = table.lines[keys.index(key)]
                 raise InputError(
-                    Fault(f"{table.source}:{line}: column {name!r}", rule,
-                          "every row needs the label of its test, in plain characters")
+                    Fault(
+                        f"{table.source}:{line}: column {name!r}",
+                        rule,
+                        "every row needs the label of its test, in plain characters",
+                    )
                 )
 
 
@@ -237,10 +251,12 @@ def _check_one_test(
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
     raise InputError(
-        Fault(f"{table.source}:{table.lines[after]}",
-              f"the displacement starts again: several tests in one ({where}){hint}",
-              "name the column that tells them apart in `average` (repeats on one specimen) or "
-              "in `block`, `fit` and `score`")
+        Fault(
+            f"{table.source}:{table.lines[after]}",
+            f"the displacement starts again: several tests in one ({where}){hint}",
+            "name the column that tells them apart in `average` (repeats on one specimen) or "
+            "in `block`, `fit` and `score`",
+        )
     )
 
 
@@ -254,9 +270,11 @@ def _quantity(
     if beyond.size:
         k = int(beyond[0])
         raise InputError(
-            Fault(f"{table.source}:{table.lines[k]}: column {column!r}",
-                  f"{values[k]:.6g} {(spec.units or {})[what]} is beyond any test of a specimen",
-                  "check the cell and measurements.units")
+            Fault(
+                f"{table.source}:{table.lines[k]}: column {column!r}",
+                f"{values[k]:.6g} {(spec.units or {})[what]} is beyond any test of a specimen",
+                "check the cell and measurements.units",
+            )
         )
     return values * factor
 
@@ -268,8 +286,11 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -
     column, unit = spec.columns[what], (spec.units or {}).get(what, "")
     if not unit:
         raise InputError(
-            Fault(f"measurements.units.{what}", "is missing",
-                  f'for example units = {{ {what} = "{"mm" if dimension == "length" else "N"}" }}')
+            Fault(
+                f"measurements.units.{what}",
+                "is missing",
+                f'for example units = {{ {what} = "{"mm" if dimension == "length" else "N"}" }}',
+            )
         )
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
@@ -280,9 +301,11 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -
             return factor  # the last word of the name is no unit of this dimension
         if not np.isclose(named, factor, rtol=1e-9):
             raise InputError(
-                Fault(f"{table.source}: column {column!r}",
-                      f"its name says {suffix[1]}, but {unit} is declared in measurements.units",
-                      "declare the unit that the file is in")
+                Fault(
+                    f"{table.source}: column {column!r}",
+                    f"its name says {suffix[1]}, but {unit} is declared in measurements.units",
+                    "declare the unit that the file is in",
+                )
             )
     return factor
 
@@ -290,8 +313,11 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -
 def _check_distinct(tests: Sequence[SingleTest], faults: list[Fault]) -> None:
     seen = Counter(tuple(test.groups.items()) for test in tests)
     faults.extend(
-        Fault("measurements", f"{n} files hold the same test: {dict(key)}",
-              "give each its own name in braces in `files`, or name what differs")
+        Fault(
+            "measurements",
+            f"{n} files hold the same test: {dict(key)}",
+            "give each its own name in braces in `files`, or name what differs",
+        )
         for key, n in seen.items()
         if n > 1
     )
@@ -322,21 +348,28 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
     notes = [f"{total[w]} {w} (in {tests[w]} of {len(done)} tests)" for w in total]
     if rules.zero != "none":
         zero = [result.zero_N for result in done]
-        notes.append(f"load cell zero ({rules.zero}) subtracted: {min(zero):.4g} to "
-                     f"{max(zero):.4g} N")
+        notes.append(
+            f"load cell zero ({rules.zero}) subtracted: {min(zero):.4g} to {max(zero):.4g} N"
+        )
     if rules.toe_N is not None:
         toe = [result.toe_mm for result in done]
-        notes.append(f"contact at {rules.toe_N:.4g} N: displacement shifted by {min(toe):.4g} to "
-                     f"{max(toe):.4g} mm")
+        notes.append(
+            f"contact at {rules.toe_N:.4g} N: displacement shifted by {min(toe):.4g} to "
+            f"{max(toe):.4g} mm"
+        )
     rows = sorted({result.rows for result in done})
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
-    notes.append(f"{len(done)} tests of {several} rows in the range {rules.low_mm:.4g} to "
-                 f"{rules.high_mm:.4g} mm, resampled at {rules.points} points")
+    notes.append(
+        f"{len(done)} tests of {several} rows in the range {rules.low_mm:.4g} to "
+        f"{rules.high_mm:.4g} mm, resampled at {rules.points} points"
+    )
     return notes
 
 
 def _capped(faults: Sequence[Fault]) -> list[Fault]:
     if len(faults) <= MAX_FAULTS:
         return list(faults)
-    return [*faults[:MAX_FAULTS],
-            Fault("measurements", f"{len(faults) - MAX_FAULTS} more faults like these")]
+    return [
+        *faults[:MAX_FAULTS],
+        Fault("measurements", f"{len(faults) - MAX_FAULTS} more faults like these"),
+    ]

@@ -35,9 +35,7 @@ def check_relative(name: str, where: str = "measurements.file") -> None:
         raise InputError(Fault(where, rule, "write it relative to the folder that --data names"))
 
 
-def locate(
-    name: str, root: Path, *, citation: str = "", where: str = "measurements.file"
-) -> Path:
+def locate(name: str, root: Path, *, citation: str = "", where: str = "measurements.file") -> Path:
     """Absolute path of one file below ``root``.
 
     Raises
@@ -56,8 +54,11 @@ def locate(
         raise InputError(Fault(where, f"{name!r} cannot be used: {error}")) from error
     if not inside:
         raise InputError(
-            Fault(where, f"{name!r} leads outside the data root {str(root)!r} through a link",
-                  "copy the file there, or name its folder with --data DIR")
+            Fault(
+                where,
+                f"{name!r} leads outside the data root {str(root)!r} through a link",
+                "copy the file there, or name its folder with --data DIR",
+            )
         )
     if not found:
         raise InputError(_missing(f"no file {name!r}", root, citation, where))
@@ -85,8 +86,11 @@ def locate_pattern(
     stray = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
     if not names or bad or stray or len(set(names)) < len(names):
         raise InputError(
-            Fault(where, f"must hold distinct names in braces, got {pattern!r}",
-                  'for example "compression-{specimen}.csv"; one table is named by `file`')
+            Fault(
+                where,
+                f"must hold distinct names in braces, got {pattern!r}",
+                'for example "compression-{specimen}.csv"; one table is named by `file`',
+            )
         )
     matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
     if not matches:

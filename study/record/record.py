@@ -155,8 +155,17 @@ class Record:
 _KINDS: Mapping[str, tuple[type, ...]] = {
     **dict.fromkeys(("case_id", "study", "status", "message", "input_hash"), (str,)),
     **dict.fromkeys(
-        ("levels", "responses", "parameters", "curves", "timings", "mesh", "solver", "versions",
-         "extra"),
+        (
+            "levels",
+            "responses",
+            "parameters",
+            "curves",
+            "timings",
+            "mesh",
+            "solver",
+            "versions",
+            "extra",
+        ),
         (dict,),
     ),
     "block": (str, type(None)),

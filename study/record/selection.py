@@ -129,10 +129,12 @@ class Measurements:
         if loose:
             values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
             raise InputError(
-                Fault("measurements", f"several tests match {_words(block, where)}: "
-                      f"{loose[0]} = {values}",
-                      f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
-                      "repeats on one specimen")
+                Fault(
+                    "measurements",
+                    f"several tests match {_words(block, where)}: {loose[0]} = {values}",
+                    f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
+                    "repeats on one specimen",
+                )
             )
         forces = np.array([test.force_N for test in chosen])
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
@@ -150,8 +152,7 @@ class Measurements:
         for key in keep:
             groups = dict(key)
             rest = {k: v for k, v in groups.items() if k != self.block}
-            found = self.curve(groups.get(self.block) if self.block else None,
-                               **{**where, **rest})
+            found = self.curve(groups.get(self.block) if self.block else None, **{**where, **rest})
             out.append((groups, found.curve))
         return out
 
@@ -170,8 +171,11 @@ class Measurements:
         for name in wanted:
             if name not in self.tests[0].groups:
                 raise InputError(
-                    Fault("measurements", f"there is no grouping column {name!r}",
-                          nearest(name, self.tests[0].groups))
+                    Fault(
+                        "measurements",
+                        f"there is no grouping column {name!r}",
+                        nearest(name, self.tests[0].groups),
+                    )
                 )
         chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in wanted.items())]
         if not chosen:

@@ -74,8 +74,11 @@ def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) ->
         If the file cannot be written.
     """
     faults = [
-        Fault(f"{path.name}: {place}", f"a spreadsheet would run {text[:40]!r} as a formula",
-              "rename it so that it does not begin with = + - @ or a control character")
+        Fault(
+            f"{path.name}: {place}",
+            f"a spreadsheet would run {text[:40]!r} as a formula",
+            "rename it so that it does not begin with = + - @ or a control character",
+        )
         for place, text in _texts(frame)
         if is_formula(text)
     ]

@@ -2,48 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from study.curve import Curve
+from study.design.spec import MeasurementSpec, Range
 from study.record import Record
 
 
-@dataclass(frozen=True)
-class Range:
-    """Stands for the design's range."""
-
-    kind: str = "mm"
-    low: float = 0.0
-    high: float = 4.0
-
-    def in_mm(self, height_mm: float | None) -> tuple[float, float]:
-        scale = (height_mm or 0.0) / 100 if self.kind == "percent" else 1.0
-        return self.low * scale, self.high * scale
-
-
-@dataclass(frozen=True)
-class Spec:
-    """Stands for the design's measurement specification."""
-
-    file: str | None = "a.csv"
-    files: str | None = None
-    columns: dict[str, str] = field(default_factory=lambda: {"displacement": "d", "force": "f"})
-    units: dict[str, str] = field(default_factory=lambda: {"displacement": "mm", "force": "N"})
-    block: str | None = None
-    average: tuple[str, ...] = ()
-    range: Range | None = Range()
-    points: int = 5
-    fit: dict[str, Any] | None = None
-    score: dict[str, Any] | None = None
-    swap: bool = False
-    zero: str = "none"
-    toe: float | None = None
-    sign: str = "positive"
-    decimal: str = "."
-    citation: str = ""
+def Spec(**changes: Any) -> MeasurementSpec:
+    """One file ``a.csv`` with columns d (mm) and f (N), 5 points from 0 to 4 mm."""
+    values: dict[str, Any] = {
+        "file": "a.csv",
+        "columns": {"displacement": "d", "force": "f"},
+        "units": {"displacement": "mm", "force": "N"},
+        "range": Range("mm", 0.0, 4.0),
+        "points": 5,
+    }
+    return MeasurementSpec(**{**values, **changes})
 
 
 def record(case_id: str = "a1", **changes: Any) -> Record:

@@ -8,10 +8,11 @@ import time
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from study.design.spec import Range
 from study.errors import InputError
 from study.record import read_measurements
 from study.record.csvfile import NUMBER, parse_csv
-from tests.record.samples import Range, Spec
+from tests.record.samples import Spec
 
 cell = st.one_of(
     st.floats(width=32).map(repr),
@@ -45,8 +46,12 @@ def test_any_bytes_as_measurements(tmp_path_factory, data):
     folder.mkdir(exist_ok=True)
     (folder / "a.csv").write_bytes(data)
     start = time.perf_counter()
-    for spec in (Spec(), Spec(zero="fit", toe=0.1), Spec(decimal=",", sign="negative"),
-                 Spec(range=Range("mm", 0.5, 1.0), zero="first")):
+    for spec in (
+        Spec(),
+        Spec(zero="fit", toe=0.1),
+        Spec(decimal=",", sign="negative"),
+        Spec(range=Range("mm", 0.5, 1.0), zero="first"),
+    ):
         try:
             found = read_measurements(spec, folder)
         except InputError:

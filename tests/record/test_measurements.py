@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study.design.spec import MeasurementSpec, Range
 from study.errors import InputError
 from study.record import csvfile as csvfile_module
 from study.record import read_measurements
-from tests.record.samples import Range, Spec
+from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
 REPEATS = "s,r,d,f\n" + "".join(
@@ -24,13 +25,15 @@ REPEATS = "s,r,d,f\n" + "".join(
 PLAIN = Spec()
 
 
-def read(folder: Path, text: str | bytes, spec: Spec = PLAIN, height_mm: float | None = None):
+def read(
+    folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN, height_mm: float | None = None
+):
     data = text.encode() if isinstance(text, str) else text
     (folder / "a.csv").write_bytes(data)
     return read_measurements(spec, folder, height_mm)
 
 
-def refusal(folder: Path, text: str | bytes, spec: Spec = PLAIN) -> str:
+def refusal(folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN) -> str:
     with pytest.raises(InputError) as caught:
         read(folder, text, spec)
     return str(caught.value)
@@ -151,8 +154,9 @@ def test_toe_counts_displacement_from_contact(tmp_path):
     assert "1.1 to 1.1 mm" in "\n".join(found.notes)
 
 
-@pytest.mark.parametrize("text", ["d,f\n0,0\n1,-2\n2,-4\n3,-6\n4,-8\n",
-                                  "d,f\n0,0\n-1,-2\n-2,-4\n-3,-6\n-4,-8\n"])
+@pytest.mark.parametrize(
+    "text", ["d,f\n0,0\n1,-2\n2,-4\n3,-6\n4,-8\n", "d,f\n0,0\n-1,-2\n-2,-4\n-3,-6\n-4,-8\n"]
+)
 def test_sign_is_declared_and_mismatch_refused(tmp_path, text):
     assert 'sign = "negative"' in refusal(tmp_path, text)
     found = read(tmp_path, text, Spec(sign="negative"))
@@ -241,8 +245,10 @@ def test_labels_that_could_do_harm_are_refused(tmp_path, label):
     assert "a.csv:2: column 's'" in refusal(tmp_path, text, Spec(block="s"))
 
 
-@pytest.mark.parametrize("name", ["../a.csv", "/etc/passwd", "x/../../a.csv", "a\0b", "C:\\a.csv",
-                                  "~/a.csv", "..\\a.csv", " "])
+@pytest.mark.parametrize(
+    "name",
+    ["../a.csv", "/etc/passwd", "x/../../a.csv", "a\0b", "C:\\a.csv", "~/a.csv", "..\\a.csv", " "],
+)
 def test_paths_never_leave_the_root(tmp_path, name):
     with pytest.raises(InputError, match=r"--data"):
         read_measurements(Spec(file=name), tmp_path)
@@ -328,8 +334,10 @@ def test_ecoflex_force_at_6_mm_is_the_published_one(data_dir):
 
     table = pd.read_csv(data_dir / "ecoflex_compression" / "factorial_3x5_force6mm.csv")
     found = read_measurements(ECOFLEX, data_dir, 30.0)
-    ours = {tuple(t.groups[n] for n in ("phantom", "specimen", "repeat")): t.force_N[-1]
-            for t in found.tests}
+    ours = {
+        tuple(t.groups[n] for n in ("phantom", "specimen", "repeat")): t.force_N[-1]
+        for t in found.tests
+    }
     compared = 0
     for row in table[table["family"] == 10].itertuples():
         name = f"EF10_{row.thinner_pct:g}T".replace(".", "_")

@@ -24,8 +24,9 @@ names = st.text(min_size=1, max_size=20)
 def test_round_trip_is_exact(value, unit, force, level):
     values = np.array(force)
     curve = Curve(np.arange(1.0, len(force) + 1), values, values, {"C10": values})
-    one = record(levels={"m": level}, responses={"e": {"value": value, "unit": unit}},
-                 curves={"p": curve})
+    one = record(
+        levels={"m": level}, responses={"e": {"value": value, "unit": unit}}, curves={"p": curve}
+    )
     two = Record.from_json(one.to_json())
     assert two == one
     assert two.to_json() == one.to_json()
@@ -34,15 +35,20 @@ def test_round_trip_is_exact(value, unit, force, level):
 
 
 def test_numbers_that_are_not_finite_become_null_with_a_reason():
-    one = record(responses={"error": {"value": math.nan, "unit": "%"}}, timings={"total": math.inf},
-                 curves={"p": Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))})
+    one = record(
+        responses={"error": {"value": math.nan, "unit": "%"}},
+        timings={"total": math.inf},
+        curves={"p": Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))},
+    )
     text = one.to_json()
     assert "NaN" not in text
     assert "Infinity" not in text
     two = Record.from_json(text)
     assert two.responses["error"]["value"] is None
     assert two.extra["not_finite"] == {
-        "responses.error.value": "nan", "timings.total": "inf", "curves.p.force_N.1": "nan"
+        "responses.error.value": "nan",
+        "timings.total": "inf",
+        "curves.p.force_N.1": "nan",
     }
     assert math.isnan(two.curves["p"].force_N[1])
     # once read, writing changes nothing any more, and what was lost stays listed
@@ -121,8 +127,9 @@ def test_any_bytes_as_a_record(data):
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | finite | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+    ),
     max_leaves=8,
 )
 

@@ -50,8 +50,14 @@ def state(path: Path) -> tuple:
     store = Store(path)
     records = store.records(WANTED)
     fields = [store.read_fields(r)["u"].tolist() for r in records]
-    return (table(records).to_csv(), [r.to_json() for r in records], fields,
-            store.read_fit("f1"), store.read_manifest(), store.warnings)
+    return (
+        table(records).to_csv(),
+        [r.to_json() for r in records],
+        fields,
+        store.read_fit("f1"),
+        store.read_manifest(),
+        store.warnings,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -158,13 +164,16 @@ with Store(sys.argv[1]).lock():
 
 def test_second_runner_is_refused_and_a_dead_one_forgotten(tmp_path):
     root = Path(__file__).resolve().parents[2]
-    child = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], cwd=root,
-                             stdout=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], cwd=root, stdout=subprocess.PIPE, text=True
+    )
     try:
         assert child.stdout is not None
         assert child.stdout.readline() == "held\n"
-        with pytest.raises(StoreError, match=f"locked by pid {child.pid} on host .* since 20"), \
-                Store(tmp_path).lock():
+        with (
+            pytest.raises(StoreError, match=f"locked by pid {child.pid} on host .* since 20"),
+            Store(tmp_path).lock(),
+        ):
             pass
         assert (Store(tmp_path).running() or {})["pid"] == child.pid
     finally:
@@ -207,8 +216,10 @@ def test_links_out_of_the_folder_are_refused(tmp_path):
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 def test_a_read_only_folder_is_refused_before_any_work(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(StoreError, match="cannot be made|cannot be written"), \
-            Store(tmp_path / "r").lock():
+    with (
+        pytest.raises(StoreError, match="cannot be made|cannot be written"),
+        Store(tmp_path / "r").lock(),
+    ):
         pass
 
 

@@ -14,10 +14,22 @@ from tests.record.samples import record
 
 
 def test_one_row_a_case_and_failures_stay(tmp_path):
-    frame = table([record("a1"), record("b2", status="timeout", responses={}),
-                   record("c3", status="not-converged")])
+    frame = table(
+        [
+            record("a1"),
+            record("b2", status="timeout", responses={}),
+            record("c3", status="not-converged"),
+        ]
+    )
     assert frame.columns.tolist() == [
-        "case_id", "block", "material", "space", "status", "error", "seconds", "dofs"
+        "case_id",
+        "block",
+        "material",
+        "space",
+        "status",
+        "error",
+        "seconds",
+        "dofs",
     ]
     assert frame["status"].tolist() == ["converged", "timeout", "not-converged"]
     assert frame["error"][0] == 1.25
@@ -56,9 +68,16 @@ def test_a_factor_may_not_hide_a_column():
 
 
 def test_csv_comes_back_exactly(tmp_path):
-    frame = table([record("a1", responses={"error": {"value": -1 / 3, "unit": "%"}},
-                          levels={"n": "-5", "m": 'a "b", c'}),
-                   record("b2", status="crashed", levels={"n": "1", "m": "x"}, block=None)])
+    frame = table(
+        [
+            record(
+                "a1",
+                responses={"error": {"value": -1 / 3, "unit": "%"}},
+                levels={"n": "-5", "m": 'a "b", c'},
+            ),
+            record("b2", status="crashed", levels={"n": "1", "m": "x"}, block=None),
+        ]
+    )
     write_csv(frame, tmp_path / "t.csv")
     again = pd.read_csv(tmp_path / "t.csv", dtype={"n": str})
     assert again["error"][0] == -1 / 3
@@ -67,8 +86,9 @@ def test_csv_comes_back_exactly(tmp_path):
     assert again["m"].tolist() == ['a "b", c', "x"]
 
 
-@pytest.mark.parametrize("name", ["=cmd|' /c calc'!A0", "+x", "-x", "@SUM(1)", "\tx", "\rx",
-                                  "\uff1d1+1", " =1"])
+@pytest.mark.parametrize(
+    "name", ["=cmd|' /c calc'!A0", "+x", "-x", "@SUM(1)", "\tx", "\rx", "\uff1d1+1", " =1"]
+)
 def test_names_that_a_spreadsheet_would_run_are_refused(tmp_path, name):
     for frame in (table([record(levels={name: "x"})]), table([record(levels={"m": name})])):
         with pytest.raises(InputError, match="as a formula"):
