@@ -1,0 +1,217 @@
+"""What an analysis has found so far, and how it becomes the frozen result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.analysis import checks
+from study.analysis.copies import CopyGroups
+from study.analysis.effects import Scale
+from study.analysis.matrix import Array, Term, terms_of
+from study.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
+from study.analysis.results import AnalysisResult, Anova, Effect, ErrorTerm
+from study.analysis.sums import Factored
+from study.analysis.tidy import Data
+from study.analysis.unreplicated import LenthResult, functional_shares, non_additivity
+from study.analysis.variance import SphericityResult, bartlett, levene
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
+_MONTE_CARLO = 10_000
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Inputs and findings of one analysis; grows by ``replace``."""
+
+    data: Data
+    response: str
+    terms: tuple[Term, ...]
+    transform: str
+    alpha: float
+    seed: int
+    exact: bool
+    tolerance: float
+    u_raw: float | None
+    records: bool
+    y: Array = field(default_factory=lambda: np.zeros(0))
+    scale: Scale = field(default_factory=lambda: Scale("none", None, None, None, False))
+    warnings: tuple[str, ...] = ()
+    copies: CopyGroups = field(default_factory=lambda: CopyGroups(()))
+    error: ErrorTerm = _NO_ERROR
+    anova: Anova = field(default_factory=lambda: Anova("II", ()))
+    effects: tuple[Effect, ...] = ()
+    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    fit: Factored | None = None
+    lenth: LenthResult | None = None
+    crossed: Any = None
+
+    def warn(self, *messages: str) -> Outcome:
+        """Copy with more warnings."""
+        return replace(self, warnings=(*self.warnings, *messages))
+
+    def working_tolerance(self) -> float:
+        """Ten solver tolerances on the working scale."""
+        if self.transform == "log":
+            return 10 * self.tolerance / float(np.abs(self.data.y).min())
+        return 10 * self.tolerance
+
+    def constant(self) -> Outcome:
+        """Outcome of a response that does not vary."""
+        message = (
+            f"{self.response} is constant ({self.data.y[0]:.6g} in all {self.data.y.size} rows, "
+            "to rounding or solver tolerance): no ANOVA"
+        )
+        cells = tuple(int(c) for c in np.unique(self.data.cell))
+        return replace(
+            self, y=self.data.y, copies=CopyGroups((cells,)),
+            warnings=(*self.data.warnings, message),
+        )
+
+
+def assemble(out: Outcome) -> AnalysisResult:
+    """Check assumptions and freeze the result."""
+    names = out.data.cell_names()
+    out, normality, groups = _checks(out)
+    tests: dict[str, Any] = {"bartlett": None, "levene": None}
+    if groups is not None:
+        options = {"simulations": _MONTE_CARLO, "seed": out.seed}
+        if groups.approximate:
+            # residuals of a blocked fit are correlated: independent draws would mislead
+            options["simulations"] = 0
+        tests = {
+            "bartlett": bartlett(groups.groups, approximate=groups.approximate, **options),
+            "levene": levene(groups.groups, approximate=groups.approximate),
+        }
+        out = out.warn(
+            *(f"{name}: not applicable: {t.reason}" for name, t in tests.items() if t.reason)
+        )
+    fit, residual = out.fit, None if out.fit is None else out.fit.residual
+    groups_of = out.copies.groups
+    if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
+        out = out.warn(_copies_sentence(out))
+    return AnalysisResult(
+        out.response, out.data.factors, out.data.block, out.transform, out.alpha, out.seed,
+        out.error, out.anova, normality, tests["bartlett"], tests["levene"], out.effects,
+        tuple(dict.fromkeys(out.warnings)), _cell_means(out), _residual_frame(out),
+        _shares(out), tuple(names[c] for c in out.copies.representatives), len(groups_of),
+        tuple(tuple(names[c] for c in g) for g in groups_of if len(g) > 1),
+        _grand_mean(out), _back(out, out.scale.practical), out.u_raw, out.lenth, out.sphericity,
+        None if fit is None else non_additivity(fit),
+        None if residual is None else anderson_darling(residual),
+        None if residual is None else shapiro_wilk(residual),
+        None if fit is None else fit.matrix.columns, int(out.data.y.size),
+    )
+
+
+def _copies_sentence(out: Outcome) -> str:
+    total = sum(len(group) for group in out.copies.groups)
+    return (
+        f"{total} cells hold {len(out.copies.groups)} distinct computations (the others agree "
+        "in every block); checks of the residuals use one of each"
+    )
+
+
+def _representative(out: Outcome) -> Any:
+    return np.isin(out.data.cell, out.copies.representatives)
+
+
+def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
+    """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
+    rows = np.flatnonzero(_representative(out))
+    if out.fit is None:
+        reason = "there are no residuals"
+        return out.warn(f"normality: not applicable: {reason}",
+                        f"variance: not applicable: {reason}"), None, None
+    if out.data.block is not None:
+        fit = checks.additive_fit(out.data, out.y, rows)
+    else:
+        fit = checks.reduced_fit(out.data, out.y, out.terms, rows)
+    result = ryan_joiner(
+        fit.residual, model_matrix=fit.matrix.columns, seed=out.seed, exact=out.exact,
+        alpha=out.alpha,
+    )
+    if not result.applicable:
+        out = out.warn(f"normality: not applicable: {result.reason}")
+    if result.warning:
+        out = out.warn(result.warning)
+    values = out.y[rows] if out.data.block is None else fit.residual
+    cells, names = out.data.cell[rows], out.data.cell_names()
+    groups = {names[c]: values[cells == c] for c in np.unique(cells)}
+    return out, result, checks.CellGroups(groups, out.data.block is not None)
+
+
+def _back(out: Outcome, value: float | None) -> float | None:
+    if value is None or out.transform == "none":
+        return value
+    return float(np.exp(value))
+
+
+def _grand_mean(out: Outcome) -> float:
+    mean = out.y[0] + float(np.mean(out.y - out.y[0]))
+    return float(np.exp(mean)) if out.transform == "log" else float(mean)
+
+
+def _shares(out: Outcome) -> dict[str, float]:
+    """Functional-ANOVA shares of the cell means, where every cell exists."""
+    data = out.data
+    if out.error is _NO_ERROR:
+        return {}
+    size = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
+    counts = np.bincount(data.cell, minlength=size)
+    if counts.min() == 0:
+        return {}
+    shift = out.y[0]
+    means = np.bincount(data.cell, weights=out.y - shift, minlength=size) / counts + shift
+    return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
+
+
+def _cell_means(out: Outcome) -> pd.DataFrame:
+    """One row a cell: levels, n, mean and sd of the response."""
+    import pandas as pd
+
+    data = out.data
+    rows = []
+    groups = {c: g for g in out.copies.groups for c in g}
+    for cell in np.unique(data.cell):
+        here = np.flatnonzero(data.cell == cell)
+        values = data.y[here]
+        levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
+        mean = values[0] + float(np.mean(values - values[0]))
+        if out.transform == "log":
+            mean = float(np.exp(np.mean(np.log(values))))
+        sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
+        same = groups.get(int(cell), (int(cell),))
+        rows.append({**levels, "n": values.size, "mean": mean, "sd": sd,
+                     "representative": same[0] == int(cell)})
+    return pd.DataFrame(rows)
+
+
+def _residual_frame(out: Outcome) -> pd.DataFrame:
+    """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
+    import pandas as pd
+
+    data = out.data
+    names = data.cell_names()
+    frame = {
+        "row": data.rows,
+        "cell": [names[c] for c in data.cell],
+        "representative": _representative(out),
+        "response": data.y,
+    }
+    if data.block is not None:
+        labels = data.layout.levels[data.block]
+        frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
+    if out.fit is not None:
+        frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
+    for f in data.factors:
+        if f not in frame:
+            frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
+    return pd.DataFrame(frame)
+
+

@@ -1,0 +1,194 @@
+"""Frozen results of the statistics, with the keys that scripts rely on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.matrix import Array
+    from study.analysis.normality import NormalityResult, RyanJoinerResult
+    from study.analysis.unreplicated import LenthResult, NonAdditivityResult
+    from study.analysis.variance import BartlettResult, LeveneResult, SphericityResult
+
+
+def plain(value: Any) -> Any:
+    """Value made of JSON types alone; a number that is not finite becomes None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@dataclass(frozen=True)
+class ErrorTerm:
+    """Where the error of the table comes from and which question its p answers."""
+
+    source: str
+    question: str
+    df: float | dict[str, float] | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the ANOVA table; what does not apply is None."""
+
+    term: str
+    df: float
+    ss: float
+    ms: float | None = None
+    f: float | None = None
+    p: float | None = None
+    error: str | None = None
+    df_error: float | None = None
+    epsilon_gg: float | None = None
+    p_gg: float | None = None
+    omega_sq: float | None = None
+    partial_eta_sq: float | None = None
+    partial_eta_sq_ci95: tuple[float, float] | None = None
+    share: float | None = None
+
+    @property
+    def p_deciding(self) -> float | None:
+        """Greenhouse-Geisser's p where there is one, else the plain p."""
+        return self.p if self.p_gg is None else self.p_gg
+
+
+@dataclass(frozen=True)
+class Anova:
+    """ANOVA table of one type."""
+
+    type: str
+    rows: tuple[Row, ...]
+
+    def row(self, term: str) -> Row:
+        """Row of a term."""
+        return next(row for row in self.rows if row.term == term)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Size of one term in response units (or as a ratio, for a log response).
+
+    ``range`` is the largest difference between level means of a factor, or between the pure
+    interaction components of an interaction (in a two-level design both equal the classical
+    effect); ``ci95`` is its simultaneous interval over all pairs.
+    """
+
+    term: str
+    levels: tuple[str, ...]
+    mean: tuple[float | None, ...]
+    ci95: tuple[float, float] | None
+    range: float | None
+    verdict: str
+    scale: str = "difference"
+    largest: tuple[str, str] | None = None
+    mean_ci95: tuple[tuple[float, float], ...] | None = None
+    practical: float | None = None
+    u_num: float | None = None
+    effect_over_u_num: float | None = None
+    resolved: str | None = None
+    p: float | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class AnalysisResult:
+    """Everything that one response of a factorial can tell.
+
+    Attributes carry the names of the JSON keys; tables are pandas frames.
+    """
+
+    response: str
+    factors: tuple[str, ...]
+    block: str | None
+    transform: str
+    alpha: float
+    seed: int
+    error_term: ErrorTerm
+    anova: Anova
+    normality: RyanJoinerResult | None
+    bartlett: BartlettResult | None
+    levene: LeveneResult | None
+    effects: tuple[Effect, ...]
+    warnings: tuple[str, ...]
+    cell_means: pd.DataFrame
+    residuals: pd.DataFrame
+    shares: dict[str, float]
+    representatives: tuple[str, ...]
+    distinct: int
+    copies: tuple[tuple[str, ...], ...] = ()
+    grand_mean: float | None = None
+    practical: float | None = None
+    u_num: float | None = None
+    lenth: LenthResult | None = None
+    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    non_additivity: NonAdditivityResult | None = None
+    anderson_darling: NormalityResult | None = None
+    shapiro_wilk: NormalityResult | None = None
+    model_matrix: Array | None = None
+    n: int = 0
+
+    @property
+    def variance(self) -> dict[str, Any]:
+        """Tests of equal spread by name."""
+        return {"bartlett": self.bartlett, "levene": self.levene}
+
+    def effect(self, term: str) -> Effect:
+        """Effect of a term."""
+        return next(item for item in self.effects if item.term == term)
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
+        normality = None if self.normality is None else self.normality.to_json()
+        return {
+            "response": self.response,
+            "transform": self.transform,
+            "error_term": plain(self.error_term),
+            "anova": plain(self.anova),
+            "normality": normality,
+            "variance": {
+                "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
+                "levene": None if self.levene is None else self.levene.to_json(),
+            },
+            "effects": [plain(effect) for effect in self.effects],
+            "shares": plain(self.shares),
+            "distinct_computations": self.distinct,
+            "copies": plain(self.copies),
+            "lenth": None if self.lenth is None else self.lenth.to_json(),
+            "sphericity": plain(self.sphericity),
+            "non_additivity": plain(self.non_additivity),
+            "warnings": list(self.warnings),
+        }
+
+    def verdicts(self) -> list[dict[str, Any]]:
+        """One line a factor or interaction, as ``study run --json`` lists them."""
+        return [
+            {
+                "response": self.response,
+                "factor": effect.term,
+                "verdict": effect.verdict,
+                "effect": plain(effect.range),
+                "ci95": plain(effect.ci95),
+                "practical": plain(effect.practical),
+                "u_num": plain(effect.u_num),
+                "p": plain(effect.p),
+            }
+            for effect in self.effects
+        ]

@@ -1,0 +1,270 @@
+"""Equality of variances: Bartlett and Levene with guards and Monte-Carlo p, sphericity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.analysis.matrix import Array
+
+Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
+
+
+@dataclass(frozen=True)
+class BartlettResult:
+    """Bartlett's test; where it does not apply the numbers are None and ``reason`` says why."""
+
+    statistic: float | None
+    df: int | None
+    p: float | None
+    applicable: bool
+    reason: str = ""
+    p_monte_carlo: float | None = None
+    approximate: bool = False
+
+    def to_json(self) -> dict[str, Any] | None:
+        """JSON document; None where the test does not apply."""
+        if not self.applicable:
+            return None
+        return {
+            "statistic": self.statistic,
+            "df": self.df,
+            "p": self.p,
+            "p_monte_carlo": self.p_monte_carlo,
+            "approximate": self.approximate,
+        }
+
+
+@dataclass(frozen=True)
+class LeveneResult:
+    """Levene's test about the median (Brown-Forsythe) or the mean."""
+
+    statistic: float | None
+    df: tuple[int, int] | None
+    p: float | None
+    applicable: bool
+    reason: str = ""
+    center: str = "median"
+    p_monte_carlo: float | None = None
+    approximate: bool = False
+
+    def to_json(self) -> dict[str, Any] | None:
+        """JSON document; None where the test does not apply."""
+        if not self.applicable:
+            return None
+        return {
+            "statistic": self.statistic,
+            "df": list(self.df or ()),
+            "p": self.p,
+            "center": self.center,
+            "p_monte_carlo": self.p_monte_carlo,
+            "approximate": self.approximate,
+        }
+
+
+@dataclass(frozen=True)
+class SphericityResult:
+    """Mauchly's test and the epsilons of one blocked term."""
+
+    w: float | None
+    chi2: float | None
+    df: int | None
+    p: float | None
+    epsilon_gg: float
+    epsilon_hf: float
+    reason: str = ""
+
+
+def _named(groups: Groups) -> dict[str, Array]:
+    if isinstance(groups, Mapping):
+        items = [(str(key), value) for key, value in groups.items()]
+    else:
+        items = [(str(i + 1), value) for i, value in enumerate(groups)]
+    return {key: np.asarray(value, dtype=float) for key, value in items}
+
+
+def _fault(named: Mapping[str, Array], least: int) -> str:
+    """Why the groups cannot be compared; empty when they can."""
+    if len(named) < 2:
+        return "fewer than two groups"
+    largest = max((float(np.abs(v).max()) for v in named.values() if v.size), default=0.0)
+    floor = 16 * float(np.spacing(largest))
+    for name, values in named.items():
+        if values.size < least:
+            one = "one value" if values.size == 1 else f"{values.size} values"
+            return f"group {name} has {one}" + ("" if least <= 2 else f", {least} are needed")
+        if not np.all(np.isfinite(values)):
+            return f"group {name} has a missing value"
+        if float(np.ptp(values)) <= floor:
+            return f"group {name} has zero variance"
+    return ""
+
+
+def bartlett(
+    groups: Groups, *, simulations: int = 0, seed: int = 2011, approximate: bool = False
+) -> BartlettResult:
+    """Bartlett's test of equal variances (Bartlett 1937; NIST e-Handbook 1.3.5.7).
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, or sequence of array_like
+        Values of each group; whole numbers are converted first.
+    simulations : int
+        Number of simulated normal samples for a Monte-Carlo p; 0 for none.
+
+    Examples
+    --------
+    >>> bartlett([[1, 2, 4], [3, 3, 3]]).reason
+    'group 2 has zero variance'
+    """
+    named = _named(groups)
+    reason = _fault(named, 2)
+    if reason:
+        return BartlettResult(None, None, None, False, reason, approximate=approximate)
+    from scipy.special import chdtrc
+
+    df = np.array([v.size - 1 for v in named.values()], dtype=float)
+    variance = np.array([_variance(v) for v in named.values()])
+    t = float(_bartlett_statistic(variance, df))
+    k = len(named) - 1
+    p_mc = None
+    if simulations:
+        rng = np.random.default_rng(seed)
+        draws = rng.chisquare(df, size=(simulations, df.size)) / df
+        p_mc = _monte_carlo_p(_bartlett_statistic(draws, df), t)
+    return BartlettResult(t, k, float(chdtrc(k, t)), True, "", p_mc, approximate)
+
+
+def _variance(values: Array) -> float:
+    shifted = values - values[0]
+    return float(shifted.var(ddof=1))
+
+
+def _bartlett_statistic(variance: Array, df: Array) -> Array:
+    total = df.sum()
+    pooled = (variance * df).sum(axis=-1) / total
+    top = total * np.log(pooled) - (df * np.log(variance)).sum(axis=-1)
+    bottom = 1 + ((1 / df).sum() - 1 / total) / (3 * (df.size - 1))
+    return np.asarray(np.maximum(top / bottom, 0.0))
+
+
+def _monte_carlo_p(simulated: Array, observed: float) -> float:
+    return float((1 + np.count_nonzero(simulated >= observed)) / (simulated.size + 1))
+
+
+def levene(
+    groups: Groups,
+    *,
+    center: str = "auto",
+    simulations: int = 0,
+    seed: int = 2011,
+    approximate: bool = False,
+) -> LeveneResult:
+    """Levene's test of equal spreads (Levene 1960; Brown and Forsythe 1974).
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, or sequence of array_like
+        Values of each group.
+    center : {"auto", "median", "mean"}
+        ``auto`` takes the median from five values a group. With three or four it takes the
+        mean and a Monte-Carlo p (the median's true size there is near zero); with two values
+        both deviations of a group are equal, so the test does not apply.
+    """
+    named = _named(groups)
+    reason = _fault(named, 3)
+    if reason:
+        return LeveneResult(None, None, None, False, reason, approximate=approximate)
+    smallest = min(v.size for v in named.values())
+    if center == "auto":
+        center = "median" if smallest >= 5 else "mean"
+        if smallest < 5:
+            simulations = simulations or 10_000
+    sizes = np.array([v.size for v in named.values()])
+    w = float(_levene_statistic([v - v[0] for v in named.values()], center))
+    df = (len(named) - 1, int(sizes.sum()) - len(named))
+    if not math.isfinite(w):
+        reason = "every deviation within each group is equal"
+        return LeveneResult(None, None, None, False, reason, center, approximate=approximate)
+    from scipy.special import fdtrc
+
+    p_mc = _levene_monte_carlo(w, sizes, center, simulations, seed) if simulations else None
+    return LeveneResult(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
+
+
+def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
+    """W of groups that hold one sample along the last axis."""
+    middle = np.median if center == "median" else np.mean
+    deviations = [np.abs(g - middle(g, axis=-1, keepdims=True)) for g in groups]
+    n = np.array([g.shape[-1] for g in groups], dtype=float)
+    means = np.stack([d.mean(axis=-1) for d in deviations], axis=-1)
+    grand = (means * n).sum(axis=-1) / n.sum()
+    between = (n * (means - grand[..., None]) ** 2).sum(axis=-1)
+    within = sum(
+        ((d - d.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1) for d in deviations
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = (n.sum() - n.size) / (n.size - 1) * between / within
+    return np.asarray(ratio)
+
+
+def _levene_monte_carlo(w: float, sizes: Any, center: str, count: int, seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    chunk = max(1, int(2e6 // int(sizes.sum())))
+    above = 0
+    for start in range(0, count, chunk):
+        m = min(chunk, count - start)
+        draws = [rng.standard_normal((m, int(size))) for size in sizes]
+        above += int(np.count_nonzero(_levene_statistic(draws, center) >= w))
+    return (1 + above) / (count + 1)
+
+
+def epsilon_gg(covariance: Array) -> float:
+    """Greenhouse-Geisser epsilon of the covariance of orthonormal contrasts, shape (d, d).
+
+    Greenhouse and Geisser (1959), Psychometrika 24, 95-112: tr(S)^2 / (d tr(S^2)).
+    """
+    d = covariance.shape[0]
+    square = float(np.sum(covariance * covariance))
+    if square == 0:
+        return 1.0
+    return float(min(1.0, max(1.0 / d, np.trace(covariance) ** 2 / (d * square))))
+
+
+def sphericity(contrasts: Array) -> SphericityResult:
+    """Mauchly's test of the orthonormal contrasts of a term.
+
+    Parameters
+    ----------
+    contrasts : ndarray, shape (d, b)
+        One column a block.
+
+    Notes
+    -----
+    Mauchly (1940); Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
+    """
+    d, b = contrasts.shape
+    s = np.atleast_2d(np.cov(contrasts))
+    gg = epsilon_gg(s)
+    if d == 1:
+        return SphericityResult(1.0, 0.0, 0, None, 1.0, 1.0, "one degree of freedom")
+    bottom = d * (b - 1 - d * gg)
+    hf = 1.0 if bottom <= 0 else min(1.0, (b * d * gg - 2) / bottom)
+    if b - 1 < d:
+        return SphericityResult(
+            None, None, None, None, gg, hf, f"needs more than {d} blocks, got {b}"
+        )
+    sign, logdet = np.linalg.slogdet(s)
+    if sign <= 0:
+        return SphericityResult(None, None, None, None, gg, hf, "the contrasts are singular")
+    log_w = float(logdet - d * math.log(np.trace(s) / d))
+    factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
+    chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
+    from scipy.special import chdtrc
+
+    return SphericityResult(math.exp(log_w), chi2, df, float(chdtrc(df, max(chi2, 0))), gg, hf)
