@@ -1,0 +1,142 @@
+"""The damped linear least-squares problem inside a trust region, with bounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """Jacobian reduced by a column-scaled QR, its triangle by SVD: every step is cheap.
+
+    Columns of unit length decide the rank and the full step, because the running maximum of
+    the norms, which shapes the trust region, can exceed today's norms by many digits.
+
+    Parameters
+    ----------
+    full_step : ndarray, shape (p,)
+        Undamped (Gauss-Newton) step, of least length where the rank is deficient.
+    full_length : float
+        Its scaled length.
+    offset : float
+        Share of the residual that lies in the space of the Jacobian.
+    rank : int
+        Numerical rank.
+    scale, singular, right, load : ndarray
+        Column scale D, singular values and right vectors (rows) of J D^-1, and the residual
+        in its left vectors.
+    """
+
+    full_step: Array
+    full_length: float
+    offset: float
+    rank: int
+    scale: Array
+    singular: Array
+    right: Array
+    load: Array
+
+    @classmethod
+    def of(cls, jacobian: Array, residual: Array, scale: Array) -> Linearization:
+        """Factorize a Jacobian (n, p) with its residual (n,) and column scale (p,)."""
+        if jacobian.shape[1] == 0:
+            none = np.zeros(0)
+            return cls(none, 0.0, 0.0, 0, none, none, np.zeros((0, 0)), none)
+        norms = np.linalg.norm(jacobian, axis=0)
+        norms = np.where(norms > 0, norms, 1.0)
+        q, triangle = np.linalg.qr(jacobian / norms)
+        projected = q.T @ residual
+        left, singular, right = np.linalg.svd(triangle, full_matrices=False)
+        load = left.T @ projected
+        kept = singular > max(jacobian.shape) * np.finfo(float).eps * singular.max()
+        full = -(right[kept].T @ (load[kept] / singular[kept])) / norms
+        length = float(np.linalg.norm(residual))
+        offset = float(np.linalg.norm(load[kept])) / length if length else 0.0
+        left, singular, right = np.linalg.svd(triangle * (norms / scale), full_matrices=False)
+        return cls(
+            full,
+            float(np.linalg.norm(scale * full)),
+            offset,
+            int(kept.sum()),
+            scale,
+            singular,
+            right,
+            left.T @ projected,
+        )
+
+
+def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
+    """Levenberg-Marquardt step of scaled length at most 1.1 ``radius``, and its damping.
+
+    The step p minimizes |J p + r|^2 + damping |D p|^2; damping solves |D p| = radius to 10 %
+    by Hebden's iteration
+    (More 1978, sec. 5), safeguarded by a bracket.
+    """
+    if linear.full_length <= 1.1 * radius:
+        return linear.full_step, 0.0
+    s2, sl = linear.singular**2, linear.singular * linear.load
+    low, high = 0.0, float(np.linalg.norm(sl)) / radius
+    damping = 1e-3 * high
+    for _ in range(60):
+        terms = sl / (s2 + damping)
+        length = float(np.linalg.norm(terms))
+        if abs(length - radius) <= 0.1 * radius:
+            break
+        low, high = (damping, high) if length > radius else (low, damping)
+        slope = -float(terms**2 @ (1 / (s2 + damping))) / length
+        damping -= (length - radius) / radius * length / slope
+        if not low < damping < high:
+            damping = max(1e-3 * high, np.sqrt(low * high))
+    scaled = -linear.right.T @ (sl / (s2 + damping))
+    return scaled / linear.scale, damping
+
+
+def bounded_step(
+    jacobian: Array,
+    residual: Array,
+    scale: Array,
+    radius: float,
+    held: NDArray[np.bool_],
+    low: Array,
+    high: Array,
+    linear: Linearization,
+) -> tuple[Array, float]:
+    """Damped step in the free parameters; one that would cross its bound stops there.
+
+    The others are then solved again with that part of the step given, at most p times.
+
+    Parameters
+    ----------
+    jacobian, residual, scale : ndarray
+        Linear model at the point, shapes (n, p), (n,), (p,).
+    radius : float
+        Scaled radius of the trust region.
+    held : ndarray of bool, shape (p,)
+        Parameters that stay where they are.
+    low, high : ndarray, shape (p,)
+        Bounds relative to the point.
+    linear : Linearization
+        Of the free columns.
+
+    Returns
+    -------
+    step : ndarray, shape (p,)
+    damping : float
+    """
+    step, free = np.zeros(scale.size), ~held
+    while True:
+        step[free], damping = damped_step(linear, radius)
+        crossing = free & ((step < low) | (step > high))
+        if not np.any(crossing):
+            return step, damping
+        step[crossing] = np.clip(step, low, high)[crossing]
+        free = free & ~crossing
+        if not np.any(free):
+            return step, damping
+        given = residual + jacobian[:, ~free] @ step[~free]
+        linear = Linearization.of(jacobian[:, free], given, scale[free])
