@@ -25,8 +25,9 @@ STIFFNESS, SWITCHING = 4e4, 20.0
 class RigidSurface(Protocol):
     """A rigid obstacle that moves with the displacement of the test."""
 
-    #: d(gap)/d(displacement) is -normal_z * speed
-    speed: float
+    @property
+    def speed(self) -> float:
+        """Axial motion against the axis per unit of displacement: d(gap)/dd = n_z speed."""
 
     def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
         """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""

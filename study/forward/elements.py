@@ -199,9 +199,7 @@ def _discontinuous_linear(fem_mesh: Any, basis: Any) -> tuple[Array, Ints]:
     return np.ascontiguousarray(shape.transpose(1, 2, 0)), np.arange(k * ne).reshape(ne, k)
 
 
-def _facets(
-    fem_mesh: Any, basis: Any, nodes: Array, axisymmetric: bool
-) -> tuple[Ints, Array]:
+def _facets(fem_mesh: Any, basis: Any, nodes: Array, axisymmetric: bool) -> tuple[Ints, Array]:
     """Nodes and areas of the boundary facets."""
     facets = fem_mesh.boundary_facets()
     vertices = basis.nodal_dofs[0][fem_mesh.facets[:, facets]].T
@@ -218,7 +216,8 @@ def _facet_areas(corners: Array, axisymmetric: bool) -> Array:
     """Areas from the corner positions, shape (n_facets, corners, dim)."""
     if corners.shape[2] == 2:
         length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
-        return length * (2 * np.pi * corners[:, :, 0].mean(axis=1) if axisymmetric else 1.0)
+        around = 2 * np.pi * corners[:, :, 0].mean(axis=1) if axisymmetric else 1.0
+        return np.asarray(length * around)
     a = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(a, axis=1) / 2
     if corners.shape[1] == 4:  # scikit-fem orders a quadrilateral facet around its rim

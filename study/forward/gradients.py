@@ -48,7 +48,8 @@ def step_gradients(
     velocity[system.constraints.dofs] = system.constraints.rate
     stiff = 1.0
     targets = tuple(
-        -stiff * touch.direction.reshape(points.size, -1, system.space.dim)[:, :, -1].sum(axis=1)
+        -stiff
+        * touch.direction.reshape(points.size, -1, system.space.dim)[:, :, -1].sum(axis=1)
         * points.surface.speed
         for points, touch in zip(system.contact, assembly.contact, strict=True)
     )

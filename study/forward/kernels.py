@@ -1,4 +1,4 @@
-"""Compiled element loops: residual and tangent of the mixed (u, p) form in 3D and axisymmetric space.
+"""Compiled element loops: residual and tangent of the mixed (u, p) form, axisymmetric and 3D.
 
 The weak form is the stationarity of
 
@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
 
 #: components (3 i + j) of F that are live in axisymmetric space: rr, rz, zr, zz, hoop
 AXISYMMETRIC_COMPONENTS = np.array([0, 1, 3, 4, 8])
 
 
 @njit(cache=True, inline="always")
-def _power_derivatives(x, n):
+def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
     """x^n and its first two derivatives, exact at x = 0."""
     value = x**n if n > 0 else 1.0
     first = n * x ** (n - 1) if n > 1 else (1.0 if n == 1 else 0.0)
@@ -32,8 +35,8 @@ def _power_derivatives(x, n):
 
 
 @njit(cache=True)
-def polynomial_derivatives(table, a, b, out):
-    """Derivatives of sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
+def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
+    """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
 
     ``out`` receives W_a, W_b, W_aa, W_ab, W_bb.
     """
@@ -52,7 +55,7 @@ def polynomial_derivatives(table, a, b, out):
 
 
 @njit(cache=True)
-def cofactor(f, g):
+def cofactor(f: Array, g: Array) -> float:
     """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
     g[0] = f[4] * f[8] - f[5] * f[7]
     g[1] = f[5] * f[6] - f[3] * f[8]
@@ -63,11 +66,13 @@ def cofactor(f, g):
     g[6] = f[1] * f[5] - f[2] * f[4]
     g[7] = f[2] * f[3] - f[0] * f[5]
     g[8] = f[0] * f[4] - f[1] * f[3]
-    return f[0] * g[0] + f[1] * g[1] + f[2] * g[2]
+    return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
 
 
 @njit(cache=True)
-def polynomial_stress(f, table, work, stress, tangent, want_tangent):
+def polynomial_stress(
+    f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
+) -> float:
     """Isochoric nominal stress and its tangent for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
 
     Parameters
@@ -132,7 +137,16 @@ def polynomial_stress(f, table, work, stress, tangent, want_tangent):
 
 
 @njit(cache=True)
-def _polynomial_tangent(f, I1, I2, s1, s2, work, second, tangent):
+def _polynomial_tangent(
+    f: Array,
+    I1: float,
+    I2: float,
+    s1: float,
+    s2: float,
+    work: Array,
+    second: bool,
+    tangent: Array,
+) -> None:
     g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
     for i in range(3):
         for j in range(3):
@@ -168,7 +182,15 @@ def _polynomial_tangent(f, I1, I2, s1, s2, work, second, tangent):
 
 
 @njit(cache=True)
-def _add_pressure(J, g, p, stiffening, stress, tangent, want_tangent):
+def _add_pressure(
+    J: float,
+    g: Array,
+    p: float,
+    stiffening: float,
+    stress: Array,
+    tangent: Array,
+    want_tangent: bool,
+) -> None:
     """Add p dJ/dF to the stress and its tangent; ``stiffening`` is dp/dJ (displacement form)."""
     for n in range(9):
         stress[n] += p * J * g[n]
@@ -185,7 +207,7 @@ def _add_pressure(J, g, p, stiffening, stress, tangent, want_tangent):
 
 
 @njit(cache=True)
-def _deformation_gradient(gradients, hoop, u, f):
+def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = gradients.shape[1]
     f[:] = 0.0
@@ -201,7 +223,7 @@ def _deformation_gradient(gradients, hoop, u, f):
 
 
 @njit(cache=True)
-def volume_ratios(gradients, hoop, u, J):
+def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     """J = det F at every quadrature point; returns the smallest.
 
     In axisymmetric space a hoop stretch that is not positive counts as ``J = -1``, since
@@ -224,8 +246,19 @@ def volume_ratios(gradients, hoop, u, J):
 
 @njit(cache=True)
 def element_residuals(
-    gradients, hoop, pressure_shape, weights, u, p, table, bulk, compliance, want_tangent, R, K
-):
+    gradients: Array,
+    hoop: Array,
+    pressure_shape: Array,
+    weights: Array,
+    u: Array,
+    p: Array,
+    table: Array,
+    bulk: float,
+    compliance: float,
+    want_tangent: bool,
+    R: Array,
+    K: Array,
+) -> float:
     """Element residuals and packed upper tangents.
 
     Parameters
@@ -332,8 +365,8 @@ def element_residuals(
 
 
 @njit(cache=True)
-def packed_product(dofs, K, v, out):
-    """out = K v from packed element tangents, constrained unknowns included."""
+def packed_product(dofs: NDArray[np.int32], K: Array, v: Array, out: Array) -> None:
+    """Out = K v from packed element tangents, constrained unknowns included."""
     out[:] = 0.0
     ne, m = dofs.shape
     for e in range(ne):
@@ -350,7 +383,7 @@ def packed_product(dofs, K, v, out):
 
 
 @njit(cache=True)
-def scatter(positions, values, data):
+def scatter(positions: NDArray[np.int32], values: Array, data: Array) -> None:
     """Add packed values to the entries of the fixed sparsity pattern (negative: constrained)."""
     data[:] = 0.0
     for i in range(positions.size):

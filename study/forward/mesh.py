@@ -102,7 +102,7 @@ def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
 
 
 def _density_points(s: Array, size: Callable[[Array], Array]) -> Array:
-    """Points along ``s`` whose spacing follows ``size(s)`` (equal steps of the integral of 1/size)."""
+    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral."""
     density = 1 / size(s)
     count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
     n = max(2, int(np.ceil(count[-1] - 1e-9)))
@@ -135,9 +135,7 @@ def _rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Cells]:
     return points, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _cross_section(
-    specimen: Specimen, h: float, graded: bool, shape: str
-) -> tuple[Array, Cells]:
+def _cross_section(specimen: Specimen, h: float, graded: bool, shape: str) -> tuple[Array, Cells]:
     if isinstance(specimen, Block):
         x = graded_line(specimen.width_mm / 2, h, towards_end=graded)
         y = graded_line(specimen.depth_mm / 2, h, towards_end=graded)

@@ -80,9 +80,7 @@ def solve_step(
         else:
             residuals.append(_relative(system, state, assembly))
             if _done(system, residuals[-1], assembly, settings):
-                return NewtonResult(
-                    state, True, iteration, "converged", tuple(residuals), assembly
-                )
+                return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
         if iteration == settings.max_iterations:
             break
         try:
@@ -113,7 +111,7 @@ def _filtered(
     *,
     whole: bool,
 ) -> State | None:
-    """The longest halving of the step that keeps every J; none where 1/1024 is not enough."""
+    """Take the longest halving of the step that keeps every J; none where 1/1024 fails."""
     before = system.volume_ratios(state.x)
     fraction = 1.0
     while fraction > 1e-3:
@@ -132,9 +130,7 @@ def _multipliers(
     system: System, state: State, assembly: Assembly, increment: Array, fraction: float
 ) -> tuple[Array, ...]:
     updated = []
-    for points, old, touch in zip(
-        system.contact, state.multipliers, assembly.contact, strict=True
-    ):
+    for points, old, touch in zip(system.contact, state.multipliers, assembly.contact, strict=True):
         new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
         updated.append(old + fraction * (new - old))
     return tuple(updated)
@@ -153,9 +149,7 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
     return max(force, volume)
 
 
-def _done(
-    system: System, residual: float, assembly: Assembly, settings: NewtonSettings
-) -> bool:
+def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
     if not residual < settings.tolerance:
         return False
     gap = settings.gap * system.height_mm

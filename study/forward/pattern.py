@@ -11,6 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+Narrow = NDArray[np.int32]
+Wide = NDArray[np.int64]
+
 
 @dataclass(frozen=True)
 class Pattern:
@@ -55,11 +58,11 @@ class Pattern:
         rows, columns = np.triu_indices(m)
         a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
         low, high = np.minimum(a, b).ravel(), np.maximum(a, b).ravel()
-        return _find(self.indptr, self.indices, low, high).reshape(a.shape)
+        return np.asarray(_find(self.indptr, self.indices, low, high).reshape(a.shape))
 
 
 @njit(cache=True)
-def _elements_of_unknowns(dofs, n):
+def _elements_of_unknowns(dofs: Narrow, n: int) -> tuple[Wide, Wide]:
     """Elements around each unknown: (element, local number) packed as element * m + local."""
     ne, m = dofs.shape
     start = np.zeros(n + 1, np.int64)
@@ -78,7 +81,9 @@ def _elements_of_unknowns(dofs, n):
 
 
 @njit(cache=True)
-def _fill(dofs, number, free, start, owner):
+def _fill(
+    dofs: Narrow, number: Narrow, free: Wide, start: Wide, owner: Wide
+) -> tuple[Narrow, Narrow, Narrow]:
     ne, m = dofs.shape
     nf = free.size
     indptr = np.zeros(nf + 1, np.int32)
@@ -123,7 +128,7 @@ def _fill(dofs, number, free, start, owner):
 
 
 @njit(cache=True)
-def _find(indptr, indices, low, high):
+def _find(indptr: Narrow, indices: Narrow, low: Narrow, high: Narrow) -> Narrow:
     out = np.full(low.size, -1, np.int32)
     for i in range(low.size):
         if low[i] >= 0:

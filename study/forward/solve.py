@@ -38,11 +38,16 @@ class StepSettings:
 
 @dataclass(frozen=True)
 class Options:
-    """Everything that shapes a run besides the problem; part of what makes a result."""
+    """Everything that shapes a run besides the problem; part of what makes a result.
+
+    ``side_contact = False`` lets the free side pass through the plates: wrong physics, kept
+    for comparisons with codes and tables that do so.
+    """
 
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     steps: StepSettings = field(default_factory=StepSettings)
     linear_solver: str = "auto"
+    side_contact: bool = True
 
 
 @dataclass(frozen=True)
@@ -170,13 +175,14 @@ def _check(problem: Problem) -> None:
         raise InputError("the displacement must be smaller than the specimen's height")
 
 
-def _system(
-    problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None
-) -> System:
+def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
     if warm is not None and warm.warm is not None:
         return warm.warm.system.with_material(problem.material)
     return System.build(
-        problem, build_mesh(problem) if mesh is None else mesh, solver=options.linear_solver
+        problem,
+        build_mesh(problem) if mesh is None else mesh,
+        solver=options.linear_solver,
+        folding=options.side_contact,
     )
 
 
@@ -272,7 +278,9 @@ class _Run:
         for name, rate in step.constants.items():
             change = self.problem.material.constants[name] - self.warm.values[name]
             x += change * rate.x
-            multipliers = [m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)]
+            multipliers = [
+                m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
+            ]
         pressed = tuple(np.maximum(m, 0.0) for m in multipliers)
         guess = self._sound(State(target, x, pressed), step.state.x, 0.5)
         if guess is None:

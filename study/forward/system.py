@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -80,7 +79,9 @@ class System:
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
 
     @classmethod
-    def build(cls, problem: Problem, mesh: Mesh, *, solver: str = "auto") -> System:
+    def build(
+        cls, problem: Problem, mesh: Mesh, *, solver: str = "auto", folding: bool = True
+    ) -> System:
         """Discretize, constrain and analyze a problem on a mesh."""
         start = time.perf_counter()
         space = discretize(mesh, problem.model)
@@ -94,7 +95,7 @@ class System:
             mesh=mesh,
             space=space,
             constraints=constraints,
-            contact=side_contact(problem, space, mesh, height),
+            contact=side_contact(problem, space, mesh, height) if folding else (),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
             area_mm2=float(space.weights.sum()) * sector / (height - bottom),
             height_mm=height,
@@ -110,7 +111,7 @@ class System:
         return system
 
     def with_material(self, material: Material) -> System:
-        """The same discretization for other constants; solver and arrays are shared."""
+        """Return the same discretization for other constants; solver and arrays are shared."""
         return replace(self, material=material)
 
     @property
@@ -119,7 +120,7 @@ class System:
         return int(self.pattern.free.size)
 
     def start(self) -> State:
-        """The unloaded state."""
+        """Return the unloaded state."""
         zeros = tuple(np.zeros(c.size) for c in self.contact)
         return State(0.0, np.zeros(self.space.n), zeros)
 
@@ -140,9 +141,7 @@ class System:
         """
         began = time.perf_counter()
         min_j = self._elements(state.x, self.material.coefficient_table(), tangent)
-        internal = np.bincount(
-            self.space.dofs.ravel(), self._element_R.ravel(), minlength=self.space.n
-        )
+        internal = self._gathered()
         if tangent and min_j > 0:
             kernels.scatter(self.pattern.positions, self._element_K.ravel(), self.data)
         residual, contacts = internal.copy(), []
@@ -192,9 +191,7 @@ class System:
         without_pressure = state.x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
         self._elements(without_pressure, unit, False, bulk=0.0, compliance=0.0)
-        out = np.bincount(
-            self.space.dofs.ravel(), self._element_R.ravel(), minlength=self.space.n
-        )
+        out = self._gathered()
         out[self.space.n_displacement :] = 0.0
         bulk_rate = material.bulk_gradient()[name]
         return out + bulk_rate * self._bulk_derivative(state) if bulk_rate else out
@@ -209,18 +206,17 @@ class System:
         zero = np.zeros((1, 1))
         if n_p == 0:
             self._elements(state.x, zero, False, bulk=1.0, compliance=0.0)
-            return np.bincount(
-                self.space.dofs.ravel(), self._element_R.ravel(), minlength=self.space.n
-            )
+            return self._gathered()
         rates = []
         for compliance in (0.0, 1.0):
             self._elements(state.x, zero, False, bulk=0.0, compliance=compliance)
-            rates.append(
-                np.bincount(
-                    self.space.dofs.ravel(), self._element_R.ravel(), minlength=self.space.n
-                )
-            )
+            rates.append(self._gathered())
         return (rates[0] - rates[1]) / material.bulk**2
+
+    def _gathered(self) -> Array:
+        """Sum of the element residuals, shape (n,)."""
+        dofs, values = self.space.dofs.ravel(), self._element_R.ravel()
+        return np.bincount(dofs, values, minlength=self.space.n).astype(float)
 
     def _elements(
         self,
@@ -307,9 +303,8 @@ def _side_points(
 ) -> ContactPoints:
     nodes, tol = space.nodes, 1e-9 * height
     facets, areas = _side_facets(space, mesh, height, tol)
-    nodal = np.bincount(
-        facets.ravel(), np.repeat(areas / facets.shape[1], facets.shape[1]), len(nodes)
-    )
+    shares = np.repeat(areas / facets.shape[1], facets.shape[1])
+    nodal = np.bincount(facets.ravel(), shares, len(nodes)).astype(float)
     free = np.abs(nodes[:, -1] - plate.height_mm) > tol
     chosen = np.flatnonzero((nodal > 0) & free)
     scale = problem.material.mu0 / mesh.size_mm
@@ -333,10 +328,3 @@ def _side_facets(
     for axis, value in planes:
         side &= ~(np.abs(space.nodes[space.facets][:, :, axis] - value) < tol).all(axis=1)
     return space.facets[side], space.facet_weights[side]
-
-
-def multipliers_of(system: System, arrays: Sequence[Array]) -> tuple[Array, ...]:
-    """Check that contact multipliers fit the system's contact points."""
-    if [a.size for a in arrays] != [c.size for c in system.contact]:
-        raise ValueError("multipliers do not fit the contact points")
-    return tuple(arrays)
