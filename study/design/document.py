@@ -118,19 +118,31 @@ def _children(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
 def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Dotted keys of nested tables; an empty table stays, as what nothing can be.
 
+    Raises
+    ------
+    InputError
+        If a key stands twice, once quoted and once not.
+
     Examples
     --------
     >>> flatten({"model": {"space": "3d"}, "model.mesh": "fine"})
     {'model.space': '3d', 'model.mesh': 'fine'}
     """
     flat: dict[str, Any] = {}
-    for key, value in table.items():
-        dotted = f"{prefix}{key}"
-        if isinstance(value, Mapping) and value:
-            flat.update(flatten(value, dotted + "."))
-        else:
-            flat[dotted] = value
+    for key, value in _leaves(table, prefix):
+        if key in flat:
+            rule = "stands twice, quoted and unquoted"
+            raise InputError(Fault(key, rule, "keep one of the two"))
+        flat[key] = value
     return flat
+
+
+def _leaves(table: Mapping[str, Any], prefix: str) -> Iterable[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
 
 
 def split_key(key: str) -> list[str]:

@@ -13,16 +13,17 @@ from study.design.spec import Config
 PLAUSIBLE_MPA = (1e-4, 10.0)
 
 
-def check(config: Config, faults: Faults, prefix: str = "") -> None:
+def check(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
     """Check the sections of a problem against one another.
 
-    Sections that already have faults carry None in their place and are passed over.
+    Sections that already have faults carry None in their place and are passed over;
+    ``places`` says where each table stands in the file.
     """
-    _check_moduli(config["material"], faults, prefix)
-    _check_displacement(config, faults, prefix)
-    _check_model(config, faults, prefix)
+    _check_moduli(config["material"], faults, places)
+    _check_displacement(config, faults, places)
+    _check_model(config, faults, places)
     if config["test"].get("indenter"):
-        _check_indenter(config, faults, prefix)
+        _check_indenter(config, faults, places)
 
 
 def initial_shear_modulus(material: Mapping[str, Any]) -> float | None:
@@ -42,38 +43,38 @@ def initial_shear_modulus(material: Mapping[str, Any]) -> float | None:
     return modulus / (2 * (1 + nu)) if nu is not None else modulus / 3
 
 
-def _check_moduli(material: Config, faults: Faults, prefix: str) -> None:
+def _check_moduli(material: Config, faults: Faults, places: Mapping[str, str]) -> None:
     mu0, bulk = initial_shear_modulus(material), material.get("bulk_modulus_MPa")
-    where = f"{prefix}material.{next(iter(material['constants']), '')}"
+    where = f"{places['material']}.{next(iter(material['constants']), '')}"
     if mu0 is not None and mu0 <= 0:
         formula = "sum of mu" if material["model"] == "ogden" else "2 (C10 + C01)"
         rule = f"the initial shear modulus {formula} must be positive, got {mu0 * 1e3:g} kPa"
         faults.add(where, rule, "check the signs of the constants")
     elif mu0 is not None and bulk is not None and bulk < mu0:
         rule = f"{bulk * 1e3:g} kPa is below the initial shear modulus, {mu0 * 1e3:g} kPa"
-        faults.add(f"{prefix}material.bulk_modulus", rule, "check the units (MPa, kPa) of both")
+        faults.add(f"{places['material']}.bulk_modulus", rule, "check the units (MPa, kPa) of both")
 
 
-def _check_displacement(config: Config, faults: Faults, prefix: str) -> None:
+def _check_displacement(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
     depth, height = config["test"]["displacement_mm"], config["specimen"].get("height_mm")
     if depth is not None and height is not None and depth >= height:
         rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
-        faults.add(f"{prefix}test.displacement", rule, "make it smaller than specimen.height")
+        faults.add(f"{places['test']}.displacement", rule, "make it smaller than specimen.height")
 
 
-def _check_model(config: Config, faults: Faults, prefix: str) -> None:
+def _check_model(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
     model, shape = config["model"], config["specimen"]["shape"]
     if config["material"].get("incompressible") and model["formulation"] == "displacement":
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
-        faults.add(f"{prefix}model.formulation", rule, 'write formulation = "mixed"')
+        faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')
     if shape == "surface" and model["space"] == "axisymmetric":
         rule = "a scanned surface is not axisymmetric"
-        faults.add(f"{prefix}model.space", rule, 'write space = "3d"')
+        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
 
 
-def _check_indenter(config: Config, faults: Faults, prefix: str) -> None:
+def _check_indenter(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
     indenter: Config = config["test"]["indenter"]
-    where = f"{prefix}test.indenter."
+    where = f"{places['test']}.indenter."
     if any(v is None for k, v in indenter.items() if k != "shaft_radius_mm"):
         return
     if indenter["shape"] == "flat" and indenter["edge_radius_mm"] > indenter["radius_mm"]:

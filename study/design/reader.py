@@ -177,12 +177,12 @@ def text(value: Any) -> str:
         raise Bad(f"must be a text, got {shown(value)}", "put it in quotes")
     if len(value) > MAX_TEXT:
         raise Bad(f"has {len(value)} characters, the limit is {MAX_TEXT}")
-    if any(unicodedata.category(c) in _INVISIBLE and c not in "\n\t" for c in value):
+    if any(unicodedata.category(c) in INVISIBLE and c not in "\n\t" for c in value):
         raise Bad("holds control characters")
     return value.strip()
 
 
-_INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def name(value: Any) -> str:
@@ -198,7 +198,7 @@ def name(value: Any) -> str:
         raise Bad("is empty")
     if len(stripped) > MAX_NAME:
         raise Bad(f"has {len(stripped)} characters, the limit is {MAX_NAME}")
-    if any(unicodedata.category(c) in _INVISIBLE for c in value):
+    if any(unicodedata.category(c) in INVISIBLE for c in value):
         raise Bad(f"holds characters that cannot be seen: {ascii(value)}")
     if stripped[0] in "=+-@":
         rule = f"must not begin with {stripped[0]!r}, which a spreadsheet takes for a formula"
@@ -209,11 +209,8 @@ def name(value: Any) -> str:
 def slug(value: Any) -> str:
     """Read a name that is also a folder's: letters, digits, dash, underscore, dot."""
     plain = name(value)
-    if (
-        not plain.isascii()
-        or not plain.replace("-", "").replace("_", "").replace(".", "").isalnum()
-    ):
-        raise Bad(f"may have letters, digits, - _ and . (not last), got {shown(value)}")
+    if not re.fullmatch(r"[A-Za-z0-9._-]*[A-Za-z0-9]", plain):
+        raise Bad(f"may have letters, digits, - _ and . (not last) only, got {shown(value)}")
     if plain[0] == ".":
         raise Bad(f"must not begin with a dot, got {shown(value)}")
     return plain
@@ -232,7 +229,7 @@ def relative_path(value: Any) -> str:
     if not isinstance(value, str) or not value.strip():
         raise Bad(f"must be a path, got {shown(value)}")
     mend = "write it relative to the data root (--data DIR)"
-    if any(unicodedata.category(c) in _INVISIBLE for c in value) or len(value) > 500:
+    if any(unicodedata.category(c) in INVISIBLE for c in value) or len(value) > 500:
         raise Bad("is too long or holds characters that cannot be seen", mend)
     if value.startswith(("/", "\\", "~")) or PureWindowsPath(value).drive:
         raise Bad(f"must be relative, got {shown(value)}", mend)

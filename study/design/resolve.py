@@ -12,6 +12,7 @@ from study.design.spec import CalibrationSpec, Config, MeasurementSpec
 from study.errors import InputError
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
+TABLES = ("specimen", "test", "material", "model", "measurements")
 #: tables that [calibration.problem] may replace
 REPLACEABLE = ("specimen", "test", "measurements")
 
@@ -40,33 +41,46 @@ def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Co
 
 
 def resolve_problem(
-    tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5, prefix: str = ""
+    tables: Mapping[str, Any],
+    faults: Faults,
+    ratio: float = 1.5,
+    places: Mapping[str, str] | None = None,
 ) -> Config:
-    """Resolve specimen, test, material, model and measurements; ``prefix`` goes before keys."""
-    specimen = sections.read_specimen(tables.get("specimen", {}), faults, f"{prefix}specimen")
+    """Resolve specimen, test, material, model and measurements.
+
+    ``places`` says where tables stand that are not at the top of the file.
+    """
+    at = {name: name for name in TABLES} | dict(places or {})
+    specimen = sections.read_specimen(tables.get("specimen", {}), faults, at["specimen"])
     config: Config = {
         "specimen": specimen,
-        "test": sections.read_test(tables.get("test", {}), faults, f"{prefix}test"),
-        "material": sections.read_material(tables.get("material", {}), faults),
-        "model": sections.read_model(tables.get("model", {}), faults, specimen["shape"], ratio),
+        "test": sections.read_test(tables.get("test", {}), faults, at["test"]),
+        "material": sections.read_material(tables.get("material", {}), faults, at["material"]),
+        "model": sections.read_model(
+            tables.get("model", {}), faults, specimen["shape"], ratio, at["model"]
+        ),
         "measurements": None,
     }
     if "measurements" in tables:
-        where = f"{prefix}measurements"
-        config["measurements"] = read_measurements_table(tables["measurements"], faults, where)
-    _fill_displacement(config, "measurements" in tables, tables, faults, prefix)
-    physics.check(config, faults, prefix)
+        table = tables["measurements"]
+        config["measurements"] = read_measurements_table(table, faults, at["measurements"])
+    _fill_displacement(config, "measurements" in tables, tables, faults, at)
+    physics.check(config, faults, at)
     return config
 
 
 def _fill_displacement(
-    config: Config, measured: bool, tables: Mapping[str, Any], faults: Faults, prefix: str
+    config: Config,
+    measured: bool,
+    tables: Mapping[str, Any],
+    faults: Faults,
+    at: Mapping[str, str],
 ) -> None:
     """Take the end of the range for a displacement left out; both given must agree."""
     test, spec = config["test"], config["measurements"]
-    where = f"{prefix}test.displacement"
+    where = f"{at['test']}.displacement"
     written = isinstance(tables.get("test"), Mapping) and "displacement" in tables["test"]
-    high = _range_end(spec, config["specimen"], faults, prefix)
+    high = _range_end(spec, config["specimen"], faults, at)
     if test["displacement_mm"] is None:
         test["displacement_mm"] = high
         unread = measured and (spec is None or spec.range is not None)
@@ -79,7 +93,7 @@ def _fill_displacement(
 
 
 def _range_end(
-    spec: MeasurementSpec | None, specimen: Config, faults: Faults, prefix: str
+    spec: MeasurementSpec | None, specimen: Config, faults: Faults, at: Mapping[str, str]
 ) -> float | None:
     if spec is None or spec.range is None:
         return None
@@ -90,7 +104,7 @@ def _range_end(
         return spec.range.in_mm(height)[1]
     except InputError as error:
         fault = error.faults[0]
-        faults.add(f"{prefix}measurements.range", fault.rule, fault.mend)
+        faults.add(f"{at['measurements']}.range", fault.rule, fault.mend)
         return None
 
 
@@ -123,8 +137,9 @@ def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, rati
     spec = calibration_spec(tables.get("calibration"), config["material"], faults)
     problem = None
     if spec.problem is not None:
-        own = {**tables, **{k: v for k, v in spec.problem.items() if k in REPLACEABLE}}
-        problem = resolve_problem(own, faults, ratio, "calibration.problem.")
+        own = {k: v for k, v in spec.problem.items() if k in REPLACEABLE}
+        places = {k: f"calibration.problem.{k}" for k in own}
+        problem = resolve_problem({**tables, **own}, faults, ratio, places)
     _check_method(spec, config, problem or config, faults)
     return {"method": spec.method, "problem": problem, "leave_out": spec.leave_out}
 

@@ -1,0 +1,226 @@
+"""Factors, preset sets and exclusions of a design."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from study.design import keys, sections
+from study.design.document import flatten
+from study.design.reader import (
+    MAX_NAME,
+    Bad,
+    Faults,
+    Section,
+    name,
+    quoted,
+    shown,
+    text,
+)
+from study.design.spec import Exclusion, Factor, Level
+from study.errors import nearest
+
+MAX_FACTORS = 20
+MAX_LEVELS = 100
+MAX_CELLS = 4096
+
+#: set -> label -> dotted keys laid over the file
+Presets = dict[str, dict[str, dict[str, Any]]]
+
+
+def read_presets(table: Any, faults: Faults) -> Presets:
+    """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
+
+    A set named like a table of the file is laid over that table.
+    """
+    section = Section({} if table is None else table, "presets", faults)
+    presets: Presets = {}
+    for set_name, levels in section.table.items():
+        where = f"presets.{quoted(set_name)}"
+        if not _readable(set_name, where, faults):
+            continue
+        prefix = f"{set_name}." if set_name in keys.TABLES else ""
+        inner = Section(levels, where, faults)
+        presets[set_name] = {
+            label.strip(): _settings(level, prefix, f"{where}.{quoted(label)}", faults)
+            for label, level in inner.table.items()
+            if _readable(label, f"{where}.{quoted(label)}", faults)
+        }
+    return presets
+
+
+def _settings(level: Any, prefix: str, where: str, faults: Faults) -> dict[str, Any]:
+    if not isinstance(level, Mapping):
+        faults.add(where, f"must be a table, got {shown(level)}", f"write [{where}]")
+        return {}
+    settings = flatten(level, prefix)
+    for key in settings:
+        if not keys.may_vary(key):
+            inner = quoted_path(key.removeprefix(prefix))
+            faults.add(f"{where}.{inner}", "unknown key", keys.suggestion(key))
+    return {key: value for key, value in settings.items() if keys.may_vary(key)}
+
+
+def quoted_path(key: str) -> str:
+    """Dotted key whose odd parts are quoted."""
+    return ".".join(quoted(part) for part in key[:500].split("."))
+
+
+def _readable(value: Any, where: str, faults: Faults) -> bool:
+    try:
+        name(value)
+    except Bad as bad:
+        faults.add(where, f"this name {bad.rule}", bad.mend)
+        return False
+    return True
+
+
+def read_factors(table: Any, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
+    """Read ``[factors]`` (dotted keys already joined) with the levels of every factor."""
+    section = Section({} if table is None else table, "factors", faults)
+    if not section.table:
+        faults.add("factors", "is missing", 'for example model.space = ["axisymmetric", "3d"]')
+    if len(section.table) > MAX_FACTORS:
+        faults.add("factors", f"has {len(section.table)} factors, the limit is {MAX_FACTORS}")
+        return ()
+    found = [
+        Factor(key, levels)
+        for key, value in section.table.items()
+        if (levels := _levels(key, value, presets, faults))
+    ]
+    _check_overlap(found, faults)
+    cells = math.prod(len(factor.levels) for factor in found)
+    if cells > MAX_CELLS:
+        rule = f"give {cells} cells, the limit is {MAX_CELLS}"
+        faults.add("factors", rule, "use fewer levels, or several studies")
+        return ()
+    return tuple(found)
+
+
+def _levels(key: str, value: Any, presets: Presets, faults: Faults) -> tuple[Level, ...]:
+    where = f"factors.{quoted_path(key)}"
+    if key not in presets and not keys.may_vary(key):
+        valid = [*presets, *(k for k in keys.VARYING if k.partition(".")[0] == key.split(".")[0])]
+        mend = nearest(key[:MAX_NAME], valid) if valid else keys.suggestion(key)
+        faults.add(where, "is neither a key that may vary nor a preset set", mend)
+        return ()
+    if not isinstance(value, list):
+        faults.add(where, f"must be a list of levels, got {shown(value)}", "write [.., ..]")
+        return ()
+    if not 2 <= len(value) <= MAX_LEVELS:
+        rule = f"needs 2 to {MAX_LEVELS} levels, got {len(value)}"
+        faults.add(where, rule, "a factor with one level is no factor: set the key itself")
+        return ()
+    levels: dict[str, Level] = {}
+    for i, raw in enumerate(value):
+        level = _level(key, raw, presets, f"{where}[{i}]", faults)
+        if level is not None and level.label in levels:
+            rule = f"levels must be distinct, got {level.label!r} again ({shown(raw)})"
+            faults.add(f"{where}[{i}]", rule, "leave one out")
+        elif level is not None:
+            levels[level.label] = level
+    return tuple(levels.values())
+
+
+def _level(key: str, raw: Any, presets: Presets, where: str, faults: Faults) -> Level | None:
+    try:
+        label = level_label(raw)
+    except Bad as bad:
+        faults.add(where, bad.rule, bad.mend)
+        return None
+    if key not in presets:
+        return Level(label, {key: raw})
+    if label not in presets[key]:
+        faults.add(where, f"no preset {label!r} in presets.{key}", nearest(label, presets[key]))
+        return None
+    return Level(label, presets[key][label])
+
+
+def level_label(raw: Any) -> str:
+    """Label of a level's value: ``"1"``, ``1`` and ``1.0`` have the same.
+
+    Examples
+    --------
+    >>> level_label(1.0), level_label(" 1"), level_label(["1 %", "20 %"])
+    ('1', '1', '1 %, 20 %')
+    """
+    if isinstance(raw, bool):
+        return "true" if raw else "false"
+    if isinstance(raw, str):
+        return name(raw)
+    if isinstance(raw, (int, float)) and math.isfinite(raw):
+        return repr(raw).removesuffix(".0")
+    if isinstance(raw, list) and raw and len(raw) <= 9:
+        return name(", ".join(level_label(item) for item in raw))
+    mend = "give it a name: [presets.SET.LEVEL]" if isinstance(raw, Mapping) else ""
+    raise Bad(f"is no level, got {shown(raw)}", mend)
+
+
+def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
+    """Two factors that set one key would hide one another."""
+    owner: dict[str, str] = {}
+    for factor in factors:
+        for slot in {_slot(key) for level in factor.levels for key in level.settings}:
+            if owner.setdefault(slot, factor.name) != factor.name:
+                rule = f"sets {slot}, which the factor {owner[slot]!r} sets too"
+                faults.add(f"factors.{factor.name}", rule, "let one of the two set it")
+
+
+def _slot(key: str) -> str:
+    """Key, or the first of the keys that cannot stand beside it."""
+    table, _, last = key.rpartition(".")
+    alternatives = sections.ALTERNATIVES.get(table, ())
+    return f"{table}.{alternatives[0]}" if last in alternatives else key
+
+
+def read_exclusions(value: Any, factors: Sequence[Factor], faults: Faults) -> tuple[Exclusion, ...]:
+    """Read every ``[[exclude]]``."""
+    if value is None:
+        return ()
+    if not isinstance(value, list) or len(value) > MAX_CELLS:
+        faults.add("exclude", f"must be tables, got {shown(value)}", "write [[exclude]]")
+        return ()
+    return tuple(
+        exclusion
+        for i, table in enumerate(value)
+        if (exclusion := _exclusion(table, f"exclude[{i}]", factors, faults))
+    )
+
+
+def _exclusion(
+    table: Any, where: str, factors: Sequence[Factor], faults: Faults
+) -> Exclusion | None:
+    before = len(faults)
+    section = Section(table, where, faults)
+    why = section.take("why", text, mend='say why: why = "..."')
+    when = section.take("when", lambda raw: raw, mend='when = { material = "ogden-1" }')
+    section.finish()
+    if why == "":
+        section.fault("why", "is empty", "say why these cells are left out")
+    if len(faults) > before:
+        return None
+    inner = Section(when, f"{where}.when", faults)
+    if not inner.broken and not inner.table:
+        section.fault("when", "is empty: it would leave out every cell")
+    by_name = {factor.name: factor for factor in factors}
+    labels = {
+        key: inner.take(key, lambda raw, key=key: _chosen(raw, by_name[key]))
+        for key in inner.table
+        if key in by_name
+    }
+    inner.known += list(by_name)
+    inner.finish()
+    return Exclusion(labels, why) if len(faults) == before else None
+
+
+def _chosen(raw: Any, factor: Factor) -> tuple[str, ...]:
+    items = raw if isinstance(raw, list) and raw else [raw]
+    labels = tuple(_known(level_label(item), factor) for item in items)
+    return tuple(dict.fromkeys(labels))
+
+
+def _known(label: str, factor: Factor) -> str:
+    if label not in factor.labels:
+        raise Bad(f"no level {label!r} of {factor.name!r}", nearest(label, factor.labels))
+    return label
