@@ -1,0 +1,224 @@
+"""One analysis as the report reads it: the only place that knows the shape of a result.
+
+A log response is analyzed on logarithms; its effects arrive as ratios and its means as
+geometric means, so everything downstream is in the response's own unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+from study.reporting.data import ReportData, ResponseAnalysis
+from study.reporting.text import name_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MATTERS = "matters"
+NO_DIFFERENCE = "no practical difference"
+CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A term's level means, and the largest difference between two of them.
+
+    With ``ratio`` the difference, its interval and ``practical`` are ratios (1.1 is ten
+    percent); otherwise they are in the response's unit. The interval is simultaneous.
+    """
+
+    term: str
+    levels: tuple[str, ...]
+    means: tuple[float | None, ...]
+    difference: float | None
+    low: float | None
+    high: float | None
+    practical: float | None
+    verdict: str
+    p: float | None = None
+    u_num: float | None = None
+    over_u_num: float | None = None
+    resolved: str = ""
+    why: str = ""
+    ratio: bool = False
+    pair: tuple[str, str] | None = None
+    mean_intervals: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def is_main(self) -> bool:
+        """Whether this is the effect of one factor alone."""
+        return ":" not in self.term
+
+    @property
+    def highest(self) -> str:
+        """Level with the largest mean."""
+        return max(self._known, key=lambda pair: pair[1])[0]
+
+    @property
+    def lowest(self) -> str:
+        """Level with the smallest mean."""
+        return min(self._known, key=lambda pair: pair[1])[0]
+
+    @property
+    def _known(self) -> list[tuple[str, float]]:
+        pairs = zip(self.levels, self.means, strict=False)
+        return [(level, mean) for level, mean in pairs if mean is not None]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known about one response."""
+
+    response: ResponseAnalysis
+    title: str
+    unit: str
+    terms: tuple[Effect, ...] = ()
+    rows: tuple[Mapping[str, Any], ...] = ()
+    anova_type: str = ""
+    source: str = ""
+    question: str = ""
+    reason: str = ""
+    df: Any = None
+    normality: Mapping[str, Any] | None = None
+    variance: Mapping[str, Any] = field(default_factory=dict)
+    sphericity: Mapping[str, Any] = field(default_factory=dict)
+    non_additivity: Mapping[str, Any] | None = None
+    warnings: tuple[str, ...] = ()
+    residuals: pd.DataFrame | None = None
+    distinct: int | None = None
+    copies: tuple[tuple[str, ...], ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Column of the response."""
+        return self.response.name
+
+    @property
+    def ratio(self) -> bool:
+        """Whether effects are ratios."""
+        return self.response.transform == "log"
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The main effects."""
+        return tuple(effect for effect in self.terms if effect.is_main)
+
+    @property
+    def interactions(self) -> tuple[Effect, ...]:
+        """The effects of more than one factor."""
+        return tuple(effect for effect in self.terms if not effect.is_main)
+
+    @property
+    def difference_unit(self) -> str:
+        """Unit of a difference: percentage points for a response in percent."""
+        return "pp" if self.unit == "%" else self.unit
+
+    def row(self, term: str) -> Mapping[str, Any] | None:
+        """Row of the ANOVA table of a term."""
+        return next((row for row in self.rows if row["term"] == term), None)
+
+
+def facts(data: ReportData) -> tuple[Facts, ...]:
+    """Read every analysis of a report."""
+    return tuple(_read(data, response) for response in data.responses)
+
+
+def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
+    title = response.title or name_of(response.name, data.labels)
+    if response.result is None:
+        warned = (response.refused,) if response.refused else ()
+        return Facts(response, title, response.unit, warnings=warned)
+    found: Mapping[str, Any] = response.result.to_json()
+    error = found.get("error_term") or {}
+    anova = found.get("anova") or {}
+    distinct = found.get("distinct_computations")
+    return Facts(
+        response=response,
+        title=title,
+        unit=response.unit,
+        terms=tuple(_effect(item) for item in found.get("effects") or ()),
+        rows=tuple(anova.get("rows") or ()),
+        anova_type=str(anova.get("type") or ""),
+        source=str(error.get("source") or ""),
+        question=str(error.get("question") or ""),
+        reason=str(error.get("reason") or ""),
+        df=error.get("df"),
+        normality=_whole(response.result, "normality", found.get("normality")),
+        variance={
+            name: _whole(response.result, name, test)
+            for name, test in (found.get("variance") or {}).items()
+        },
+        sphericity=found.get("sphericity") or {},
+        non_additivity=found.get("non_additivity"),
+        warnings=tuple(str(warning) for warning in found.get("warnings") or ()),
+        residuals=getattr(response.result, "residuals", None),
+        distinct=distinct,
+        copies=tuple(tuple(group) for group in found.get("copies") or ()),
+    )
+
+
+def _whole(result: Any, name: str, fallback: Any) -> Any:
+    """Return the named test with its reason, which the JSON keeps among the warnings."""
+    test = getattr(result, name, None)
+    return asdict(test) if is_dataclass(test) and not isinstance(test, type) else fallback
+
+
+def _effect(item: Mapping[str, Any]) -> Effect:
+    low, high = item.get("ci95") or (None, None)
+    pair = item.get("largest")
+    return Effect(
+        term=str(item["term"]),
+        levels=tuple(str(level) for level in item.get("levels") or ()),
+        means=tuple(item.get("mean") or ()),
+        difference=item.get("range"),
+        low=low,
+        high=high,
+        practical=item.get("practical"),
+        verdict=str(item.get("verdict") or CANNOT_TELL),
+        p=item.get("p"),
+        u_num=item.get("u_num"),
+        over_u_num=item.get("effect_over_u_num"),
+        resolved=str(item.get("resolved") or ""),
+        why=str(item.get("why") or ""),
+        ratio=item.get("scale") == "ratio",
+        pair=None if not pair else (str(pair[0]), str(pair[1])),
+        mean_intervals=tuple((ends[0], ends[1]) for ends in item.get("mean_ci95") or ()),
+    )
+
+
+def deciding_p(row: Mapping[str, Any]) -> float | None:
+    """Return the p that decides: Greenhouse-Geisser's where it applies."""
+    corrected = row.get("p_gg")
+    chosen = corrected if corrected is not None else row.get("p")
+    return None if chosen is None else float(chosen)
+
+
+def is_effect(row: Mapping[str, Any], factors: Sequence[str]) -> bool:
+    """Whether a row of the table is an effect, not the blocks or an error stratum."""
+    return set(str(row["term"]).split(":")) <= set(factors)
+
+
+def cells(data: ReportData, response: str) -> pd.DataFrame:
+    """Mean response of every cell, best (lowest) first.
+
+    Returns
+    -------
+    DataFrame
+        The factor columns, ``mean``, ``n``, ``cell`` (the levels joined by ':').
+        A log response is averaged as it is analyzed: by the geometric mean.
+    """
+    import numpy as np
+
+    factors = list(data.factors)
+    known = data.table.dropna(subset=[response])
+    log = any(r.name == response and r.transform == "log" for r in data.responses)
+    values = known[response].astype(float)
+    known = known[factors].astype(str).assign(y=np.log(values) if log else values)
+    grouped = known.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
+    if log:
+        grouped["mean"] = np.exp(grouped["mean"])
+    grouped["cell"] = grouped[factors].agg(":".join, axis=1)
+    renamed = grouped.rename(columns={"count": "n"})
+    return renamed.sort_values("mean", kind="stable").reset_index(drop=True)

@@ -1,0 +1,363 @@
+"""Figures of effects: sizes against what matters, level means, interactions, cells.
+
+Compute, then draw: each ``draw_*`` takes the frame that its function computed, and that
+frame is the figure's CSV.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.reporting.data import ReportData
+from study.reporting.facts import MATTERS, NO_DIFFERENCE, Facts, cells
+from study.reporting.style import (
+    BAND,
+    DASHES,
+    INK,
+    MARKERS,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    color_of,
+)
+from study.reporting.text import clean, interval, name_of, quantity, ratio, significant, term_name
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+_VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
+
+
+def wrap(label: object, width: int = 14, longest: int = 60) -> str:
+    """Label of user text over several lines, broken at spaces and hyphens."""
+    text = clean(label, longest).replace("_", " ")
+    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=True)) or text
+
+
+def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
+    """Largest difference of every term with its interval; factors first, then interactions."""
+    import pandas as pd
+
+    strong = [effect for effect in facts.interactions if effect.verdict != NO_DIFFERENCE]
+    shown = [e for e in (*facts.effects, *strong[:6]) if e.difference is not None]
+    return pd.DataFrame(
+        {
+            "term": [effect.term for effect in shown],
+            "name": [term_name(effect.term, labels) for effect in shown],
+            "difference": [effect.difference for effect in shown],
+            "low": [effect.low for effect in shown],
+            "high": [effect.high for effect in shown],
+            "practical": [effect.practical for effect in shown],
+            "verdict": [effect.verdict for effect in shown],
+        }
+    ).astype({"difference": float, "low": float, "high": float, "practical": float})
+
+
+def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw one row a term: its largest difference and interval against the band."""
+    figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
+    ax = figure.subplots()
+    zero = 1.0 if facts.ratio else 0.0
+    limits = frame["practical"].dropna()
+    if not limits.empty:
+        limit = float(limits.iloc[0])
+        below = 1 / limit if facts.ratio else -limit
+        ax.axvspan(below, limit, color=BAND, zorder=0)
+        ax.text(
+            zero, 1.0, "no practical difference", transform=ax.get_xaxis_transform(),
+            ha="center", va="bottom", color=MUTED, fontsize=7.5,
+        )
+    ax.axvline(zero, color=MUTED, linewidth=0.7)
+    for place, row in enumerate(frame.itertuples()):
+        color = _VERDICT_COLOR.get(str(row.verdict), MUTED)
+        ax.plot([row.low, row.high], [place, place], color=color, linewidth=2.2)
+        ax.plot(row.difference, place, "o", color=color, markersize=6)
+        size = ratio(row.difference) if facts.ratio else quantity(
+            row.difference, facts.difference_unit
+        )
+        ax.annotate(
+            f"{size}   [{interval(row.low, row.high)}]",
+            (1.0, place), xycoords=ax.get_yaxis_transform(), xytext=(6, 0),
+            textcoords="offset points", va="center", fontsize=8, annotation_clip=False,
+        )
+    ax.set_yticks(range(len(frame)), [wrap(name, 34) for name in frame["name"]])
+    ax.set_ylim(len(frame) - 0.5, -0.6)
+    plain_ticks(ax, "x")
+    what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
+    ax.set_xlabel(f"largest {what} between levels, {facts.title}, with 95 % simultaneous interval")
+    _clean_left(ax)
+    return figure
+
+
+def level_means(facts: Facts) -> pd.DataFrame:
+    """Mean of every level of every factor."""
+    import pandas as pd
+
+    return pd.DataFrame(
+        [
+            {"factor": effect.term, "level": level, "mean": mean}
+            for effect in facts.effects
+            for level, mean in zip(effect.levels, effect.means, strict=False)
+        ],
+        columns=["factor", "level", "mean"],
+    ).astype({"mean": float})
+
+
+def grand_mean(data: ReportData, facts: Facts) -> float:
+    """Mean over the cells, geometric for a log response."""
+    means = cells(data, facts.name)["mean"].to_numpy(float)
+    return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
+
+
+def draw_level_means(
+    frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
+) -> Canvas:
+    """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    figure = canvas(WIDTH_IN, 3.5)
+    ax = figure.subplots()
+    if practical is not None:
+        half = (practical**0.5, practical / 2)[not facts.ratio]
+        low, high = (center / half, center * half) if facts.ratio else (center - half, center + half)
+        ax.axhspan(low, high, color=BAND, zorder=0)
+    ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+    ax.annotate(
+        f"grand mean {quantity(center, facts.unit)}", (1.0, center), xytext=(4, 0),
+        xycoords=ax.get_yaxis_transform(), textcoords="offset points",
+        va="center", fontsize=7.5, color=MUTED, annotation_clip=False,
+    )
+    ticks, names, start = [], [], 0.0
+    for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
+        places = start + np.arange(len(group))
+        ax.plot(places, group["mean"], "o-", color=color_of(index), markersize=5.5)
+        for place, mean, side in zip(places, group["mean"], _sides(group["mean"]), strict=True):
+            ax.annotate(significant(mean), (place, mean), xytext=(0, 6 * side),
+                        textcoords="offset points", ha="center", fontsize=7.5,
+                        va="bottom" if side > 0 else "top")
+        ax.text(float(places.mean()), 1.02, clean(name_of(str(factor), data.labels), 30),
+                transform=ax.get_xaxis_transform(), ha="center", fontweight="bold",
+                color=color_of(index))
+        ticks += list(places)
+        names += [wrap(level, 12, 40) for level in group["level"]]
+        start = float(places[-1]) + 1.5
+    many = len(names) > 13
+    ax.set_xticks(ticks, names, rotation=45 if many else 0, ha="right" if many else "center",
+                  fontsize=7.5 if len(names) < 9 else 7)
+    ax.set_xlim(-0.7, start - 0.8)
+    ax.margins(y=0.2)
+    plain_ticks(ax, "y")
+    ax.set_ylabel(axis_label(facts))
+    ax.tick_params(axis="x", length=0)
+    return figure
+
+
+def _sides(means: Sequence[float]) -> list[int]:
+    """Side of each point on which its number meets no line: 1 above, -1 below."""
+    values = np.asarray(means, dtype=float)
+    left = np.r_[values[1:2], values[:-1]]
+    right = np.r_[values[1:], values[-2:-1]]
+    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
+
+
+def axis_label(facts: Facts) -> str:
+    """Name and unit of a response for an axis."""
+    return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
+
+
+def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
+    """Mean of every combination of two levels, for every pair of factors."""
+    import pandas as pd
+
+    frame = cells(data, facts.name)
+    log = facts.ratio
+    rows = []
+    names = list(data.factors)
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            values = frame.assign(y=np.log(frame["mean"]) if log else frame["mean"])
+            means = values.groupby([first, second], sort=False)["y"].mean()
+            for (a, b), mean in means.items():  # type: ignore[misc]
+                rows.append((first, a, second, b, float(np.exp(mean) if log else mean)))
+    return pd.DataFrame(rows, columns=["factor", "level", "other", "other_level", "mean"])
+
+
+def draw_interactions(
+    frame: pd.DataFrame, facts: Facts, factors: Mapping[str, Sequence[str]], data: ReportData
+) -> Canvas:
+    """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
+    k = len(factors)
+    figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
+    axes = figure.subplots(k, k, squeeze=False)
+    lookup = {(r.factor, r.level, r.other, r.other_level): float(r.mean) for r in frame.itertuples()}
+    low, high = float(frame["mean"].min()), float(frame["mean"].max())
+    pad = 0.08 * (high - low or abs(high) or 1.0)
+    names = list(factors)
+    for i, first in enumerate(names):
+        for j, second in enumerate(names):
+            ax = axes[i][j]
+            if i == j:
+                _diagonal(ax, name_of(first, data.labels), factors[first])
+            elif i < j:
+                _lines(ax, lookup, (first, factors[first]), (second, factors[second]))
+                ax.set_ylim(low - pad, high + pad)
+                _upper_ticks(ax, i, j, k, factors[second])
+            else:
+                _numbers(ax, lookup, (second, factors[second]), (first, factors[first]), low, high)
+                _lower_ticks(ax, factors[second], i == k - 1)
+    figure.suptitle(axis_label(facts), x=0.01, ha="left", fontsize=8.5)
+    return figure
+
+
+def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
+    ax.set_axis_off()
+    ax.set_xlim(0, 1)
+    ax.set_ylim(0, 1)
+    shown = list(levels)[:7]
+    step = min(0.15, 0.7 / len(shown))
+    top = 0.5 + step * (len(shown) + 0.4) / 2
+    ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
+    for index, level in enumerate(shown):
+        y = top - step * (index + 1.2)
+        ax.plot([0.03, 0.17], [y, y], color=color_of(index), linestyle=_dash(index),
+                marker=MARKERS[index % 7], markersize=3.5)
+        ax.text(0.22, y, clean(level, 24), va="center", fontsize=7.5)
+
+
+def _dash(index: int) -> Any:
+    return DASHES[index % len(DASHES)]
+
+
+def _lines(
+    ax: Axes, lookup: Mapping[Any, float], first: tuple[str, Sequence[str]],
+    second: tuple[str, Sequence[str]],
+) -> None:
+    x = np.arange(len(second[1]))
+    for index, level in enumerate(first[1]):
+        y = [lookup.get((first[0], level, second[0], other), np.nan) for other in second[1]]
+        ax.plot(x, y, color=color_of(index), linestyle=_dash(index),
+                marker=MARKERS[index % 7], markersize=4)
+    ax.set_xlim(-0.35, x[-1] + 0.35)
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+
+
+def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
+    ax.xaxis.tick_top()
+    ax.spines["top"].set_visible(True)
+    ax.spines["bottom"].set_visible(False)
+    narrow = max(int(26 / len(levels)), 6)
+    ax.set_xticks(range(len(levels)), [wrap(v, narrow, 24) for v in levels] if i == 0 else [])
+    ax.tick_params(axis="x", labelsize=7, length=0)
+    ax.yaxis.tick_right()
+    ax.spines["left"].set_visible(False)
+    ax.spines["right"].set_visible(j == k - 1)
+    plain_ticks(ax, "y")
+    if j < k - 1:
+        ax.tick_params(axis="y", length=0, labelright=False)
+
+
+def _numbers(
+    ax: Axes, lookup: Mapping[Any, float], column: tuple[str, Sequence[str]],
+    row: tuple[str, Sequence[str]], low: float, high: float,
+) -> None:
+    ax.set_xlim(-0.5, len(column[1]) - 0.5)
+    ax.set_ylim(len(row[1]) - 0.5, -0.5)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    for a, across in enumerate(column[1]):
+        for b, down in enumerate(row[1]):
+            mean = lookup.get((column[0], across, row[0], down))
+            if mean is None:
+                continue
+            depth = 0.04 + 0.30 * (mean - low) / ((high - low) or 1.0)
+            ax.fill_between([a - 0.48, a + 0.48], b - 0.46, b + 0.46, color="#0072B2",
+                            alpha=depth, linewidth=0)
+            size = 7.5 if len(column[1]) < 5 else 6.5
+            ax.text(a, b, significant(mean), ha="center", va="center", fontsize=size)
+    ax.set_yticks(range(len(row[1])), [wrap(v, 12, 24) for v in row[1]], fontsize=7)
+    ax.tick_params(length=0, pad=2)
+
+
+def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
+    names = [wrap(v, 14, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
+    ax.set_xticks(range(len(levels)), names if last else [])
+    if last and len(levels) > 3:
+        ax.set_xticks(range(len(levels)), names, rotation=35, ha="right", rotation_mode="anchor")
+    ax.tick_params(axis="x", labelsize=7)
+
+
+def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
+    """Every observation with its cell's rank, best cell first; at most ``most`` cells."""
+    order = cells(data, facts.name)
+    if facts.response.better == "higher":
+        order = order.iloc[::-1].reset_index(drop=True)
+    factors = list(data.factors)
+    known = data.table.dropna(subset=[facts.name]).copy()
+    known["cell"] = known[factors].astype(str).agg(":".join, axis=1)
+    rank = {cell: place for place, cell in enumerate(order["cell"][:most])}
+    means = dict(zip(order["cell"], order["mean"], strict=True))
+    known = known[known["cell"].isin(list(rank))]
+    known = known.assign(
+        rank=known["cell"].map(rank), cell_mean=known["cell"].map(means), value=known[facts.name]
+    )
+    columns = [*factors, *(["block"] if "block" in known else []), "value", "cell_mean", "rank"]
+    return known.sort_values(["rank"], kind="stable")[columns].reset_index(drop=True)
+
+
+def draw_cells(
+    frame: pd.DataFrame, facts: Facts, factors: Sequence[str], practical: float
+) -> Canvas:
+    """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
+    count = int(frame["rank"].max()) + 1
+    figure = canvas(WIDTH_IN, 0.8 + 0.2 * count)
+    ax = figure.subplots()
+    best = float(frame["cell_mean"].iloc[0])
+    if facts.response.better and practical > 0:
+        sign = -1 if facts.response.better == "higher" else 1
+        ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
+        ax.text(best + sign * practical / 2, 1.0, "as good as the best",
+                transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=7.5,
+                color=MUTED)
+    if "block" in frame and frame["block"].nunique() <= 40:
+        for _, group in frame.groupby("block", sort=False):
+            ax.plot(group["value"], group["rank"], color=MUTED, alpha=0.28, linewidth=0.5)
+    ax.plot(frame["value"], frame["rank"], "o", color="#56B4E9", markersize=3, alpha=0.8,
+            markeredgewidth=0)
+    means = frame.drop_duplicates("rank")
+    ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
+    for row in means.itertuples():
+        ax.annotate(significant(float(row.cell_mean)), (1.0, float(row.rank)), fontsize=7.5,
+                    xycoords=ax.get_yaxis_transform(), xytext=(4, 0), va="center",
+                    textcoords="offset points", annotation_clip=False)
+    names = [
+        " \N{MIDDLE DOT} ".join(clean(value, 28) for value in row)
+        for row in means[list(factors)].to_numpy()
+    ]
+    ax.set_yticks(means["rank"], names, fontsize=7.5)
+    ax.set_ylim(count - 0.4, -0.8)
+    plain_ticks(ax, "x")
+    ax.set_xlabel(axis_label(facts))
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    _clean_left(ax)
+    return figure
+
+
+def _clean_left(ax: Axes) -> None:
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+
+
+def plain_ticks(ax: Axes, axis: str) -> None:
+    """Few ticks, the same decimals on each, no offset and no exponent."""
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+    target = ax.xaxis if axis == "x" else ax.yaxis
+    formatter = ScalarFormatter(useOffset=False, useMathText=False)
+    formatter.set_scientific(False)
+    target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    target.set_major_formatter(formatter)

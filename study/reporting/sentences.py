@@ -1,0 +1,351 @@
+"""Every sentence of a report, made from numbers.
+
+Each function takes facts and returns finished plain text (never markup: the templates
+escape it). Wording rules: p never decides alone; a test is "not rejected", data are never
+called "normal"; units always; ratios for log responses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from study.reporting.data import Failure, ReportData
+from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts
+from study.reporting.text import (
+    MISSING,
+    clean,
+    count,
+    interval,
+    listing,
+    name_of,
+    p_phrase,
+    percent,
+    quantity,
+    ratio,
+    sentence,
+    significant,
+    term_name,
+)
+
+Labels = Mapping[str, str] | None
+
+_SOURCES = {
+    "E0": "independent replicates in the cells",
+    "E1": "measured replicates as blocks",
+    "E2": "measurement noise, by bootstrap through the fit",
+    "E3": "mesh-seed replicates",
+    "E4": "numerical uncertainty",
+    "E5": "pooled high-order interactions (an assumption)",
+    "E6": "Lenth's pseudo standard error",
+    "E7": "none",
+}
+
+
+def size(effect: Effect, facts: Facts) -> str:
+    """Largest difference of an effect with its unit, or as a ratio."""
+    if effect.ratio:
+        return ratio(effect.difference)
+    return quantity(effect.difference, facts.difference_unit)
+
+
+def size_interval(effect: Effect, facts: Facts) -> str:
+    """Simultaneous 95 % interval of the largest difference."""
+    return interval(effect.low, effect.high, "" if effect.ratio else facts.difference_unit)
+
+
+def practical(effect: Effect, facts: Facts) -> str:
+    """The smallest difference that matters, in the terms of the effect."""
+    if effect.ratio:
+        return ratio(effect.practical)
+    return quantity(effect.practical, facts.difference_unit)
+
+
+def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """One sentence: what a factor does to a response, and how sure that is.
+
+    The verdict itself comes from the analysis; this says it with its numbers.
+    """
+    name = term_name(effect.term, labels)
+    if effect.difference is None:
+        return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
+    numbers = f"{size(effect, facts)} (95 % interval {size_interval(effect, facts)})"
+    if effect.low is None:
+        numbers = f"{size(effect, facts)}"
+    if effect.verdict == MATTERS:
+        return _matters(effect, facts, name, numbers)
+    if effect.verdict == NO_DIFFERENCE:
+        return sentence(
+            f"{name} makes no practical difference to the {facts.title}: at most {numbers}, "
+            f"within the {practical(effect, facts)} that matters"
+        )
+    limit = practical(effect, facts)
+    against = "" if limit == MISSING else f" against the {limit} that matters"
+    return sentence(
+        f"whether {name} matters for the {facts.title} cannot be told: {numbers}{against}"
+    )
+
+
+def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
+    if not effect.is_main or effect.pair is None:
+        return sentence(f"{name} matters for the {facts.title}: {numbers}")
+    low, high = clean(effect.lowest), clean(effect.highest)
+    verb = f"{high} gives {size(effect, facts)} " + (
+        f"the {facts.title} of {low}" if effect.ratio else f"more {facts.title} than {low}"
+    )
+    limits = f" (95 % interval {size_interval(effect, facts)})" if effect.low is not None else ""
+    return sentence(f"{name} matters: {verb}{limits}")
+
+
+def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
+    """Three sentences that answer the study's question: what matters, what does not, so what."""
+    if not any(facts.terms for facts in found):
+        return ("No response could be analyzed; the reasons stand below.",)
+    return (
+        " ".join(_which(data, facts) for facts in found if facts.terms),
+        _one_not_other(data, found),
+        best_cell(data, found),
+    )
+
+
+def _which(data: ReportData, facts: Facts) -> str:
+    named: dict[str, list[Effect]] = {MATTERS: [], NO_DIFFERENCE: [], CANNOT_TELL: []}
+    for effect in sorted(facts.effects, key=_magnitude, reverse=True):
+        named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
+    parts = []
+    if named[MATTERS]:
+        parts.append(
+            listing([f"{_label(e, data)} ({_to_reader(e, facts)})" for e in named[MATTERS]])
+            + (" matters" if len(named[MATTERS]) == 1 else " matter")
+        )
+    if named[NO_DIFFERENCE]:
+        names = listing([_label(e, data) for e in named[NO_DIFFERENCE]])
+        parts.append(f"{names} make{'s' * (len(named[NO_DIFFERENCE]) == 1)} no practical difference")
+    if named[CANNOT_TELL]:
+        names = listing([_label(e, data) for e in named[CANNOT_TELL]])
+        parts.append(f"for {names} these data cannot tell")
+    return sentence(f"for the {facts.title}, " + "; ".join(parts))
+
+
+def _label(effect: Effect, data: ReportData) -> str:
+    return term_name(effect.term, data.labels)
+
+
+def _to_reader(effect: Effect, facts: Facts) -> str:
+    return size(effect, facts) if effect.ratio else f"{size(effect, facts)} between extremes"
+
+
+def _magnitude(effect: Effect) -> float:
+    if effect.difference is None or not effect.practical:
+        return 0.0
+    if effect.ratio:
+        return abs(effect.difference - 1) / max(abs(effect.practical - 1), 1e-12)
+    return abs(effect.difference) / effect.practical
+
+
+def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
+    """Say where a factor is immaterial for one response and material for another."""
+    by_factor: dict[str, dict[str, Effect]] = {}
+    for facts in found:
+        for effect in facts.effects:
+            by_factor.setdefault(effect.term, {})[facts.name] = effect
+    titles = {facts.name: facts for facts in found}
+    for term, effects in by_factor.items():
+        yes = [n for n, e in effects.items() if e.verdict == MATTERS]
+        no = [n for n, e in effects.items() if e.verdict != MATTERS]
+        if yes and no:
+            changed = titles[yes[0]]
+            return sentence(
+                f"{name_of(term, data.labels)} is a choice that "
+                f"{_cannot_be_seen(effects[no[0]])} the {titles[no[0]].title}, yet it changes the "
+                f"{changed.title} by {change(effects[yes[0]], changed)}"
+            )
+    return _interactions(data, found)
+
+
+def _cannot_be_seen(effect: Effect) -> str:
+    if effect.verdict == NO_DIFFERENCE:
+        return "makes no practical difference to"
+    return "cannot be told from"
+
+
+def change(effect: Effect, facts: Facts) -> str:
+    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
+    if effect.ratio and effect.difference is not None:
+        return f"{percent(effect.difference - 1)} (ratio {significant(effect.difference)})"
+    return size(effect, facts)
+
+
+def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
+    strong = [
+        (facts, effect)
+        for facts in found
+        for effect in facts.interactions
+        if effect.verdict == MATTERS
+    ]
+    if not strong:
+        return "No interaction was found to matter: each factor may be chosen on its own."
+    facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
+    return sentence(
+        f"the factors do not act alone: {term_name(effect.term, data.labels)} matters for the "
+        f"{facts.title} ({size(effect, facts)})"
+    )
+
+
+def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
+    """Name the best cell of the first response that has a better end, and the tie around it."""
+    from study.reporting.facts import cells
+    from study.reporting.front import practical_of
+
+    for facts in found:
+        if facts.response.better not in ("lower", "higher"):
+            continue
+        frame = cells(data, facts.name)
+        if frame.empty:
+            continue
+        if facts.response.better == "higher":
+            frame = frame.iloc[::-1].reset_index(drop=True)
+        mean = float(frame["mean"].iloc[0])
+        levels = listing([clean(v) for v in frame.loc[0, list(data.factors)]], "and")
+        limit = practical_of(facts, frame)
+        near = int(((frame["mean"] - mean).abs() <= limit).sum()) - 1
+        tie = (
+            f"; {count(near, 'other cell')} {'lies' if near == 1 else 'lie'} within "
+            f"{quantity(limit, facts.difference_unit)} of it, so cost may decide"
+            if near
+            else "; no other cell comes within the difference that matters"
+        )
+        word = "lowest" if facts.response.better == "lower" else "highest"
+        return sentence(
+            f"the {word} {facts.title} is {quantity(mean, facts.unit)}, with {levels}{tie}"
+        )
+    return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def would_change(data: ReportData, found: Sequence[Facts]) -> str:
+    """Say what would change the answer."""
+    doubts = [
+        term_name(effect.term, data.labels)
+        for facts in found
+        for effect in facts.effects
+        if effect.verdict == CANNOT_TELL
+    ]
+    parts = []
+    if doubts:
+        unit = clean(data.block) if data.block else "replicate"
+        parts.append(
+            f"more {unit}s would narrow the interval"
+            f"{'s' if len(set(doubts)) > 1 else ''} of {listing(list(dict.fromkeys(doubts)))}"
+        )
+    if data.assumed:
+        names = listing([name_of(key, data.labels) for key in data.assumed])
+        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
+    if data.failures:
+        parts.append(f"{count(len(data.failures), 'failed case')} may hide an effect")
+    if data.virtual:
+        parts.append("real measurements would, since these were generated")
+    if not parts:
+        parts.append(
+            "a different smallest difference that matters, or measurements of another material"
+        )
+    return sentence("; ".join(parts))
+
+
+def error_term(facts: Facts, data: ReportData) -> str:
+    """Say where the error of the table comes from and what its p answers."""
+    if not facts.source:
+        return "No error term: the response was not analyzed."
+    what = _SOURCES.get(facts.source, facts.source)
+    text = sentence(f"error term {facts.source}, {what}")
+    if facts.question:
+        text += f" p answers: {facts.question.rstrip('.')}{'' if facts.question[-1] == '?' else '.'}"
+    if facts.reason:
+        text += " " + sentence(facts.reason)
+    if data.virtual:
+        text += (
+            " The measurements are virtual, so p describes the scatter of their generator; the "
+            "verdicts rest on the effects against what matters and on the numerical uncertainty."
+        )
+    return text
+
+
+def distinct(facts: Facts, data: ReportData) -> str:
+    """Say how many computations were really different."""
+    total = 1
+    for levels in data.factors.values():
+        total *= len(levels)
+    if facts.distinct is None or facts.distinct >= total:
+        return ""
+    return (
+        f"Of {count(total, 'cell')} only {facts.distinct} are distinct computations: the others "
+        "agree in every block. Tests of the residuals use one of each group."
+    )
+
+
+def normality(facts: Facts) -> str:
+    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
+    found = facts.normality
+    if not found or found.get("rj") is None:
+        reason = (found or {}).get("reason") or "no residuals to test"
+        return sentence(f"Ryan-Joiner: not applicable, {reason}")
+    exact, printed = found.get("p_exact"), str(found.get("p_minitab"))
+    rejected = exact < 0.05 if exact is not None else _printed_below(printed)
+    parts = [f"RJ = {found['rj']:.4f}", f"n = {found.get('n')}"]
+    if exact is not None:
+        parts.append(f"simulated {p_phrase(exact)}")
+    parts.append("Minitab's table p " + (printed if printed[0] in "<>" else f"= {printed}"))
+    decision = "rejected" if rejected else "not rejected"
+    return f"Ryan-Joiner: normality of the residuals is {decision} at 5 % ({', '.join(parts)})."
+
+
+def _printed_below(printed: str) -> bool:
+    return printed.startswith("<") or (not printed.startswith(">") and float(printed) < 0.05)
+
+
+def spread(test: str, found: Mapping[str, Any] | None) -> str:
+    """Bartlett or Levene in one sentence."""
+    title = test.capitalize()
+    if not found or found.get("statistic") is None:
+        reason = (found or {}).get("reason") or "it was not run"
+        return sentence(f"{title}: not applicable, {reason}")
+    monte = found.get("p_monte_carlo")
+    p = monte if monte is not None else found.get("p")
+    decision = "rejected" if p is not None and p < 0.05 else "not rejected"
+    rough = ", approximate" if found.get("approximate") else ""
+    df = found.get("df")
+    shown = ", ".join(f"{part:g}" for part in df) if isinstance(df, list | tuple) else f"{df:g}"
+    return (
+        f"{title}: equal spread is {decision} at 5 % "
+        f"(statistic {significant(found['statistic'])}, df {shown}, {p_phrase(p)}{rough})."
+    )
+
+
+def sphericity(facts: Facts, labels: Labels = None) -> str:
+    """Say how far the correlations between cells are from what an uncorrected F assumes."""
+    known = {
+        term: item["epsilon_gg"]
+        for term, item in facts.sphericity.items()
+        if item and item.get("epsilon_gg") is not None and item.get("df") != 0
+    }
+    if not known:
+        return ""
+    term = min(known, key=lambda t: float(known[t]))
+    return (
+        f"Sphericity: the smallest Greenhouse-Geisser epsilon is {known[term]:.2f} "
+        f"({term_name(term, labels)}); every p is corrected by its own epsilon, which decides."
+    )
+
+
+def failures(items: Sequence[Failure], total: int) -> str:
+    """Failures in one sentence; none is said plainly."""
+    if not items:
+        return f"None: {'the case' if total == 1 else f'all {total:,} cases'} gave a response."
+    kinds: dict[str, int] = {}
+    for item in items:
+        kinds[item.status] = kinds.get(item.status, 0) + 1
+    named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
+    share = percent(len(items) / total) if total else MISSING
+    return (
+        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}. They are not missing "
+        "at random, so effects of the factors they share are uncertain beyond their intervals."
+    )

@@ -1,0 +1,150 @@
+"""How figures look: one palette, one set of type sizes, deterministic SVG."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
+
+INK = "#1b1f24"
+MUTED = "#6a737d"
+RULE = "#d5d9de"
+BAND = "#eef1f4"
+# Okabe & Ito 2008, without the yellow, which cannot be seen on white.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+WIDTH_IN = 9.6
+
+_RC: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "text.usetex": False,
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+}
+_SVG = "http://www.w3.org/2000/svg"
+_XLINK = "http://www.w3.org/1999/xlink"
+
+
+def color_of(index: int) -> str:
+    """Color of the level or series with this index."""
+    return PALETTE[index % len(PALETTE)]
+
+
+def canvas(width_in: float, height_in: float) -> Canvas:
+    """Return an empty figure that lays itself out and belongs to no global state."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
+    """Draw and return an inline ``<svg>`` element, the same bytes for the same data.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a finished figure; runs inside the style.
+    name : str
+        Prefix of every id in the drawing, so that many fit into one page.
+    title : str
+        Accessible name.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    with mpl.rc_context({**_RC, "svg.hashsalt": name}):
+        figure = draw()
+        buffer = io.StringIO()
+        FigureCanvasSVG(figure).print_svg(
+            buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
+    return _inline(buffer.getvalue(), name, title)
+
+
+def _inline(text: str, name: str, title: str) -> str:
+    """Strip the prologue, prefix ids, let the page choose the font, name the drawing."""
+    ElementTree.register_namespace("", _SVG)
+    ElementTree.register_namespace("xlink", _XLINK)
+    root = ElementTree.fromstring(text[text.index("<svg") :])
+    for metadata in root.findall(f"{{{_SVG}}}metadata"):
+        root.remove(metadata)
+    for definitions in root.iter(f"{{{_SVG}}}defs"):
+        # its `*` selector would style the whole page; style.css says the same for svg alone
+        for rule in definitions.findall(f"{{{_SVG}}}style"):
+            definitions.remove(rule)
+    for element in root.iter():
+        _prefix_ids(element, name)
+    for dimension in ("width", "height"):
+        root.attrib.pop(dimension, None)
+    root.attrib.update({"role": "img", "aria-label": title})
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _prefix_ids(element: ElementTree.Element, name: str) -> None:
+    for key, value in list(element.attrib.items()):
+        if key == "id":
+            # ids that nothing refers to only make the page longer
+            if element.tag.endswith("}g"):
+                del element.attrib[key]
+            else:
+                element.attrib[key] = f"{name}-{value}"
+        elif key == f"{{{_XLINK}}}href":
+            del element.attrib[key]
+            element.attrib["href"] = f"#{name}-{value.removeprefix('#')}"
+        elif "url(#" in value:
+            element.attrib[key] = value.replace("url(#", f"url(#{name}-")
+        elif key == "transform" and value.startswith("rotate(-0 "):
+            del element.attrib[key]
+        elif key == "style" and element.tag.endswith("}text"):
+            element.attrib[key] = _plain_font(value)
+
+
+def _plain_font(style: str) -> str:
+    """Drop the font family, so that the page's own is inherited; keep size and weight."""
+    kept = []
+    for part in style.split(";"):
+        key, _, value = part.strip().partition(":")
+        if key == "font":
+            size = re.search(r"([\d.]+)px", value)
+            weight = re.match(r"\s*(bold|\d00)\b", value)
+            kept += [f"font-size: {size.group(1)}px"] if size else []
+            kept += [f"font-weight: {weight.group(1)}"] if weight else []
+        elif key and key != "font-family":
+            kept.append(f"{key}: {value.strip()}")
+    return "; ".join(kept)

@@ -1,0 +1,195 @@
+"""Numbers and names as a reader wants them: three digits, units, p without a leading zero."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+MISSING = "\N{EN DASH}"
+THIN = "\N{NO-BREAK SPACE}"
+
+_NAMES = {
+    "relative_rms_force_error": "relative RMS force error",
+    "rms_force_error": "RMS force error",
+    "peak_force_error": "peak force error",
+    "work_error": "work error",
+    "mu0": "initial shear modulus",
+    "seconds": "computing time",
+}
+# Characters that no XML document may hold, and those that reverse the reading direction.
+_UNSAFE = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff\u202a-\u202e\u2066-\u2069]"
+)
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Three significant digits, never an exponent for the sizes met in a laboratory.
+
+    Examples
+    --------
+    >>> significant(0.0123456), significant(12345.6), significant(2.0), significant(None)
+    ('0.0123', '12,300', '2.00', '\N{EN DASH}')
+    """
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if exponent < -4 or exponent > 6:
+        mantissa = f"{rounded / 10.0**exponent:.{digits - 1}f}"
+        return f"{mantissa}e{exponent}".replace("-", MINUS)
+    return f"{rounded:,.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+
+
+def p_value(p: float | None) -> str:
+    """A p-value: three decimals, no leading zero, bounds at the ends.
+
+    Examples
+    --------
+    >>> p_value(0.0321), p_value(0.0004), p_value(0.9999), p_value(None)
+    ('.032', '< .001', '> .999', '\N{EN DASH}')
+    """
+    if p is None or not math.isfinite(p):
+        return MISSING
+    if p < 0.0005:
+        return "< .001"
+    if p >= 0.9995:
+        return "> .999"
+    return f"{p:.3f}"[1:]
+
+
+def p_phrase(p: float | None) -> str:
+    """``p = .032`` or ``p < .001`` for a sentence."""
+    text = p_value(p)
+    if text == MISSING:
+        return "no p"
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"
+
+
+def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """A number with its unit, kept together by a space that does not break."""
+    number = significant(value, digits)
+    if number == MISSING or unit in ("", "1"):
+        return number
+    return f"{number}{THIN}{unit}"
+
+
+def percent(fraction: float | None, digits: int = 3) -> str:
+    """A fraction as a percentage; below a tenth of a percent only said to be so."""
+    if fraction is not None and 0 < abs(fraction) < 0.0005:
+        return f"< 0.1{THIN}%" if fraction > 0 else f"{MINUS}< 0.1{THIN}%"
+    if fraction is not None and abs(fraction) >= 0.9995:
+        return quantity(100 * fraction, "%", max(digits, 3))
+    return quantity(None if fraction is None else 100 * fraction, "%", digits)
+
+
+def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
+    """A confidence interval, both ends with the decimals of the larger one."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    largest = max(abs(low), abs(high))
+    if largest == 0 or not 1e-3 <= largest < 1e5:
+        return f"{significant(low, digits)} to {quantity(high, unit, digits)}"
+    # log10 of the value as it will be printed: 9.999 is 10.0
+    exponent = math.floor(math.log10(float(f"{largest:.{digits - 1}e}")))
+    decimals = max(digits - 1 - exponent, 0)
+    ends = [_fixed(end, decimals) for end in (low, high)]
+    return f"{ends[0]} to {ends[1]}" + (f"{THIN}{unit}" if unit else "")
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{value:,.{decimals}f}"
+    if float(text.replace(",", "")) == 0:
+        text = text.lstrip("-")
+    return text.replace("-", MINUS)
+
+
+def ratio(value: float | None) -> str:
+    """A ratio: ``x 1.34`` with a proper sign."""
+    text = significant(value)
+    return text if text == MISSING else f"{TIMES}{THIN}{text}"
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds in the unit a person would use.
+
+    Examples
+    --------
+    >>> [duration(s).replace(THIN, " ") for s in (0.02, 5.1, 90, 5400)]
+    ['20 ms', '5.1 s', '1.5 min', '1.5 h']
+    """
+    if seconds is None or not math.isfinite(seconds):
+        return MISSING
+    for limit, size, unit in ((1, 1e-3, "ms"), (60, 1, "s"), (3600, 60, "min")):
+        if seconds < limit:
+            return f"{seconds / size:.2g}{THIN}{unit}".replace("e+01", "0")
+    return f"{seconds / 3600:.3g}{THIN}h"
+
+
+def count(number: int, noun: str, plural: str = "") -> str:
+    """A counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def clean(text: object, longest: int = 0) -> str:
+    """User text without control and direction characters, shortened where asked.
+
+    A character that XML forbids becomes the replacement character, so nothing vanishes.
+    """
+    shown = _UNSAFE.sub("\ufffd", str(text))
+    if longest and len(shown) > longest:
+        return shown[: longest - 1] + "\N{HORIZONTAL ELLIPSIS}"
+    return shown
+
+
+def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
+    """Readable name of a factor or a response.
+
+    Examples
+    --------
+    >>> name_of("model.element_order"), name_of("mu0"), name_of("plates")
+    ('element order', 'initial shear modulus', 'plates')
+    """
+    if labels and key in labels:
+        return clean(labels[key])
+    if key in _NAMES:
+        return _NAMES[key]
+    return clean(key.rsplit(".", 1)[-1].replace("_", " ") or key)
+
+
+def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
+    """Readable name of an ANOVA term, interactions with a multiplication sign."""
+    if term == "residual":
+        return "residual"
+    return f" {TIMES} ".join(name_of(part, labels) for part in term.split(":"))
+
+
+def cell_name(levels: Mapping[str, str]) -> str:
+    """A cell as its levels, separated by dots."""
+    return " \N{MIDDLE DOT} ".join(clean(level) for level in levels.values())
+
+
+def listing(items: Sequence[str], word: str = "and") -> str:
+    """Items as in a sentence.
+
+    Examples
+    --------
+    >>> listing(["a"]), listing(["a", "b"]), listing(["a", "b", "c"])
+    ('a', 'a and b', 'a, b and c')
+    """
+    if len(items) < 2:
+        return "".join(items)
+    return f"{', '.join(items[:-1])} {word} {items[-1]}"
+
+
+def sentence(text: str) -> str:
+    """Text with a capital first letter and a full stop."""
+    text = text.strip()
+    if not text:
+        return ""
+    closed = text if text[-1] in ".?!:" else text + "."
+    return closed[0].upper() + closed[1:]
