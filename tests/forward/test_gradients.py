@@ -1,0 +1,60 @@
+"""Gradients of the force: Taylor tests (V41) and tangent stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.forward.problem import Cylinder
+from study.forward.solve import solve
+from study.material import Material
+from tests.forward.problems import compression
+
+MATERIALS = [
+    Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.4995),
+    Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0),
+    Material("reduced-polynomial", {"C10": 5e-3, "C20": -4e-4, "C30": 2e-4}, poisson_ratio=0.49),
+]
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda m: "-".join(m.names))
+def test_taylor(material: Material, space: str) -> None:
+    """|F(p + h dp) - F(p) - h g.dp| falls with slope 2 in h; V41 allows 1.9 to 2.1."""
+    problem = compression(
+        Cylinder(25, 30), 3, material=material, steps=3, mesh="coarse", space=space,
+        element_order="linear" if space == "3d" else "quadratic",
+    )  # fmt: skip
+    base = solve(problem)
+    direction = np.array([0.3, -0.2, 0.1])[: len(material.names)] * material.values[0]
+    errors = []
+    for h in (0.2, 0.1, 0.05, 0.025):
+        moved = replace(problem, material=material.with_constants(material.values + h * direction))
+        force = solve(moved, gradients=False, warm=base).curve.force_N
+        slope = sum(
+            base.curve.force_gradient[n] * d for n, d in zip(material.names, direction, strict=True)
+        )
+        errors.append(np.abs(force - base.curve.force_N - h * slope).max())
+    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
+
+
+def test_warm_start_changes_nothing() -> None:
+    problem = compression(Cylinder(25, 30), 3, material=MATERIALS[0], steps=3, mesh="coarse")
+    base = solve(problem)
+    other = replace(problem, material=MATERIALS[0].with_constants([3.6e-3, 1.5e-3]))
+    cold, warm = solve(other), solve(other, warm=base)
+    np.testing.assert_allclose(warm.curve.force_N, cold.curve.force_N, rtol=1e-9)
+    assert sum(warm.newton_iterations) < sum(cold.newton_iterations)
+
+
+def test_stiffness_is_the_slope_of_the_curve() -> None:
+    problem = compression(Cylinder(25, 30), 0.6, material=MATERIALS[1], steps=12, mesh="coarse")
+    curve = solve(problem).curve
+    d, f, k = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm
+    assert k is not None
+    central = (f[:-4] - 8 * f[1:-3] + 8 * f[3:-1] - f[4:]) / (12 * (d[1] - d[0]))
+    # fourth-order differences on steps of 0.2 % strain
+    np.testing.assert_allclose(k[2:-2], central, rtol=1e-6)
