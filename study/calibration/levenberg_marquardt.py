@@ -17,15 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from study.calibration.damped import Linearization, bounded_step
-from study.calibration.status import EvaluationFailed, Status
-from study.errors import Fault, InputError
+from study.calibration.evaluation import Function, checked_bounds, evaluate
+from study.calibration.status import Status
 
 Array = NDArray[np.float64]
-Function = Callable[[Array], tuple[Array, Array]]
 
 EPS = float(np.finfo(float).eps)
 #: first trust-region radius as a multiple of the start's scaled length
 FIRST_RADIUS = 1.0
+#: cosine below which a point where no step helps is a minimum with a singular Jacobian
+STATIONARY = 1e-6
+#: growth of a parameter over its start that counts as running to infinity
+FAR = 1e8
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ class _State:
     jacobian: Array
     scale: Array
     reach: Array
+    peak: Array
     radius: float
     rank: int = 0
     damping: float = 0.0
@@ -114,7 +118,7 @@ def levenberg_marquardt(
     *,
     bounds: Sequence[tuple[float, float]] | None = None,
     max_evaluations: int = 1000,
-    ftol: float = 1e-13,
+    ftol: float = 1e-12,
     xtol: float = 1e-12,
     gtol: float = 1e-10,
     callback: Callback | None = None,
@@ -125,8 +129,9 @@ def levenberg_marquardt(
     Parameters
     ----------
     function : callable
-        ``x (p,) -> (residual (n,), jacobian (n, p))``; raises :class:`EvaluationFailed`, or
-        returns numbers that are not finite, where the model has no answer: a rejected step.
+        ``x (p,) -> (residual (n,), jacobian (n, p))``; raises
+        :class:`study.calibration.EvaluationFailed`, or returns numbers that are not finite,
+        where the model has no answer: a rejected step.
     start : array_like, shape (p,)
         Start values, inside the bounds.
     bounds : sequence of (low, high), optional
@@ -155,8 +160,8 @@ def levenberg_marquardt(
         If the start is not finite or lies outside the bounds.
     """
     first = np.array(start if resume is None else resume.x, dtype=float)
-    low, high = _bounds(first, bounds)
-    evaluated = _evaluate(function, first)
+    low, high = checked_bounds(first, bounds)
+    evaluated = evaluate(function, first)
     if evaluated is None:
         empty = np.zeros((0, first.size))
         none = np.zeros(first.size, bool)
@@ -245,7 +250,7 @@ def _advance(
         length = float(np.linalg.norm(state.scale * step))
         if np.all(np.abs(trial - state.x) <= 2 * EPS * np.abs(state.x)):
             return _no_step(state, linear, held, answered, ftol)
-        evaluated = _evaluate(function, trial)
+        evaluated = evaluate(function, trial)
         state.evaluations += 1
         answered = answered or evaluated is not None
         gain = _gain(state, step, evaluated)
@@ -266,8 +271,17 @@ def _no_step(
     # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
     if linear.offset**2 <= ftol:
         return Status.converged_cost
+    if _steepest(state, held) <= STATIONARY:
+        return Status.converged_gradient
     near = linear.full_length <= 1e-9 * _size(state, held)
     return Status.converged_step if near else Status.no_decrease
+
+
+def _steepest(state: _State, held: NDArray[np.bool_]) -> float:
+    """Largest cosine between the residual and a column of the Jacobian."""
+    norms = np.linalg.norm(state.jacobian, axis=0) * float(np.linalg.norm(state.residual))
+    slopes = np.abs(state.jacobian.T @ state.residual)
+    return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
 
 
 def _size(state: _State, held: NDArray[np.bool_]) -> float:
@@ -285,8 +299,6 @@ def _converged(
         return Status.converged_gradient
     if linear.full_length <= xtol * _size(state, held):
         return Status.converged_step
-    if len(state.history) > 1 and state.cost <= 1e-30 * state.history[0].cost:
-        return Status.converged_zero
     return None
 
 
@@ -294,9 +306,12 @@ def _trusted(
     status: Status, state: _State, linear: Linearization, held: NDArray[np.bool_]
 ) -> Status:
     """No success where a parameter, or a combination, lost the influence it once had."""
+    first = np.abs(state.history[0].x)
+    if status is Status.no_decrease and np.any((np.abs(state.x) > FAR * first) & (first > 0)):
+        return Status.running_away
     norms = np.linalg.norm(state.jacobian, axis=0)
     length = float(np.linalg.norm(state.residual))
-    lost = (norms * state.reach <= 1e-8 * length) & (state.scale > norms) & ~held
+    lost = (norms * state.reach <= 1e-8 * length) & (state.peak > norms) & ~held
     singular = linear.rank + int(held.sum()) < state.rank
     doubtful = status.converged and status is not Status.converged_zero
     return Status.no_influence if doubtful and (singular or np.any(lost)) else status
@@ -316,7 +331,8 @@ def _gain(state: _State, step: Array, evaluated: tuple[Array, Array] | None) -> 
 
 def _accept(state: _State, x: Array, residual: Array, jacobian: Array) -> None:
     state.x, state.residual, state.jacobian = x, residual, jacobian
-    state.scale = np.maximum(state.scale, np.linalg.norm(jacobian, axis=0))
+    norms = np.linalg.norm(jacobian, axis=0)
+    state.scale, state.peak = np.maximum(state.scale, norms), np.maximum(state.peak, norms)
     state.reach = np.maximum(state.reach, np.abs(x))
 
 
@@ -331,10 +347,10 @@ def _first_state(x: Array, residual: Array, jacobian: Array, resume: Iteration |
     norms = np.linalg.norm(jacobian, axis=0)
     if resume is not None:
         scale = np.maximum(resume.scale, norms)
-        return _State(x, residual, jacobian, scale, np.abs(x), resume.radius)
+        return _State(x, residual, jacobian, scale, np.abs(x), scale, resume.radius)
     scale = np.where(norms > 0, norms, 1.0)
     length = float(np.linalg.norm(scale * x))
-    return _State(x, residual, jacobian, scale, np.abs(x), FIRST_RADIUS * (length or 1.0))
+    return _State(x, residual, jacobian, scale, np.abs(x), norms, FIRST_RADIUS * (length or 1.0))
 
 
 def _snapshot(state: _State, offset: float) -> Iteration:
@@ -348,39 +364,3 @@ def _snapshot(state: _State, offset: float) -> Iteration:
         offset,
         state.scale.copy(),
     )
-
-
-def _evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
-    """Residual and Jacobian, or None where the model has no finite answer."""
-    try:
-        with np.errstate(all="ignore"):  # a far trial point may overflow: that is a rejection
-            residual, jacobian = function(x.copy())
-    except (EvaluationFailed, OverflowError, ZeroDivisionError):
-        return None
-    residual = np.asarray(residual, float).ravel()
-    jacobian = np.asarray(jacobian, float).reshape(residual.size, x.size)
-    finite = np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))
-    # beyond 1e150 the squares overflow
-    big = max(np.max(np.abs(residual), initial=0), np.max(np.abs(jacobian), initial=0)) > 1e150
-    return (residual, jacobian) if finite and not big else None
-
-
-def _bounds(start: Array, bounds: Sequence[tuple[float, float]] | None) -> tuple[Array, Array]:
-    if start.ndim != 1 or start.size == 0 or not np.all(np.isfinite(start)):
-        raise InputError(Fault("start", f"must be finite numbers in a row, got {start}"))
-    pairs = np.array([(-np.inf, np.inf)] * start.size if bounds is None else bounds, float)
-    if pairs.shape != (start.size, 2) or np.any(pairs[:, 0] >= pairs[:, 1]):
-        raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
-    outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
-    if outside.size:
-        raise InputError(
-            [
-                Fault(
-                    f"start[{i}]",
-                    f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}",
-                    "start inside them or widen them",
-                )
-                for i in outside
-            ]
-        )
-    return pairs[:, 0].copy(), pairs[:, 1].copy()

@@ -19,6 +19,7 @@ class Status(Enum):
     max_evaluations = "the evaluations allowed were used up before a minimum was reached"
     no_decrease = "no step lowers the sum of squares although its gradient is not zero"
     no_influence = "a parameter lost all influence on the model: this is no minimum to trust"
+    running_away = "a parameter runs to infinity: no minimum lies within reach"
     start_failed = "the model has no answer at the start values"
     too_many_failures = "the model had no answer in the whole neighborhood of the best point"
     stopped = "stopped by the caller"

@@ -1,0 +1,333 @@
+"""Fit of material constants to measured curves, with what it knows and what it cannot know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from study.calibration.evaluation import Function
+from study.calibration.levenberg_marquardt import Iteration, LMResult, levenberg_marquardt
+from study.calibration.status import EvaluationFailed, Status
+from study.calibration.uncertainty import Uncertainty, identifiability, uncertainty
+from study.curve import Curve
+from study.errors import Fault, InputError
+
+Array = NDArray[np.float64]
+Predict = Callable[[Array], Sequence[Curve]]
+Progress = Callable[[Iteration], bool | None]
+
+
+@dataclass(frozen=True)
+class MeasuredCurve:
+    """One measured curve of a fit.
+
+    Parameters
+    ----------
+    label : str
+        How reports and errors call it.
+    curve : Curve
+        Displacement and force.
+    weight : float or ndarray, shape (n,)
+        Factor on the residual, for instance one over the scatter; zero leaves a point out.
+    role : str
+        ``fit``, or ``held-out``: predicted and scored, never fitted.
+    """
+
+    label: str
+    curve: Curve
+    weight: float | Array = 1.0
+    role: Literal["fit", "held-out"] = "fit"
+
+    @property
+    def weights(self) -> Array:
+        """Weight of every point, shape (n,)."""
+        return np.broadcast_to(np.asarray(self.weight, float), (len(self.curve),))
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Constants and everything that says how far to trust them.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Names of the constants.
+    values, standard_error : ndarray, shape (p,)
+        MPa (exponents plain); an error that is not available is NaN.
+    ci95 : ndarray, shape (p, 2)
+        Student-t intervals.
+    covariance, correlation : ndarray, shape (p, p)
+        The error variance is estimated from the residuals, so only the ratios of weights
+        matter (a common factor changes nothing).
+    condition : float
+        cond(J diag(theta)).
+    rss : float
+        Weighted sum of squared residuals.
+    r_squared, aicc : float
+        Of the fitted points; AICc counts the error variance as one parameter more and is
+        infinite where there are too few points for it.
+    n : int
+        Fitted points (weight above zero).
+    identifiable : bool
+        Verdict of :func:`study.calibration.uncertainty.identifiability`.
+    reason : str
+        Why not, or a caution; may be empty.
+    status : Status
+        How the optimizer ended; only ``converged_*`` is a success.
+    evaluations : int
+        Calls of the model.
+    residuals : ndarray, shape (n,)
+        Weighted, of all fitted curves one after the other.
+    curves : tuple of Curve
+        Prediction of every measured curve at the fitted constants.
+    history : tuple of Iteration
+        Accepted points of the search.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    standard_error: Array
+    ci95: Array
+    covariance: Array
+    correlation: Array
+    condition: float
+    rss: float
+    r_squared: float
+    aicc: float
+    n: int
+    identifiable: bool
+    reason: str
+    status: Status
+    evaluations: int
+    residuals: Array
+    curves: tuple[Curve, ...]
+    history: tuple[Iteration, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether a minimum was reached."""
+        return self.status.converged
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Residual variance rss / (n - p), near 1 where weights are one over the true scatter."""
+        return self.rss / dof if (dof := self.n - len(self.names)) > 0 else math.nan
+
+    def constants(self) -> dict[str, float]:
+        """Name -> value."""
+        return dict(zip(self.names, self.values.tolist(), strict=True))
+
+
+def fit(
+    predict: Predict,
+    measured: Sequence[MeasuredCurve],
+    names: Sequence[str],
+    start: ArrayLike,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    max_evaluations: int = 200,
+    ftol: float = 1e-12,
+    xtol: float = 1e-12,
+    gtol: float = 1e-10,
+    callback: Progress | None = None,
+) -> Fit:
+    """Fit constants to the measured curves whose role is ``fit``.
+
+    Parameters
+    ----------
+    predict : callable
+        Constants (p,) -> one :class:`Curve` for every measured curve, in order, each with
+        ``force_gradient`` for every name; raises :class:`EvaluationFailed` where the model
+        has no answer.
+    measured : sequence of MeasuredCurve
+        What was measured.
+    names : sequence of str
+        Names of the constants.
+    start : array_like, shape (p,)
+        Start values.
+    bounds : sequence of (low, high), optional
+        One pair for every constant.
+    max_evaluations, ftol, xtol, gtol
+        As for :func:`study.calibration.levenberg_marquardt`.
+    callback : callable, optional
+        Gets every accepted iteration; returning True stops the fit.
+
+    Returns
+    -------
+    Fit
+        Also where the search failed: see its status.
+
+    Raises
+    ------
+    InputError
+        If the data cannot answer: too few points, a constant curve, a force that does not
+        resist, a number that is not finite; all at once.
+    """
+    _check(measured, names, start)
+    model = _Model(predict, measured, tuple(names))
+    result = levenberg_marquardt(
+        model, start, bounds=bounds, max_evaluations=max_evaluations,
+        ftol=ftol, xtol=xtol, gtol=gtol, callback=model.watch(callback),
+    )  # fmt: skip
+    return _report(result, model)
+
+
+def residual_function(
+    predict: Predict, measured: Sequence[MeasuredCurve], names: Sequence[str]
+) -> Function:
+    """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them."""
+    return _Model(predict, measured, tuple(names))
+
+
+class _Model:
+    """Residual of a fit; remembers the curves of accepted points so that none is solved twice."""
+
+    def __init__(
+        self, predict: Predict, measured: Sequence[MeasuredCurve], names: tuple[str, ...]
+    ) -> None:
+        self.predict, self.measured, self.names = predict, tuple(measured), names
+        self.known: dict[bytes, tuple[Curve, ...]] = {}
+
+    def __call__(self, values: Array) -> tuple[Array, Array]:
+        curves = tuple(self.predict(values))
+        if len(curves) != len(self.measured):
+            raise ValueError(f"predict gave {len(curves)} curves for {len(self.measured)} measured")
+        self.known[values.tobytes()] = curves
+        pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
+        residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
+        return np.concatenate(residuals), np.concatenate(rows)
+
+    def _one(self, measured: MeasuredCurve, predicted: Curve) -> tuple[Array, Array]:
+        used = measured.weights > 0
+        d, weight = measured.curve.displacement_mm[used], measured.weights[used]
+        try:
+            force = predicted.force_at(d)
+        except ValueError as error:  # the solution stopped before the end of the test
+            raise EvaluationFailed(str(error)) from error
+        slopes = [predicted.gradient_at(name, d) for name in self.names]
+        return weight * (force - measured.curve.force_N[used]), weight[:, None] * np.array(slopes).T
+
+    def watch(self, callback: Progress | None) -> Progress:
+        def accepted(iteration: Iteration) -> bool | None:
+            key = iteration.x.tobytes()
+            self.known = {k: v for k, v in self.known.items() if k == key}
+            return callback(iteration) if callback else None
+
+        return accepted
+
+    def measured_forces(self) -> tuple[Array, Array]:
+        """Force and weight of every fitted point."""
+        fitted = [m for m in self.measured if m.role == "fit"]
+        used = [m.weights > 0 for m in fitted]
+        force = [m.curve.force_N[u] for m, u in zip(fitted, used, strict=True)]
+        weight = [m.weights[u] for m, u in zip(fitted, used, strict=True)]
+        return np.concatenate(force), np.concatenate(weight)
+
+
+def _report(result: LMResult, model: _Model) -> Fit:
+    force, weight = model.measured_forces()
+    rss = 2 * result.cost
+    known = _known(result)
+    identifiable, reason = identifiability(model.names, result.x, known)
+    if not result.converged:
+        identifiable, reason = False, result.status.sentence
+    elif np.any(result.at_bound):
+        held = [n for n, b in zip(model.names, result.at_bound, strict=True) if b]
+        identifiable, reason = False, f"{', '.join(held)} ended at a bound"
+    mean = float(weight**2 @ force / (weight @ weight))
+    total = float(np.sum((weight * (force - mean)) ** 2))
+    return Fit(
+        model.names,
+        result.x,
+        known.standard_error,
+        known.ci95,
+        known.covariance,
+        known.correlation,
+        known.condition,
+        rss,
+        1 - rss / total if total > 0 else math.nan,
+        aicc(rss, force.size, result.x.size),
+        force.size,
+        identifiable,
+        reason,
+        result.status,
+        result.evaluations,
+        result.residual,
+        model.known.get(result.x.tobytes(), ()),
+        result.history,
+    )
+
+
+def _known(result: LMResult) -> Uncertainty:
+    """Uncertainty at the result; nothing is known about a fit that did not converge."""
+    p = result.x.size
+    known = uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound)
+    if result.converged:
+        return known
+    none = np.full((p, p), np.nan)
+    return replace(known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1))
+
+
+def aicc(rss: float, n: int, parameters: int) -> float:
+    """Small-sample Akaike criterion of a least-squares fit (Hurvich and Tsai 1989).
+
+    The error variance counts as a parameter. Infinite where ``n`` is too small for it.
+
+    Examples
+    --------
+    >>> round(aicc(2.0, 20, 3), 4)
+    -35.385
+    """
+    k = parameters + 1
+    if n - k - 1 <= 0 or not math.isfinite(rss):
+        return math.inf
+    return n * math.log(max(rss, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / (n - k - 1)
+
+
+def _check(measured: Sequence[MeasuredCurve], names: Sequence[str], start: ArrayLike) -> None:
+    faults = [fault for m in measured for fault in _curve_faults(m)]
+    size, points = np.size(start), 0
+    if size != len(names):
+        faults.append(Fault("start", f"{size} values for {len(names)} constants"))
+    fitted = [m for m in measured if m.role == "fit"]
+    if not fitted:
+        faults.append(Fault("tests", "none has the role 'fit'"))
+    elif not faults:
+        points = sum(int(np.count_nonzero(m.weights > 0)) for m in fitted)
+        if points < len(names):
+            rule = f"{points} points cannot determine {len(names)} constants ({', '.join(names)})"
+            faults.append(Fault("measurements", rule, "give more points or a simpler energy"))
+    if faults:
+        raise InputError(faults)
+
+
+def _curve_faults(measured: MeasuredCurve) -> list[Fault]:
+    d, force = measured.curve.displacement_mm, measured.curve.force_N
+    where = f"curve {measured.label!r}"
+    if d.size == 0 or d.shape != force.shape:
+        return [Fault(where, f"has {d.size} displacements and {force.size} forces")]
+    if not (np.all(np.isfinite(d)) and np.all(np.isfinite(force))):
+        return [Fault(where, "holds numbers that are not finite")]
+    try:
+        weights = measured.weights
+    except ValueError:
+        return [Fault(where, f"has {np.size(measured.weight)} weights for {d.size} points")]
+    if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
+        return [Fault(where, "weights must be finite and not negative")]
+    if measured.role == "fit" and d.size > 1:
+        return _force_faults(where, d, force)
+    return []
+
+
+def _force_faults(where: str, d: Array, force: Array) -> list[Fault]:
+    if np.ptp(force) <= 1e-9 * np.abs(force).max():
+        return [Fault(where, f"is constant ({force[0]:g} N everywhere): no stiffness to fit")]
+    if float((d - d.mean()) @ (force - force.mean())) <= 0:
+        mend = "a force that resists is positive: see `sign` of the measurements"
+        return [Fault(where, "the force falls as the displacement grows", mend)]
+    return []
