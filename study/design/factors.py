@@ -12,6 +12,7 @@ from study.design.reader import (
     MAX_NAME,
     Bad,
     Faults,
+    Read,
     Section,
     name,
     quoted,
@@ -174,8 +175,10 @@ def _slot(key: str) -> str:
     return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
-def read_exclusions(value: Any, factors: Sequence[Factor], faults: Faults) -> tuple[Exclusion, ...]:
-    """Read every ``[[exclude]]``."""
+def read_exclusions(
+    value: Any, factors: Sequence[Factor], declared: Sequence[str], faults: Faults
+) -> tuple[Exclusion, ...]:
+    """Read every ``[[exclude]]``; ``declared`` has the factors that are faulty, too."""
     if value is None:
         return ()
     if not isinstance(value, list) or len(value) > MAX_CELLS:
@@ -184,12 +187,16 @@ def read_exclusions(value: Any, factors: Sequence[Factor], faults: Faults) -> tu
     return tuple(
         exclusion
         for i, table in enumerate(value)
-        if (exclusion := _exclusion(table, f"exclude[{i}]", factors, faults))
+        if (exclusion := _exclusion(table, f"exclude[{i}]", factors, declared, faults))
     )
 
 
 def _exclusion(
-    table: Any, where: str, factors: Sequence[Factor], faults: Faults
+    table: Any,
+    where: str,
+    factors: Sequence[Factor],
+    declared: Sequence[str],
+    faults: Faults,
 ) -> Exclusion | None:
     before = len(faults)
     section = Section(table, where, faults)
@@ -205,13 +212,14 @@ def _exclusion(
         section.fault("when", "is empty: it would leave out every cell")
     by_name = {factor.name: factor for factor in factors}
     labels = {
-        key: inner.take(key, lambda raw, key=key: _chosen(raw, by_name[key]))
-        for key in inner.table
-        if key in by_name
+        key: inner.take(key, _choosing(by_name[key])) for key in inner.table if key in by_name
     }
-    inner.known += list(by_name)
-    inner.finish()
+    inner.finish(declared)
     return Exclusion(labels, why) if len(faults) == before else None
+
+
+def _choosing(factor: Factor) -> Read:
+    return lambda raw: _chosen(raw, factor)
 
 
 def _chosen(raw: Any, factor: Factor) -> tuple[str, ...]:

@@ -1,0 +1,159 @@
+"""What a design can and cannot tell, before anything runs: the data of ``study plan``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any
+
+from study.design.cases import calibration_key, case_id, excluded, physical_key, treatments
+from study.design.physics import is_homogeneous, plausibility
+from study.design.spec import Design, Treatment
+
+Groups = tuple[tuple[Treatment, ...], ...]
+Key = Callable[[Treatment], Hashable]
+
+
+def _grouped(cells: Sequence[Treatment], key: Key) -> Groups:
+    groups: dict[Hashable, list[Treatment]] = {}
+    for cell in cells:
+        groups.setdefault(key(cell), []).append(cell)
+    return tuple(tuple(group) for group in groups.values())
+
+
+def equivalent_groups(design: Design) -> Groups:
+    """Cells that must agree physically, grouped: one group is one distinct computation.
+
+    In compression with both faces frictionless the deformation is the same everywhere, so
+    that space, order, mesh and element shape cannot matter: those cells are controls.
+    """
+    return _grouped(treatments(design), physical_key)
+
+
+def duplicates(design: Design) -> Groups:
+    """Groups of two or more cells with different labels and the same content."""
+    groups = _grouped(treatments(design), lambda cell: case_id(cell.config))
+    return tuple(group for group in groups if len(group) > 1)
+
+
+def calibration_groups(design: Design) -> Groups:
+    """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
+    cells = [cell for cell in treatments(design) if calibration_key(cell) is not None]
+    return _grouped(cells, calibration_key)
+
+
+def calibration_factors(design: Design) -> tuple[str, ...]:
+    """Names of the factors that enter the calibration problem of some cell."""
+    cells = treatments(design)
+    return tuple(f.name for f in design.factors if _separated(cells, f.name, calibration_key))
+
+
+def _others(cell: Treatment, factor: str) -> Hashable:
+    return tuple(label for name, label in cell.levels.items() if name != factor)
+
+
+def _slices(cells: Sequence[Treatment], factor: str) -> Groups:
+    """Cells that differ in one factor only, together."""
+    return _grouped(cells, lambda cell: _others(cell, factor))
+
+
+def _separated(cells: Sequence[Treatment], factor: str, key: Key) -> int:
+    """Count the cells in whose slice the factor changes the key."""
+    slices = _slices(cells, factor)
+    return sum(len(group) for group in slices if len({key(cell) for cell in group}) > 1)
+
+
+def inert_cells(design: Design, factor: str) -> int:
+    """Count the cells in which a factor cannot change a force: its controls."""
+    cells = treatments(design)
+    return len(cells) - _separated(cells, factor, physical_key)
+
+
+def describe(design: Design) -> dict[str, Any]:
+    """Describe a design in plain values: matrix, exclusions, groups, what each factor can tell.
+
+    Returns
+    -------
+    dict
+        ``study``, ``question``, ``cells``, ``distinct``, ``calibrations`` (numbers);
+        ``factors``: ``name``, ``levels``, ``calibrates``, ``inert_cells``, ``note``;
+        ``matrix``: ``label``, ``levels``, ``group``, ``calibration``, ``homogeneous`` of each
+        cell; ``excluded``: ``label``, ``why``; ``duplicates``: lists of labels;
+        ``warnings``: sentences.
+    """
+    cells, groups = treatments(design), equivalent_groups(design)
+    fitted = calibration_groups(design)
+    return {
+        "study": design.name,
+        "question": design.question,
+        "cells": len(cells),
+        "distinct": len(groups),
+        "calibrations": len(fitted),
+        "factors": [_factor(design, cells, i) for i in range(len(design.factors))],
+        "matrix": _matrix(cells, groups, fitted),
+        "excluded": [{"label": cell.label, "why": why} for cell, why in excluded(design)],
+        "duplicates": [[cell.label for cell in group] for group in duplicates(design)],
+        "warnings": list(warnings(design)),
+    }
+
+
+def _factor(design: Design, cells: Sequence[Treatment], index: int) -> dict[str, Any]:
+    factor = design.factors[index]
+    calibrates = _separated(cells, factor.name, calibration_key) > 0
+    inert = len(cells) - _separated(cells, factor.name, physical_key)
+    return {
+        "name": factor.name,
+        "levels": list(factor.labels),
+        "calibrates": calibrates,
+        "inert_cells": inert,
+        "note": _note(calibrates, inert, len(cells), design.calibration.method != "none"),
+    }
+
+
+def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
+    if inert == total:
+        return "cannot change any force: every cell is a control"
+    parts = []
+    if fitted:
+        parts.append("changes the fit and the force" if calibrates else "does not enter the fit")
+    if inert:
+        parts.append(f"cannot matter in {inert} of {total} cells, which are controls")
+    return "; ".join(parts)
+
+
+def _matrix(cells: Sequence[Treatment], groups: Groups, fitted: Groups) -> list[dict[str, Any]]:
+    group = {cell.label: i for i, members in enumerate(groups, 1) for cell in members}
+    fit = {cell.label: i for i, members in enumerate(fitted, 1) for cell in members}
+    return [
+        {
+            "label": cell.label,
+            "levels": dict(cell.levels),
+            "group": group[cell.label],
+            "calibration": fit.get(cell.label),
+            "homogeneous": is_homogeneous(cell.config),
+        }
+        for cell in cells
+    ]
+
+
+def warnings(design: Design) -> tuple[str, ...]:
+    """Sentences about what is allowed and probably not meant."""
+    found: dict[str, None] = {}
+    for cell in treatments(design):
+        found.update(dict.fromkeys(plausibility(cell.config)))
+        spec = cell.config["measurements"]
+        if spec is not None and spec.fit is not None and spec.fit == spec.score:
+            found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
+    for group in duplicates(design):
+        labels = " = ".join(cell.label for cell in group)
+        found[f"cells with the same content are one computation, no replicates: {labels}"] = None
+    unused = set(_preset_sets(design)) - {factor.name for factor in design.factors}
+    for name in sorted(unused):
+        found[f"the preset set {name!r} is no factor and is not used"] = None
+    if design.converge.ratio < 1.3:
+        found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
+    return tuple(found)
+
+
+def _preset_sets(design: Design) -> Sequence[str]:
+    presets = design.config.get("presets")
+    return list(presets) if isinstance(presets, dict) else []

@@ -1,0 +1,310 @@
+"""Load and validate the three kinds of files: problem, design, calibration.
+
+Every fault of a file is reported at once, with its key, the rule, the nearest valid name
+and how to mend it; a file without faults gives frozen values.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from study.design import document, settings
+from study.design.check import check_cells
+from study.design.factors import Presets, read_exclusions, read_factors, read_presets
+from study.design.measured import read_measurements_table
+from study.design.reader import Bad, Faults, Section, choice, number, shown
+from study.design.resolve import calibration_spec, resolve_problem
+from study.design.sections import CONSTANT
+from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec
+from study.errors import Fault, InputError
+
+SCHEMA = 1
+_COMMON = ("schema", "study", "specimen", "test", "material", "model", "converge", "report")
+TABLES: Mapping[str, tuple[str, ...]] = {
+    "problem": (*_COMMON, "uncertainty"),
+    "design": (
+        *_COMMON,
+        *("presets", "factors", "exclude", "measurements", "calibration", "response"),
+        *("analysis", "uncertainty"),
+    ),
+    "calibration": ("schema", "study", "specimen", "material", "model", "tests"),
+}
+MAX_TESTS = 1000
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
+    """Load a design.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    return loads(document.read_text(path), str(path), overrides)
+
+
+def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
+    """Load a design from a text, or from the bytes of a file; see :func:`load`."""
+    text = document.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    with _Reading(source, tables, "design") as faults:
+        return _design(tables, faults, source, text)
+
+
+def dump(design: Design) -> str:
+    """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
+    return document.dump_toml(design.config)
+
+
+def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """Load a problem for one forward simulation.
+
+    Returns
+    -------
+    dict
+        ``specimen``, ``test``, ``material``, ``model`` in internal units, and ``converge``.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    return loads_problem(document.read_text(path), str(path), overrides)
+
+
+def loads_problem(
+    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
+) -> Config:
+    """Load a problem from a text; see :func:`load_problem`."""
+    text = document.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    with _Reading(source, tables, "problem") as faults:
+        settings.read_study(tables.get("study"), faults, default_name(source))
+        settings.read_uncertainty(tables.get("uncertainty"), faults)
+        settings.read_report(tables.get("report"), faults)
+        converge = settings.read_converge(tables.get("converge"), faults)
+        config = resolve_problem(tables, faults, converge.ratio)
+        del config["measurements"]
+        material = config["material"]
+        if material["model"] and not material["constants"] and not _about(faults, "material"):
+            faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
+    return {**config, "converge": converge}
+
+
+def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """Load a calibration.
+
+    Returns
+    -------
+    dict
+        ``specimen``, ``model``, ``material`` and ``tests``: a list of ``role``, ``test``,
+        ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    return loads_calibration(document.read_text(path), str(path), overrides)
+
+
+def loads_calibration(
+    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
+) -> Config:
+    """Load a calibration from a text; see :func:`load_calibration`."""
+    text = document.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    with _Reading(source, tables, "calibration") as faults:
+        settings.read_study(tables.get("study"), faults, default_name(source))
+        tests = _tests(tables, faults)
+    first: Config = tests[0]
+    return {**{k: first[k] for k in ("specimen", "model", "material")}, "tests": tests}
+
+
+def file_kind(path: str | Path) -> str:
+    """Kind of a file: ``"design"``, ``"calibration"`` or ``"problem"``.
+
+    Raises
+    ------
+    InputError
+        If it is no TOML.
+    """
+    return _kind(document.parse_toml(document.read_text(path), str(path)))
+
+
+def default_name(source: str) -> str:
+    """Name of a study that has none: that of its file.
+
+    Examples
+    --------
+    >>> default_name("designs/My study.toml")
+    'My-study'
+    """
+    stem = Path(source).stem if "\0" not in source else ""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
+
+
+def _kind(tables: Mapping[str, Any]) -> str:
+    if "factors" in tables or "response" in tables:
+        return "design"
+    return "calibration" if "tests" in tables else "problem"
+
+
+class _Reading:
+    """Collects the faults of one file and raises them together, each with the file's name."""
+
+    def __init__(self, source: str, tables: Mapping[str, Any], kind: str) -> None:
+        self.source, self.faults = source, Faults()
+        actual = _kind(tables)
+        if actual != kind and (actual != "problem" or kind == "calibration"):
+            rule = f"is a {actual}, not a {kind}"
+            raise InputError(Fault(source, rule, _VERBS[actual]))
+        section = Section(tables, "", self.faults)
+        section.take("schema", _schema, mend=f"write schema = {SCHEMA} on the first line")
+        section.finish(TABLES[kind])
+
+    def __enter__(self) -> Faults:
+        return self.faults
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self.faults and kind is None:
+            raise InputError(
+                [Fault(f"{self.source}: {f.where}", f.rule, f.mend) for f in self.faults]
+            )
+
+
+_VERBS = {
+    "design": "use `study plan` and `study run` with it",
+    "problem": "use `study solve` with it, or give it [factors]",
+    "calibration": "use `study calibrate` with it",
+}
+
+
+def _schema(value: Any) -> int:
+    if value != SCHEMA or isinstance(value, bool):
+        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
+    return SCHEMA
+
+
+def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
+    """Tables of a text with dotted keys joined and the overrides laid over."""
+    tables = _joined(document.parse_toml(text, source), source)
+    for override in overrides:
+        path, value = document.parse_override(override)
+        if path[0] in ("factors", "uncertainty"):
+            path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
+        _check_override(tables, path)
+        document.set_value(tables, path, value)
+    return _joined(tables, source)
+
+
+def _joined(tables: dict[str, Any], source: str) -> dict[str, Any]:
+    """Join the dotted keys that TOML nests: ``[factors]``, ``[uncertainty]``, ``when``."""
+    try:
+        for key in ("factors", "uncertainty"):
+            if isinstance(tables.get(key), dict):
+                tables[key] = document.flatten(tables[key])
+        excluded = tables.get("exclude")
+        for row in excluded if isinstance(excluded, list) else ():
+            if isinstance(row, dict) and isinstance(row.get("when"), dict):
+                row["when"] = document.flatten(row["when"])
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(Fault(f"{source}: {fault.where}", fault.rule, fault.mend)) from error
+    return tables
+
+
+def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
+    """Refuse an override that a factor's levels would hide again."""
+    key = ".".join(path)
+    factors = tables.get("factors")
+    if isinstance(factors, dict) and key in factors:
+        rule = "is a factor: its levels would hide this value"
+        mend = f"change the levels: -s 'factors.{key}=[...]'"
+        raise InputError(Fault(f"-s {key}", rule, mend))
+
+
+def _about(faults: Faults, table: str) -> bool:
+    return any(f.where == table or f.where.startswith(f"{table}.") for f in faults)
+
+
+def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> Design:
+    study = settings.read_study(tables.get("study"), faults, default_name(source))
+    if isinstance(tables.setdefault("study", {}), dict):
+        tables["study"].setdefault("name", study["name"])
+    presets: Presets = read_presets(tables.get("presets"), faults)
+    factors = read_factors(tables.get("factors"), presets, faults)
+    declared = list(tables["factors"]) if isinstance(tables.get("factors"), dict) else []
+    design = Design(
+        **study,
+        config=tables,
+        factors=factors,
+        exclusions=read_exclusions(tables.get("exclude"), factors, declared, faults),
+        responses=settings.read_responses(tables.get("response"), faults),
+        measurements=_base_measurements(tables),
+        calibration=_base_calibration(tables),
+        analysis=settings.read_analysis(tables.get("analysis"), faults, declared),
+        converge=settings.read_converge(tables.get("converge"), faults),
+        uncertainty=settings.read_uncertainty(tables.get("uncertainty"), faults),
+        report=settings.read_report(tables.get("report"), faults),
+        source=source,
+        text=text,
+    )
+    if factors:
+        check_cells(design, presets, faults)
+    return design
+
+
+def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:
+    """Table ``[measurements]`` as written, before the levels of a cell are laid over it."""
+    if "measurements" not in tables:
+        return None
+    return read_measurements_table(tables["measurements"], Faults())
+
+
+def _base_calibration(tables: Mapping[str, Any]) -> CalibrationSpec:
+    """Table ``[calibration]`` as written; its faults are reported by the cells."""
+    material = tables.get("material")
+    given = [k for k in material if CONSTANT.fullmatch(k)] if isinstance(material, dict) else []
+    return calibration_spec(tables.get("calibration"), {"constants": given}, Faults())
+
+
+def _tests(tables: Mapping[str, Any], faults: Faults) -> list[Config]:
+    rows = tables.get("tests")
+    if not isinstance(rows, list) or not rows or len(rows) > MAX_TESTS:
+        faults.add("tests", f"must be 1 to {MAX_TESTS} tables", "write [[tests]]")
+        return []
+    found = [_test(tables, row, f"tests[{i}]", faults) for i, row in enumerate(rows)]
+    if not any(test["role"] == "fit" for test in found) and not faults:
+        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
+    return found
+
+
+def _test(tables: Mapping[str, Any], row: Any, where: str, faults: Faults) -> Config:
+    section = Section(row, where, faults)
+    role = section.take("role", choice("fit", "held-out"), "fit")
+    weight = section.take("weight", _weight, "equal")
+    for key in ("test", "measurements"):
+        section.take(key, lambda value: value, mend=f"write {key} = {{ ... }}")
+    section.finish(("specimen", "model"))
+    own = ("test", "measurements", "specimen", "model")
+    given = {key: section.table[key] for key in own if key in section}
+    places = {key: f"{where}.{key}" for key in given}
+    config = resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+    return {"role": role, "weight": weight, **config}
+
+
+def _weight(value: Any) -> str | float:
+    if isinstance(value, str):
+        return str(choice("scatter", "equal")(value))
+    return float(number(0, 1e12)(value))
