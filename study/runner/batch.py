@@ -1,0 +1,277 @@
+"""Many cases: what is missing is computed in parallel, and every result is written at once.
+
+The parent owns the store; workers only compute. Whatever happens to a worker or to the
+parent, finished results stay, and running again does the rest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.record import Record, Store
+from study.runner import fits
+from study.runner.costs import Costs
+from study.runner.execute import blank
+from study.runner.expand import CaseJob, FitJob, Work, for_workers
+from study.runner.pool import WORKER_COMMAND, Outcome, Task, run_tasks
+
+#: a fit with one of these results is worth keeping: the same input gives it again
+_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+#: what may go better next time: memory and time depend on the machine
+RETRIED = ("crashed", "timeout", "out-of-memory")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run after each finished computation; what a progress line shows."""
+
+    done: int
+    total: int
+    failed: int
+    seconds: float
+    seconds_left: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did.
+
+    Parameters
+    ----------
+    computed, failed : int
+        Cases computed now, and those of them without an answer.
+    already : int
+        Cases that were done before.
+    fits : int
+        Calibrations made now.
+    seconds : float
+        Wall time.
+    compute_seconds : mapping of str to float
+        Worker seconds spent on ``"fits"`` and ``"cases"``.
+    """
+
+    computed: int
+    failed: int
+    already: int
+    fits: int
+    seconds: float
+    compute_seconds: Mapping[str, float]
+
+
+def default_jobs() -> int:
+    """One worker for each core that this process may use."""
+    with contextlib.suppress(AttributeError):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1
+
+
+def run_batch(
+    work: Work,
+    store: Store,
+    *,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+    command: Sequence[str] = WORKER_COMMAND,
+) -> Summary:
+    """Compute every case of ``work`` that the store does not hold yet.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        Number of workers; by default one a core. Results do not depend on it.
+    progress : callable, optional
+        Called after every finished computation.
+    timeout_s : float, optional
+        Wall-clock limit of one computation in seconds.
+
+    Raises
+    ------
+    StoreError
+        If another runner holds the store, or it cannot be written.
+    KeyboardInterrupt
+        On Ctrl-C or SIGTERM; what is finished is stored.
+    """
+    with store.lock(), _terminate_is_interrupt():
+        todo = missing(work, store)
+        run = _Batch(work, store, todo, progress or (lambda _: None))
+        return run.execute(jobs or default_jobs(), timeout_s, command)
+
+
+def missing(work: Work, store: Store) -> list[CaseJob]:
+    """Cases without a usable record of this very input."""
+    done = store.done_ids(work.input_hashes, RETRIED)
+    return [job for job in work.jobs if job.case.case_id not in done]
+
+
+def needed_fits(work: Work, todo: Sequence[CaseJob]) -> list[FitJob]:
+    """Fits that the cases need, with the fits that start them, starts first."""
+    found: dict[str, FitJob] = {}
+
+    def add(key: str) -> None:
+        job = work.fits[key]
+        if job.start is not None:
+            add(job.start)
+        found.setdefault(key, job)
+
+    for case in todo:
+        for key in case.needs:
+            add(key)
+    starts = {job.start for job in found.values()}
+    return sorted(found.values(), key=lambda job: job.key not in starts)
+
+
+class _Batch:
+    def __init__(
+        self,
+        work: Work,
+        store: Store,
+        todo: Sequence[CaseJob],
+        progress: Callable[[Progress], None],
+    ) -> None:
+        self.work, self.store, self.progress = work, store, progress
+        self.cases = {f"case-{job.case.case_id}": job for job in todo}
+        self.fits: dict[str, FitJob] = {}
+        self.known: dict[str, dict[str, Any]] = {}
+        for job in needed_fits(work, todo):
+            stored = store.read_fit(job.key)
+            if stored is None:
+                self.fits[job.key] = job
+            else:
+                self.known[job.key] = stored
+        self.failed = 0
+        self.spent = {"fits": 0.0, "cases": 0.0}
+
+    def execute(self, jobs: int, timeout_s: float | None, command: Sequence[str]) -> Summary:
+        began = time.monotonic()
+        tasks, costs = self._tasks(), Costs()
+        prices = {task.key: self._price(costs, task.key) for task in tasks}
+        left, spent_price = sum(prices.values()), 0.0
+        outcomes = run_tasks(
+            tasks, jobs=jobs, finished=self.known, timeout_s=timeout_s, command=command
+        )
+        with contextlib.closing(outcomes):
+            for count, outcome in enumerate(outcomes, 1):
+                self._keep(outcome)
+                spent_price += prices[outcome.key]
+                left -= prices[outcome.key]
+                seconds = time.monotonic() - began
+                remaining = seconds * left / spent_price if spent_price else 0.0
+                label = self._label(outcome.key)
+                state = Progress(count, len(tasks), self.failed, seconds, remaining, label)
+                self.progress(state)
+        already = len(self.work.jobs) - len(self.cases)
+        seconds = time.monotonic() - began
+        return Summary(
+            len(self.cases), self.failed, already, len(self.fits), seconds, dict(self.spent)
+        )
+
+    def _tasks(self) -> list[Task]:
+        """Cases first: each is scored as soon as its fits are there."""
+        tasks = [
+            Task(key, _case_payload(self.work, job), needs=job.needs)
+            for key, job in self.cases.items()
+        ]
+        tasks += [
+            Task(job.key, _fit_payload(job), needs=(job.start,) if job.start else ())
+            for job in self.fits.values()
+        ]
+        return tasks
+
+    def _price(self, costs: Costs, key: str) -> float:
+        if key in self.fits:
+            return costs.fit_seconds(self.fits[key].problem)
+        return costs.case_seconds(self.cases[key])
+
+    def _label(self, key: str) -> str:
+        if key in self.fits:
+            return f"calibration of {self.fits[key].label}"
+        return self.cases[key].case.label
+
+    def _keep(self, outcome: Outcome) -> None:
+        if outcome.key in self.fits:
+            self.spent["fits"] += outcome.seconds
+            if outcome.result.get("status") in _KEPT:
+                self.store.write_fit(outcome.key, outcome.result)
+            return
+        self.spent["cases"] += outcome.seconds
+        record = self._record(outcome)
+        self.failed += not record.converged
+        self.store.write(record)
+
+    def _record(self, outcome: Outcome) -> Record:
+        text = outcome.result.get("record")
+        if text is not None:
+            return Record.from_json(text, f"worker, {self._label(outcome.key)}")
+        task = _case_frame(self.work, self.cases[outcome.key])
+        found = outcome.result.get("traceback")
+        return blank(
+            task,
+            outcome.result["status"],
+            outcome.result.get("message", ""),
+            timings={"total": outcome.seconds},
+            extra={"traceback": found} if found else None,
+        )
+
+
+def _fit_payload(job: FitJob) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
+    def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+        start = None if job.start is None else results[job.start]
+        return fits.payload(job.problem, job.measured, start)
+
+    return make
+
+
+def _case_frame(work: Work, job: CaseJob) -> dict[str, Any]:
+    """Everything of a record that is known before the case is computed."""
+    return {
+        "case_id": job.case.case_id,
+        "study": work.design.name,
+        "levels": dict(job.case.levels),
+        "block": job.case.block,
+        "responses": dict(work.responses),
+        "input_hash": job.input_hash,
+        "extra": dict(job.extra),
+    }
+
+
+def _case_payload(
+    work: Work, job: CaseJob
+) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
+    def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+        directions = [
+            d.payload(None if d.fit_key is None else results[d.fit_key]) for d in job.directions
+        ]
+        return {
+            "kind": "case",
+            **_case_frame(work, job),
+            "config": for_workers(job.case.config),
+            "directions": directions,
+        }
+
+    return make
+
+
+@contextlib.contextmanager
+def _terminate_is_interrupt() -> Iterator[None]:
+    """SIGTERM stops a run as Ctrl-C does; only the main thread may listen to signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,82 @@
+"""Predicted seconds of a run, before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from study.curve import Curve
+from study.errors import InputError
+from study.runner import build
+from study.runner.expand import CaseJob, FitJob
+from study.runner.fits import FitProblem
+from study.runner.identity import digest
+
+#: what any computation takes besides solving: hashing, scoring, writing
+_OVERHEAD_S = 0.02
+#: forward solutions of a fit in units of a cold one; the later ones start from the one before
+_SOLVES_LINEAR, _SOLVES_FIRST, _SOLVES_PER_CONSTANT = 1.5, 2.0, 0.7
+
+
+class Costs:
+    """Cost of computations; each distinct forward problem is estimated once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, float] = {}
+
+    def fit_seconds(self, problem: FitProblem) -> float:
+        """Seconds of one calibration."""
+        if problem.method != "inverse-fem":
+            return _OVERHEAD_S
+        names = build.calibrated_names(problem.config["material"])
+        solves = (
+            _SOLVES_LINEAR
+            if len(names) == 1 and names[0] in ("C10", "youngs_modulus")
+            else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
+        )
+        return _OVERHEAD_S + solves * self.solve_seconds(problem.config)
+
+    def case_seconds(self, job: CaseJob) -> float:
+        """Seconds of one case without its fits."""
+        from study.runner.fits import fit_problem
+
+        config = job.case.config
+        problem = fit_problem(config)
+        shared = problem.method == "inverse-fem" and problem.shares_scored_problem
+        asked = (config.get("calibration") or {}).get("method") or "auto"
+        if shared or (asked == "analytic" and build.is_homogeneous(config)):
+            return _OVERHEAD_S
+        depth = max(_depth(d.measured) for d in job.directions)
+        return _OVERHEAD_S + len(job.directions) * self.solve_seconds(config, depth)
+
+    def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
+        """Wall time on a number of workers."""
+        work = sum(self.fit_seconds(f.problem) for f in fits)
+        work += sum(self.case_seconds(c) for c in cases)
+        return work / jobs
+
+    def solve_seconds(self, config: Mapping[str, Any], depth_mm: float | None = None) -> float:
+        """Seconds of one forward solution."""
+        parts = {k: config.get(k) for k in ("specimen", "test", "model")}
+        key = digest([parts])
+        if key not in self._known:
+            self._known[key] = _estimated(config, depth_mm)
+        return self._known[key]
+
+
+def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> float:
+    from study.forward.estimate import estimate
+
+    section = {**config["material"], "constants": None, "model": "neo-hookean"}
+    height = build.height_mm(config["specimen"]) or 1.0
+    if config["test"].get("displacement_mm") is None:
+        depth_mm = depth_mm or 0.2 * height
+    try:
+        problem = build.problem({**config, "material": section}, {"C10": 0.005}, depth_mm)
+        return float(estimate(problem).seconds)
+    except (InputError, ValueError, RuntimeError):
+        return 1.0  # an estimate must never stop a plan; the case itself will say what is wrong
+
+
+def _depth(curve: Curve) -> float:
+    return float(curve.displacement_mm.max())

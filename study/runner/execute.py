@@ -1,0 +1,262 @@
+"""One case: constants, prediction, score -> Record. Expected failure is a status, never raised."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from study.curve import Curve
+from study.errors import InputError
+from study.record import STATUSES, Record
+from study.runner import build, closed_form, fits, scoring
+from study.runner.identity import versions
+
+Config = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One way of fitting and scoring; with ``swap`` there are two, each other's reverse.
+
+    Parameters
+    ----------
+    label : str
+        Which of the block's curves is scored, for example ``"B"``.
+    fit_label : str
+        Which gave the constants.
+    measured : Curve
+        The scored curve.
+    fit_key : str or None
+        Name of the fit that gives the constants; None where they are given.
+    role : str
+        ``"score"``, or ``"fit"`` where the scored curve is the fitted one.
+    scatter_N : list of float or None
+        Standard deviation of the averaged repeats at each point.
+    """
+
+    label: str
+    measured: Curve
+    fit_key: str | None
+    role: str = "score"
+    fit_label: str = ""
+    scatter_N: Sequence[float] | None = None
+
+    def payload(self, fit: Mapping[str, Any] | None) -> dict[str, Any]:
+        """Plain values for the worker."""
+        return {
+            "label": self.label,
+            "fit_label": self.fit_label,
+            "role": self.role,
+            "measured": self.measured.as_dict(),
+            "scatter_N": None if self.scatter_N is None else list(self.scatter_N),
+            "fit_key": self.fit_key,
+            "fit": None if fit is None else dict(fit),
+        }
+
+
+@dataclass
+class _Prediction:
+    curve: Curve
+    seconds: float = 0.0
+    mesh: dict[str, Any] = field(default_factory=dict)
+    solver: dict[str, Any] = field(default_factory=dict)
+
+
+class _Stopped(Exception):
+    """A part of the case has no answer; carries the status of the record."""
+
+    def __init__(self, status: str, message: str) -> None:
+        super().__init__(message)
+        self.status = status if status in STATUSES else "failed"
+
+
+def perform(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Execute one case; the result holds the sealed text of its record."""
+    began = time.perf_counter()
+    try:
+        record = _executed(task)
+    except _Stopped as stop:
+        seconds = {"total": time.perf_counter() - began}
+        record = blank(task, stop.status, str(stop), timings=seconds)
+    except InputError as error:
+        record = blank(task, "failed", str(error))
+    return {"status": record.status, "message": record.message, "record": record.to_json()}
+
+
+def blank(
+    task: Mapping[str, Any],
+    status: str,
+    message: str,
+    *,
+    timings: Mapping[str, float] | None = None,
+    extra: Mapping[str, Any] | None = None,
+) -> Record:
+    """Record of a case without an answer: every response is missing."""
+    return Record(
+        case_id=task["case_id"],
+        study=task["study"],
+        levels=task["levels"],
+        block=task["block"],
+        status=status,
+        message=message,
+        responses={n: {"value": None, "unit": unit} for n, unit in task["responses"].items()},
+        timings=dict(timings or {}),
+        versions=versions(),
+        input_hash=task["input_hash"],
+        extra={**task.get("extra", {}), **dict(extra or {})},
+    )
+
+
+def _executed(task: Mapping[str, Any]) -> Record:
+    config, directions = task["config"], task["directions"]
+    for direction in directions:
+        _check_fit(direction)
+    predictions = [_predict(config, direction) for direction in directions]
+    scores = [
+        scoring.score(p.curve, Curve.from_dict(d["measured"]))
+        | scoring.constants_in_kPa(_constants(config, d))
+        for p, d in zip(predictions, directions, strict=True)
+    ]
+    record = blank(task, "converged", "")
+    seconds = _seconds(predictions, directions)
+    means = scoring.averaged(scores)
+    means["seconds"] = {"value": seconds["total"], "unit": "s"}
+    wanted = {n: means.get(n, {"value": None, "unit": u}) for n, u in task["responses"].items()}
+    return replace(
+        record,
+        responses=wanted,
+        parameters=_parameters(config, directions),
+        fit=_fit_summary(directions),
+        curves=_curves(predictions, directions),
+        timings=seconds,
+        mesh=predictions[-1].mesh,
+        solver=predictions[-1].solver,
+        extra={**record.extra, "directions": _direction_facts(directions, scores)},
+    )
+
+
+def _check_fit(direction: Mapping[str, Any]) -> None:
+    fit = direction["fit"]
+    if fit is None:
+        return
+    if fit.get("status") != "converged":
+        where = f"calibration on {direction['fit_label'] or 'the measured curve'}"
+        raise _Stopped(str(fit.get("status", "failed")), f"{where}: {fit.get('message', '')}")
+    if not fit.get("stable", True):
+        raise _Stopped("unstable", f"the fitted constants are unstable: {fit.get('stability')}")
+
+
+def _predict(config: Config, direction: Mapping[str, Any]) -> _Prediction:
+    """Predicted curve of the scored test with the constants of the fit."""
+    fit, measured = direction["fit"], Curve.from_dict(direction["measured"])
+    problem = fits.fit_problem(config)
+    if fit is not None and problem.method == "inverse-fem" and problem.shares_scored_problem:
+        # the last solution of the fit is the prediction: same geometry, same constants
+        return _Prediction(
+            Curve.from_dict(fit["curve"]), 0.0, dict(fit.get("mesh", {})), dict(fit["solver"])
+        )
+    constants = None if fit is None else fit["values"]
+    depth = float(measured.displacement_mm.max())
+    asked = (config.get("calibration") or {}).get("method") or "auto"
+    if asked == "analytic" and build.is_homogeneous(config):
+        material = build.material(config["material"], constants)
+        curve = closed_form.compression(config["specimen"], material, measured.displacement_mm)
+        if not np.all(np.isfinite(curve.force_N)):
+            raise _Stopped("unstable", "the material has no equilibrium state in this range")
+        return _Prediction(
+            Curve(curve.displacement_mm, curve.force_N), solver={"name": "closed form"}
+        )
+    began = time.perf_counter()
+    solution = fits.solve(build.problem(config, constants, depth), gradients=False)
+    if solution.status != "converged":
+        raise _Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
+    curve = solution.curve
+    return _Prediction(
+        Curve(curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm),
+        time.perf_counter() - began,
+        fits.mesh_facts(solution),
+        {"name": str(solution.solver), "min_j": float(solution.min_j)},
+    )
+
+
+def _constants(config: Config, direction: Mapping[str, Any]) -> dict[str, Any]:
+    if direction["fit"] is not None:
+        return dict(direction["fit"])
+    material = build.material(config["material"])
+    return {"values": dict(material.constants), "mu0": material.mu0}
+
+
+def _seconds(
+    predictions: Sequence[_Prediction], directions: Sequence[Mapping[str, Any]]
+) -> dict[str, float]:
+    """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
+    found = [d["fit"] for d in directions if d["fit"] is not None]
+    fitted = sum(float(f.get("seconds", 0.0)) + float(f.get("start_seconds", 0.0)) for f in found)
+    predicted = sum(p.seconds for p in predictions)
+    return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
+
+
+def _parameters(config: Config, directions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Each constant averaged over the directions, with the error of that average."""
+    values = [scoring.constants_in_kPa(_constants(config, d)) for d in directions]
+    means = scoring.averaged(values)
+    for name, entry in means.items():
+        errors = [(d["fit"] or {}).get("standard_error", {}).get(name) for d in directions]
+        scale = 1.0 if scoring.is_plain(name) else 1000.0
+        known = [scale * float(e) for e in errors if e is not None]
+        complete = bool(known) and len(known) == len(directions)
+        entry["standard_error"] = (
+            float(np.sqrt(np.sum(np.square(known))) / len(known)) if complete else None
+        )
+        # the interval of one fit; that of an average of two specimens is the blocks' business
+        pair = (directions[0]["fit"] or {}).get("ci95", {}).get(name)
+        single = len(directions) == 1 and pair and None not in pair
+        entry["ci95"] = [scale * float(v) for v in pair] if single else None
+    return means
+
+
+def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Describe each fit, by the label of its specimen."""
+    keep = (
+        "method", "message", "values", "standard_error", "ci95", "correlation", "condition",
+        "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable", "stability",
+        "evaluations", "newton_iterations", "solves", "seconds", "mu0",
+    )  # fmt: skip
+    found = {
+        d["fit_label"] or "all": {
+            "key": d["fit_key"], **{k: d["fit"][k] for k in keep if k in d["fit"]}
+        }
+        for d in directions
+        if d["fit"] is not None
+    }
+    return found or None
+
+
+def _curves(
+    predictions: Sequence[_Prediction], directions: Sequence[Mapping[str, Any]]
+) -> dict[str, Curve]:
+    out: dict[str, Curve] = {}
+    for p, d in zip(predictions, directions, strict=True):
+        out[f"measured:{d['label']}"] = Curve.from_dict(d["measured"])
+        out[f"predicted:{d['label']}"] = p.curve
+    return out
+
+
+def _direction_facts(
+    directions: Sequence[Mapping[str, Any]],
+    scores: Sequence[Mapping[str, tuple[float, str]]],
+) -> list[dict[str, Any]]:
+    return [
+        {
+            "score": d["label"],
+            "fit": d["fit_label"],
+            "role": d["role"],
+            "scatter_N": d["scatter_N"],
+            "responses": {n: {"value": v, "unit": u} for n, (v, u) in s.items()},
+        }
+        for d, s in zip(directions, scores, strict=True)
+    ]

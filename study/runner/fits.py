@@ -1,0 +1,348 @@
+"""Calibration of one material on one block: what enters it, its name, and doing it.
+
+Cases share a fit when everything that decides it is the same: the calibrated problem, the
+measured curve, the method and the code. A closed-form fit knows nothing of the modelling
+space or the elements, so sixteen cells may share four of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+from study.errors import Fault, InputError
+from study.runner import build, closed_form
+from study.runner.identity import code_version, digest
+
+Array = NDArray[np.float64]
+Config = Mapping[str, Any]
+Predict = Callable[[Array], list[Curve]]
+
+METHODS = ("auto", "analytic", "inverse-fem", "none")
+#: sections of a configuration that a calibration problem of its own may replace
+_REPLACEABLE = ("specimen", "test")
+
+
+@dataclass(frozen=True)
+class FitProblem:
+    """A calibration without its data.
+
+    Parameters
+    ----------
+    method : str
+        ``"closed-form"``, ``"inverse-fem"`` or ``"none"``.
+    config : mapping
+        The sections that enter, and nothing else.
+    shares_scored_problem : bool
+        Whether the calibrated test is also the one that is scored.
+    """
+
+    method: str
+    config: Config
+    shares_scored_problem: bool
+
+
+def fit_problem(config: Config) -> FitProblem:
+    """Calibration of a resolved configuration.
+
+    Raises
+    ------
+    InputError
+        If ``method = "analytic"`` is asked of a test that has no closed form.
+    """
+    section = config.get("calibration") or {}
+    own = section.get("problem") or {}
+    scored = {k: config[k] for k in ("specimen", "test", "material", "model") if k in config}
+    merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
+    shared = merged == scored
+    method = _method(section.get("method") or "auto", merged)
+    if method == "closed-form":
+        merged.pop("model", None)
+        merged["test"] = {"kind": "compression", "interface": "frictionless"}
+    return FitProblem(method, merged, shared)
+
+
+def _method(asked: str, config: Config) -> str:
+    if asked == "none":
+        return "none"
+    homogeneous = build.is_homogeneous(config)
+    if asked == "analytic" and not homogeneous:
+        rule = "method = 'analytic' needs compression with both faces frictionless"
+        raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
+    if asked == "inverse-fem":
+        return "inverse-fem"
+    return "closed-form" if homogeneous else "inverse-fem"
+
+
+def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
+    """Name of a fit: a hash of the problem, the data and the code.
+
+    Parameters
+    ----------
+    measured : sequence of Curve
+        The averaged curves that are fitted.
+    """
+    data = [[c.displacement_mm.tolist(), c.force_N.tolist()] for c in measured]
+    return digest([problem.method, problem.config, data, code_version()], 32)
+
+
+def start_problem(problem: FitProblem) -> FitProblem | None:
+    """Neo-Hookean fit of the same test, whose constant starts this one.
+
+    None where there is nothing to wait for: the fit is neo-Hookean or linear itself, has a
+    closed form, or its start is given. Start values are thus a function of the case alone.
+    """
+    section = problem.config["material"]
+    if problem.method != "inverse-fem" or section.get("constants"):
+        return None
+    if section["model"] in ("neo-hookean", "linear-elastic"):
+        return None
+    kept = {k: v for k, v in section.items() if k not in ("order", "constants")}
+    material = {**kept, "model": "neo-hookean"}
+    return FitProblem(
+        problem.method, {**problem.config, "material": material}, problem.shares_scored_problem
+    )
+
+
+def payload(
+    problem: FitProblem, measured: Sequence[Curve], start: Mapping[str, Any] | None
+) -> dict[str, Any]:
+    """Task for a worker: plain JSON, complete in itself.
+
+    Parameters
+    ----------
+    start : mapping, optional
+        Result of the fit of :func:`start_problem`.
+    """
+    return {
+        "kind": "fit",
+        "method": problem.method,
+        "config": dict(problem.config),
+        "measured": [curve.as_dict() for curve in measured],
+        "start": None if start is None else dict(start),
+    }
+
+
+def perform(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Fit the constants of one material to measured curves.
+
+    Returns
+    -------
+    dict
+        ``status`` is ``"converged"`` or the reason why not; constants in MPa.
+    """
+    from study.calibration import MeasuredCurve, fit
+
+    began = time.perf_counter()
+    config = task["config"]
+    measured = [Curve.from_dict(c) for c in task["measured"]]
+    start = task["start"]
+    if start is not None and start.get("status") != "converged":  # it cannot be fitted alone
+        why = f"its neo-Hookean start did not converge: {start.get('message', '')}"
+        return {"status": str(start.get("status", "failed")), "message": why}
+    names, first = start_values(config, measured, (start or {}).get("values"))
+    if task["method"] == "closed-form":
+        predict: Predict = _closed_form(config, measured, names)
+    else:
+        predict = _InverseFem(config, measured, names)
+    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
+    found = fit(predict, data, names, first)
+    result = _described(found, config, names, measured)
+    if isinstance(predict, _InverseFem):
+        result |= predict.provenance()
+    result["method"] = task["method"]
+    result["seconds"] = time.perf_counter() - began
+    result["start_seconds"] = float((start or {}).get("seconds", 0.0))
+    return result
+
+
+def start_values(
+    config: Config, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
+) -> tuple[tuple[str, ...], Array]:
+    """Names of the constants and where the fit starts, in MPa.
+
+    Higher constants start at zero: those of the closed form soften so much that a bonded
+    specimen cannot be solved with them.
+    """
+    section = config["material"]
+    names = build.calibrated_names(section)
+    given = section.get("constants")
+    if given:
+        return names, np.array([float(given[n]) for n in names])
+    if neo_hookean is None:
+        first = measured[0]
+        # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
+        like = {**section, "incompressible": True, "poisson_ratio": None, "bulk_modulus_MPa": None}
+        neo_hookean = closed_form.neo_hookean_start(
+            {**config, "material": like}, first.displacement_mm, first.force_N
+        )
+    c10 = float(neo_hookean["C10"])
+    terms = max(1, sum(n.startswith("mu") for n in names))
+    values = {"C10": c10, "youngs_modulus": 6 * c10}
+    values |= {f"mu{k}": 2 * c10 / terms for k in range(1, terms + 1)}
+    # alternating exponents: equal ones would make the terms indistinguishable
+    exponents = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
+    values |= {f"alpha{k}": exponents[(k - 1) % 6] for k in range(1, terms + 1)}
+    return names, np.array([values.get(n, 0.0) for n in names])
+
+
+def _closed_form(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+    from study.calibration import EvaluationFailed
+
+    def predict(values: Array) -> list[Curve]:
+        constants = dict(zip(names, values.tolist(), strict=True))
+        try:
+            material = build.material(config["material"], constants)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        curves = [
+            closed_form.compression(config["specimen"], material, curve.displacement_mm)
+            for curve in measured
+        ]
+        if not all(np.all(np.isfinite(curve.force_N)) for curve in curves):
+            raise EvaluationFailed("the material has no equilibrium state at these constants")
+        return curves
+
+    return predict
+
+
+class _InverseFem:
+    """Forward solutions with gradients; each starts from the one before it in the same fit."""
+
+    def __init__(self, config: Config, measured: Sequence[Curve], names: Sequence[str]) -> None:
+        self._config, self._names = config, names
+        self._count = len(measured)
+        self._depth = max(float(curve.displacement_mm.max()) for curve in measured)
+        self._last: Any = None
+        self._newton = 0
+        self._solves = 0
+
+    def __call__(self, values: Array) -> list[Curve]:
+        from study.calibration import EvaluationFailed
+
+        constants = dict(zip(self._names, values.tolist(), strict=True))
+        try:
+            problem = build.problem(self._config, constants, self._depth)
+            solution = solve(problem, gradients=True, warm=self._last)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        self._solves += 1
+        self._newton += int(sum(solution.newton_iterations))
+        if solution.status != "converged":
+            raise EvaluationFailed(f"{solution.status}: {solution.message}")
+        self._last = solution
+        return [solution.curve] * self._count
+
+    def provenance(self) -> dict[str, Any]:
+        """Mesh, solver and effort, for the record."""
+        if self._last is None:
+            return {}
+        return {
+            "mesh": mesh_facts(self._last),
+            "solver": {"name": self._last.solver},
+            "newton_iterations": self._newton,
+            "solves": self._solves,
+        }
+
+
+def mesh_facts(solution: Any) -> dict[str, Any]:
+    """Describe the mesh of a solution for the record."""
+    return {
+        "dofs": int(solution.dofs),
+        "elements": int(solution.elements),
+        "hash": str(solution.mesh_hash),
+        "mesh_size_mm": float(solution.mesh_size_mm),
+    }
+
+
+def solve(problem: Any, **options: Any) -> Any:
+    """Forward solution; the solver is loaded on first use."""
+    from study.forward.solve import solve as forward_solve
+
+    return forward_solve(problem, **options)
+
+
+def _described(
+    found: Any, config: Config, names: Sequence[str], measured: Sequence[Curve]
+) -> dict[str, Any]:
+    """Plain description of a fit for the store."""
+    values = [float(v) for v in found.values]
+    constants = dict(zip(names, values, strict=True))
+    good = bool(getattr(found.status, "converged", found.status.name.startswith("converged")))
+    result: dict[str, Any] = {
+        "status": "converged" if good else "not-converged",
+        "message": str(found.status.value),
+        "values": constants,
+        "standard_error": _numbers(names, found.standard_error),
+        "ci95": _intervals(names, found.ci95),
+        "correlation": _matrix(found.correlation),
+        "condition": _number(found.condition),
+        "rss": _number(found.rss),
+        "r_squared": _number(found.r_squared),
+        "aicc": _number(found.aicc),
+        "n": int(found.n),
+        "identifiable": bool(found.identifiable),
+        "reason": str(found.reason),
+        "evaluations": int(found.evaluations),
+    }
+    if found.curves:
+        result["curve"] = _bare(found.curves[0]).as_dict()
+    if good:
+        result |= _stability(config, constants, measured)
+    return result
+
+
+def _stability(
+    config: Config, constants: Mapping[str, float], measured: Sequence[Curve]
+) -> dict[str, Any]:
+    """Mu0 and whether the material is stable over the range that was measured."""
+    from study.material import stability
+
+    material = build.material(config["material"], constants)
+    outcome: dict[str, Any] = {"mu0": float(material.mu0)}
+    height = build.height_mm(config["specimen"])
+    depth = max(float(curve.displacement_mm.max()) for curve in measured)
+    if height is None or config["test"]["kind"] != "compression" or depth >= height:
+        judged = stability(material)
+    else:
+        judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))
+    outcome |= {"stable": bool(judged.stable), "stability": str(judged.sentence)}
+    if material.mu0 <= 0:
+        raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
+    return outcome
+
+
+def _bare(curve: Curve) -> Curve:
+    """Curve without its gradients, which nobody reads from the store."""
+    return Curve(curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm)
+
+
+def _number(value: Any) -> float | None:
+    if value is None:
+        return None
+    number = float(value)
+    return number if np.isfinite(number) else None
+
+
+def _numbers(names: Sequence[str], values: Any) -> dict[str, float | None]:
+    if values is None:
+        return dict.fromkeys(names)
+    return {n: _number(v) for n, v in zip(names, values, strict=True)}
+
+
+def _intervals(names: Sequence[str], values: Any) -> dict[str, list[float | None] | None]:
+    if values is None:
+        return dict.fromkeys(names)
+    return {n: [_number(v) for v in pair] for n, pair in zip(names, values, strict=True)}
+
+
+def _matrix(values: Any) -> list[list[float | None]] | None:
+    if values is None:
+        return None
+    return [[_number(v) for v in row] for row in np.asarray(values)]

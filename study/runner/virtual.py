@@ -1,0 +1,256 @@
+"""Virtual specimens: measured curves with known truth, for the demo and for trying a design.
+
+The generator, in full. A batch of silicone has the constants of a reduced polynomial of
+order 3 (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0) times a stiffness
+factor, and higher constants that scatter besides; each specimen of a batch has a further
+stiffness factor; each repeat on a specimen has load-cell noise. The reference curve comes
+from finite elements with bonded plates, quadratic elements and the fine mesh, so that no
+cell of a design generates its own data.
+
+One solution serves all specimens: at a given Poisson's ratio the force is proportional to
+a common factor on all constants, which is exact, and the scatter of the higher constants
+enters through the exact gradient of the reference curve, to first order. What is written
+is the truth of this generator, and p values on it describe this scatter and nothing else.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+from study.design import Design, MeasurementSpec, treatments
+from study.errors import Fault, InputError
+from study.record.files import write_atomic
+from study.runner import build, fits
+from study.runner.pool import Task, run_tasks
+
+Array = NDArray[np.float64]
+
+#: published constants of EF10_0T in MPa (hyperelastic_parameters_ef10.json, Yeoh order 3)
+ECOFLEX_00_10 = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
+CITATION = (
+    "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
+    "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
+)
+#: ends in the name of the file that says how virtual measurements were made
+TRUTH_SUFFIX = ".virtual.json"
+
+
+@dataclass(frozen=True)
+class Generator:
+    """Numbers of the generator; everything random comes from ``seed``.
+
+    Parameters
+    ----------
+    batches, repeats : int
+        Number of batches (blocks), and of tests on one specimen.
+    batch_sd, specimen_sd : float
+        Standard deviation of the logarithm of the stiffness factors.
+    shape_sd : float
+        Relative standard deviation of each higher constant between batches.
+    noise_N : float
+        Standard deviation of the load cell.
+    spacing_mm : float
+        Distance between samples.
+    """
+
+    seed: int = 2011
+    batches: int = 6
+    repeats: int = 3
+    batch_sd: float = 0.06
+    specimen_sd: float = 0.02
+    shape_sd: float = 0.15
+    noise_N: float = 0.02
+    spacing_mm: float = 0.05
+    constants: Mapping[str, float] = field(default_factory=lambda: dict(ECOFLEX_00_10))
+    poisson_ratio: float = 0.4995
+
+
+@dataclass(frozen=True)
+class VirtualTest:
+    """One generated test: labels of its groups, displacement (mm) and force (N), shape (n,)."""
+
+    groups: Mapping[str, str]
+    displacement_mm: Array
+    force_N: Array
+
+
+def write_virtual(design: Design, out: Path, generator: Generator | None = None) -> list[Path]:
+    """Write virtual measurements in the files, columns and groups that a design reads.
+
+    Parameters
+    ----------
+    design : Design
+        Gives specimen, test and ``[measurements]``.
+    out : Path
+        Data root: the files get their names below it.
+
+    Returns
+    -------
+    list of Path
+        Files written, the description of the generator among them.
+
+    Raises
+    ------
+    InputError
+        If the design has no measurements or the reference problem cannot be solved.
+    """
+    generator = generator or Generator(seed=design.seed)
+    config = treatments(design)[0].config
+    spec = design.measurements
+    if spec is None:
+        raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
+    reference = reference_curve(config, generator)
+    tests = list(generate(reference, generator, spec))
+    written = []
+    for name, rows in _files(spec, tests).items():
+        path = out / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, rows.encode())
+        truth = {"generator": asdict(generator), "citation": CITATION}
+        note = path.with_name(path.name + TRUTH_SUFFIX)
+        write_atomic(note, json.dumps(truth, indent=2, default=dict).encode())
+        written += [path, note]
+    return written
+
+
+def reference_curve(config: Mapping[str, Any], generator: Generator) -> Curve:
+    """Solve for the reference force and its gradient, in a worker of one thread.
+
+    Raises
+    ------
+    InputError
+        If the solver stops.
+    """
+    plain = {k: config[k] for k in ("specimen", "test")}
+    # the grid runs a little past the range, as a real test does
+    depth = 1.03 * float(config["test"]["displacement_mm"])
+    task = {
+        "kind": "reference",
+        "config": {
+            **plain,
+            "test": {**plain["test"], "interface": "bonded", "base": "bonded",
+                     "displacement_mm": depth, "steps": 20},
+            "material": {"model": "reduced-polynomial", "constants": dict(generator.constants),
+                         "poisson_ratio": generator.poisson_ratio},
+            "model": {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"},
+        },
+    }  # fmt: skip
+    (outcome,) = run_tasks([Task("reference", lambda _: task)], jobs=1)
+    if outcome.result["status"] != "converged":
+        message = outcome.result.get("message", "")
+        raise InputError(Fault("virtual specimens", f"the reference curve failed: {message}"))
+    return Curve.from_dict(outcome.result["curve"])
+
+
+def perform(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Solve the reference problem (in a worker)."""
+    solution = fits.solve(build.problem(task["config"]), gradients=True)
+    return {
+        "status": solution.status,
+        "message": solution.message,
+        "curve": solution.curve.as_dict(),
+    }
+
+
+def generate(
+    reference: Curve, generator: Generator, spec: MeasurementSpec
+) -> Iterator[VirtualTest]:
+    """Generate every test of every specimen, in a fixed order.
+
+    Examples
+    --------
+    >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 7.0]),
+    ...               force_gradient={"C20": np.array([1.0, 2.0])})
+    >>> spec = MeasurementSpec(file="a.csv", block="batch", average=("repeat",))
+    >>> tests = list(generate(curve, Generator(batches=2, repeats=2), spec))
+    >>> [t.groups for t in tests][:2]
+    [{'batch': '1', 'repeat': '1'}, {'batch': '1', 'repeat': '2'}]
+    """
+    random = np.random.default_rng(generator.seed)
+    d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
+    force = reference.force_at(d)
+    higher = [n for n in generator.constants if n != "C10" and n in reference.force_gradient]
+    for batch in range(1, generator.batches + 1):
+        shape = sum(
+            (generator.constants[n] * generator.shape_sd * random.standard_normal()
+             * reference.gradient_at(n, d) for n in higher),
+            np.zeros_like(d),
+        )  # fmt: skip
+        stiffness = np.exp(generator.batch_sd * random.standard_normal())
+        for groups in _specimens(spec, str(batch)):
+            own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
+            for labels in _repeats(spec, groups, generator.repeats):
+                noise = generator.noise_N * random.standard_normal(d.size)
+                yield VirtualTest(labels, d, own * (force + shape) + noise)
+
+
+def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
+    """Specimens of a batch: one for each of the fit and score selections."""
+    base = {spec.block: batch} if spec.block else {}
+    chosen: list[dict[str, str]] = []
+    for where in (spec.fit, spec.score):
+        if where:
+            labels = {
+                k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()
+            }
+            if {**base, **labels} not in chosen:
+                chosen.append({**base, **labels})
+    return chosen or [base]
+
+
+def _repeats(
+    spec: MeasurementSpec, groups: Mapping[str, str], repeats: int
+) -> list[dict[str, str]]:
+    if not spec.average:
+        return [dict(groups)]
+    first, rest = spec.average[0], spec.average[1:]
+    return [
+        {**groups, first: str(k), **dict.fromkeys(rest, "1")} for k in range(1, repeats + 1)
+    ]
+
+
+def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str]:
+    """Text of each CSV file by its name below the data root."""
+    if spec.file:
+        if not spec.file.endswith(".csv"):
+            rule = f"virtual measurements are written as plain .csv, got {spec.file!r}"
+            raise InputError(Fault("measurements.file", rule))
+        return {spec.file: _csv(spec, tests, list(tests[0].groups))}
+    pattern = spec.files or ""
+    sorted_tests: dict[str, list[VirtualTest]] = {}
+    for test in tests:
+        try:
+            name = pattern.format_map(dict(test.groups))
+        except (KeyError, IndexError, ValueError) as error:
+            rule = f"needs the group {error} in {pattern!r}, which no table names"
+            raise InputError(Fault("measurements.files", rule)) from None
+        sorted_tests.setdefault(name, []).append(test)
+    inside = [n for n in tests[0].groups if "{" + n + "}" not in pattern]
+    return {name: _csv(spec, found, inside) for name, found in sorted_tests.items()}
+
+
+def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
+    from study.units import parse
+
+    columns, units = spec.columns, spec.units
+    length = parse(f"1 {units['displacement']}", "length")
+    newton = parse(f"1 {units['force']}", "force")
+    sign = -1.0 if spec.sign == "negative" else 1.0
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*groups, columns["displacement"], columns["force"]])
+    for test in tests:
+        labels = [test.groups[name] for name in groups]
+        for d, f in zip(test.displacement_mm, test.force_N, strict=True):
+            writer.writerow([*labels, f"{d / length:.5f}", f"{sign * f / newton:.5f}"])
+    return stream.getvalue()
