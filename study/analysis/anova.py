@@ -99,7 +99,8 @@ def analyze(
     scale = _scale(y, data, transform, limit, u_raw, records)
     out = replace(out, y=y, scale=scale, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
-    how = error_term.method(error, block, records)
+    copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
+    how = error_term.method(error, block, records, copies=copied)
     if how == error_term.OWN:
         own = _own(out, type, error)
         if own is not None:
@@ -225,7 +226,9 @@ def _pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     out = out.warn(*_alias_warnings(sums))
     counts = np.bincount(data.cell)
     single = bool(counts.max() == 1)
-    complete = single and balanced(data.layout, data.factors)
+    # copies are no separate contrasts: Lenth's limits would not hold
+    copied = len(out.copies.groups) < np.unique(data.cell).size
+    complete = single and not copied and balanced(data.layout, data.factors)
     situation = error_term.Situation(
         out.records, data.block, not single, fit.df_residual, model == "full",
         int(np.sum([s.df for s in sums])), complete,

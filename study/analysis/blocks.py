@@ -123,12 +123,8 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
-    size = float(np.abs((fit.q @ sums.basis) @ contrasts).max())
-    if size <= floor or ss_error <= 0:
-        why = (
-            f"{name}: its levels agree within the solver tolerance in every block, no test"
-            if size <= floor else f"{name}: its interaction with {block} is zero, no test"
-        )
+    why = _no_test(fit.q @ sums.basis, contrasts, floor, name, block)
+    if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
     f = (ss / df) / (ss_error / df_error)
     epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
@@ -139,6 +135,16 @@ def _own_term(
         max(0.0, (ss - df * ms_error) / (total + ms_error)), ss / (ss + ss_error),
     )
     return OwnTerm(sums, row, error, spread)
+
+
+def _no_test(basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:
+    """Why an effect cannot be tested: it, or its interaction, is below the tolerance."""
+    if float(np.abs(basis @ contrasts).max()) <= floor:
+        return f"{name}: its levels agree within the solver tolerance in every block, no test"
+    scatter = contrasts - contrasts.mean(axis=1, keepdims=True)
+    if float(np.abs(basis @ scatter).max()) <= floor:
+        return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
+    return ""
 
 
 def own_estimate(

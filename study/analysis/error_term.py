@@ -40,7 +40,7 @@ class Choice:
     reason: str
 
 
-def method(error: str, block: str | None, records: bool) -> str:
+def method(error: str, block: str | None, records: bool, *, copies: bool = False) -> str:
     """Whether effects are tested against their own interactions with the blocks.
 
     Raises
@@ -57,7 +57,8 @@ def method(error: str, block: str | None, records: bool) -> str:
         )
     if block is None or error == "pooled":
         return POOLED
-    return OWN if records or error == "own" else POOLED
+    # copies betray a study's table read from a CSV: pooling would add df and no variance
+    return OWN if records or copies or error == "own" else POOLED
 
 
 def own_choice(block: str, blocks: int, error: str) -> Choice:

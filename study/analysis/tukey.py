@@ -48,7 +48,7 @@ def studentized_range_cdf(q: float, k: int, df: float) -> float:
     if q <= 0:
         return 0.0
     s, weights = _scale_rule(float(df))
-    return float(min(1.0, range_cdf(q * s, k) @ weights))
+    return min(1.0, float(range_cdf(q * s, k) @ weights))
 
 
 @lru_cache(maxsize=1024)
@@ -65,4 +65,5 @@ def studentized_range_quantile(p: float, k: int, df: float) -> float:
     high = 8.0
     while studentized_range_cdf(high, k, df) < p:
         high *= 2
-    return float(brentq(lambda q: studentized_range_cdf(q, k, df) - p, 1e-6, high, xtol=1e-9))
+    root: float = brentq(lambda q: studentized_range_cdf(q, k, df) - p, 1e-6, high, xtol=1e-9)
+    return root

@@ -170,8 +170,7 @@ def _one_df_contrasts(levels: Sequence[str]) -> Array:
         x = np.array([float(level) for level in levels])
         powers = np.vander((x - x.mean()) / np.ptp(x), k, increasing=True)
     except ValueError:
-        powers = np.tril(np.ones((k, k)))[:, ::-1]
-        powers[:, 0] = 1.0
+        powers = np.tril(np.ones((k, k)))
     q, r = np.linalg.qr(powers)
     return np.asarray((q * np.sign(np.diag(r)))[:, 1:])
 
