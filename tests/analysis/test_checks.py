@@ -1,0 +1,189 @@
+"""Guards and true sizes of the checks: Ryan-Joiner, Bartlett, Levene, Lenth, sphericity."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from study.analysis import analyze, bartlett, lenth, levene, ryan_joiner
+from study.analysis.matrix import Layout, model_matrix, terms_of
+from study.analysis.normality import anderson_darling, exact_p, shapiro_wilk, simulated_rj
+from study.analysis.sums import span
+from study.analysis.tukey import studentized_range_quantile
+from study.analysis.unreplicated import half_normal_scores, orthonormal_contrasts
+from study.analysis.variance import epsilon_gg, sphericity
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [([1.0, 2, 3], "needs n >= 4"), ([2.0] * 6, "all equal"), ([1, 2, 3, np.nan], "missing")],
+)
+def test_ryan_joiner_guards(values, reason: str) -> None:
+    result = ryan_joiner(values)
+    assert not result.applicable
+    assert reason in result.reason
+    assert result.to_json() is None
+
+
+def test_saturated_residuals_are_not_applicable() -> None:
+    result = ryan_joiner([1.0, 2, 3, 5], model_matrix=np.eye(4))
+    assert "no residual degrees of freedom" in result.reason
+
+
+def full_grid(*sizes: int, repeats: int = 1) -> np.ndarray:
+    cells = np.repeat(np.array(list(itertools.product(*map(range, sizes)))), repeats, axis=0)
+    names = "abc"[: len(sizes)]
+    layout = Layout(
+        {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)},
+        {n: cells[:, i] for i, n in enumerate(names)},
+    )
+    return model_matrix(layout, terms_of(names, 2)).columns
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("design", ["replicated 2x3", "nearly saturated 2x3x2", "n = 500"])
+def test_exact_p_holds_its_size(design: str) -> None:
+    """5 % +- 0.3 of 50,000 simulated designs each (Monte-Carlo sd 0.1 %)."""
+    matrix = {
+        "replicated 2x3": full_grid(2, 3, repeats=2),
+        "nearly saturated 2x3x2": full_grid(2, 3, 2),
+        "n = 500": np.ones((500, 1)),
+    }[design]
+    basis = span(matrix / np.linalg.norm(matrix, axis=0))
+    rng = np.random.default_rng(77)
+    n = matrix.shape[0]
+    observed = np.concatenate(
+        [simulated_rj(rng.standard_normal((2500, n)), basis) for _ in range(20)]
+    )
+    # the critical value that exact_p implies: its own null quantile from another seed
+    null = np.concatenate(
+        [simulated_rj(np.random.default_rng(s).standard_normal((2500, n)), basis)
+         for s in range(24)]
+    )
+    cut = float(np.quantile(null, 0.05))
+    assert exact_p(cut, basis, 60_000, 2011) == pytest.approx(0.05, abs=0.003)
+    assert np.mean(observed <= cut) == pytest.approx(0.05, abs=0.003)
+
+
+@pytest.mark.parametrize("m", [3, 7, 15])
+def test_lenth_limits_hold_their_size(m: int) -> None:
+    """Individual and simultaneous error of 20,000 null studies (Monte-Carlo sd 0.15 %)."""
+    from study.analysis.unreplicated import pseudo_standard_error
+
+    z = np.random.default_rng(5).standard_normal((20_000, m))
+    ratio = np.abs(z) / pseudo_standard_error(z)[:, None]
+    limits = lenth(z[0])
+    assert np.mean(ratio > limits.me / limits.pse) == pytest.approx(0.05, abs=0.004)
+    assert np.mean(ratio.max(axis=1) > limits.sme / limits.pse) == pytest.approx(0.05, abs=0.007)
+
+
+def test_orthonormal_contrasts_of_mixed_levels() -> None:
+    cells = np.array(list(itertools.product(range(2), range(3), range(4))))
+    layout = Layout(
+        {"a": ("x", "y"), "b": ("1", "2", "4"), "c": tuple("pqrs")},
+        {n: cells[:, i] for i, n in enumerate("abc")},
+    )
+    names, contrasts = orthonormal_contrasts(layout, terms_of("abc"))
+    assert len(names) == 23
+    assert contrasts.T @ contrasts == pytest.approx(np.eye(23), abs=1e-12)
+    assert contrasts.sum(axis=0) == pytest.approx(np.zeros(23), abs=1e-12)
+    # numeric levels give polynomial contrasts: the first is linear in 1, 2, 4
+    linear = contrasts[:4 * 3 : 4, names.index("b[1]")]
+    assert np.ptp(np.diff(linear) / [1, 2]) == pytest.approx(0, abs=1e-12)
+
+
+def test_half_normal_scores_are_of_the_absolute_values() -> None:
+    scores = half_normal_scores([-3.0, 1.0, 2.0])
+    assert scores[0] > scores[2] > scores[1] > 0
+
+
+@pytest.mark.parametrize(
+    ("groups", "reason"),
+    [
+        ([[1, 2, 3], [5, 5, 5]], "group 2 has zero variance"),
+        ([[1, 2, 3], [5]], "group 2 has one value"),
+        ([[1, 2, 3]], "fewer than two groups"),
+        ([[1, 2, 3], [1, 2, float("nan")]], "missing value"),
+    ],
+)
+def test_variance_guards(groups, reason: str) -> None:
+    for test in (bartlett, levene):
+        result = test(groups)
+        assert not result.applicable
+        assert result.p is None
+        if test is bartlett or "one" not in reason:
+            assert reason in result.reason
+
+
+def test_levene_is_chosen_by_group_size() -> None:
+    rng = np.random.default_rng(3)
+    two = levene(rng.normal(size=(4, 2)))
+    assert not two.applicable
+    three = levene(rng.normal(size=(4, 3)))
+    assert three.center == "mean"
+    assert three.p_monte_carlo is not None
+    assert levene(rng.normal(size=(4, 6))).center == "median"
+
+
+def test_levene_monte_carlo_holds_its_size_at_three() -> None:
+    """400 null studies of four cells of three: 5 % within four Monte-Carlo sd (4.4 %)."""
+    rng = np.random.default_rng(8)
+    p = [levene(rng.normal(size=(4, 3)), simulations=400).p_monte_carlo for _ in range(400)]
+    assert np.mean(np.array(p) <= 0.05) == pytest.approx(0.05, abs=0.044)
+
+
+def test_bartlett_against_scipy_and_monte_carlo() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    groups = [np.random.default_rng(i).normal(size=5 + i) for i in range(4)]
+    ours, theirs = bartlett(groups, simulations=20_000), stats.bartlett(*groups)
+    assert ours.statistic == pytest.approx(theirs.statistic, rel=1e-10)
+    assert ours.p == pytest.approx(theirs.pvalue, rel=1e-10)
+    assert ours.p_monte_carlo == pytest.approx(ours.p, abs=0.03)
+
+
+def test_shapiro_and_anderson_guards() -> None:
+    assert shapiro_wilk([3.0] * 8).p is None
+    assert anderson_darling([3.0] * 9).p is None
+    x = np.random.default_rng(1).normal(size=50)
+    lilliefors = pytest.importorskip("statsmodels.stats.diagnostic").normal_ad(x)
+    ours = anderson_darling(x)
+    assert ours.statistic == pytest.approx(lilliefors[0], rel=1e-8)
+    assert ours.p == pytest.approx(lilliefors[1], rel=1e-8)
+
+
+def test_epsilon_of_spherical_and_of_one_direction() -> None:
+    assert epsilon_gg(np.eye(4)) == pytest.approx(1)
+    assert epsilon_gg(np.diag([1.0, 0, 0, 0])) == pytest.approx(0.25)
+    assert sphericity(np.random.default_rng(0).normal(size=(1, 9))).epsilon_gg == 1
+    assert sphericity(np.random.default_rng(0).normal(size=(6, 4))).p is None
+
+
+def test_studentized_range_against_scipy() -> None:
+    studentized_range = pytest.importorskip("scipy.stats").studentized_range
+    for k, df in [(3, 2), (4, 24), (9, 180)]:
+        theirs = studentized_range.ppf(0.95, k, df)
+        assert studentized_range_quantile(0.95, k, df) == pytest.approx(theirs, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_own_interaction_holds_its_size_among_copies() -> None:
+    """Null of a real 4-level factor, 9 blocks x 32 cells of near-copies: 4 to 6 %."""
+    rng = np.random.default_rng(12)
+    cells = list(itertools.product("abcd", "pq", "st", "uv"))
+    base = pd.DataFrame(cells * 9, columns=["m", "pl", "sp", "or"])
+    base["mix"] = np.repeat([f"x{i}" for i in range(9)], 32)
+    level = base["m"].map({c: i for i, c in enumerate("abcd")}).to_numpy()
+    block = np.repeat(np.arange(9), 32)
+    rejected = 0
+    studies = 400
+    for _ in range(studies):
+        y = rng.normal(size=9)[block] + 0.3 * rng.normal(size=(9, 4))[block, level]
+        y = y + 1e-4 * rng.normal(size=y.size)
+        result = analyze(base.assign(y=y), "y", ["m", "pl", "sp", "or"], block="mix",
+                         records=True, model=["m"], exact=False)
+        rejected += (result.anova.row("m").p_gg or 1.0) < 0.05
+    # binomial sd at 400 studies is 1.1 %
+    assert rejected / studies == pytest.approx(0.05, abs=0.033)

@@ -1,0 +1,113 @@
+"""Behaviour, order and refusal of refinement series."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from study.analysis import grid_convergence
+from study.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("sizes", "values", "behaviour"),
+    [
+        ([1, 2, 4], [0.97050, 0.96854, 0.96178], "monotone"),
+        # R = 1.67 is above 1 and converges: h = 1, 2, 2.6 at order 1
+        ([1, 2, 2.6], [2.0, 3.0, 3.6], "monotone"),
+        ([1, 2, 4], [1.0, 1.1, 0.9], "oscillatory"),
+        ([1, 2, 4], [1.0, 1.3, 1.2], "divergent"),
+        ([1, 2, 4], [4.0, 2.0, 1.0], "divergent"),
+        ([1, 2, 4], [3.0, 2.0, 1.0], "divergent"),
+        ([1, 2, 4], [1.0, 1.0, 1.0], "noise-floor"),
+        ([1, 2, 4], [1.0, 1.0, 1.2], "inconclusive"),
+        ([1, 2, 4], [1.0, 1.2, 1.2], "inconclusive"),
+    ],
+)
+def test_behaviour(sizes, values, behaviour: str) -> None:
+    result = grid_convergence(sizes, values)
+    assert result.behaviour == behaviour
+    if behaviour != "monotone":
+        assert result.gci_fine is None
+        assert result.observed_order is None
+    json.dumps(result.to_json(), allow_nan=False)
+
+
+def test_noise_floor_reports_the_tolerance() -> None:
+    result = grid_convergence([1, 2, 4], [1.0, 1.0 + 3e-9, 1.0 - 4e-9], tolerance=1e-9)
+    assert result.behaviour == "noise-floor"
+    assert result.u_num == 1e-9
+
+
+def test_oscillation_over_four_meshes_gives_a_range() -> None:
+    assert grid_convergence([1, 2, 4], [1.0, 1.1, 0.9]).u_num is None
+    four = grid_convergence([1, 2, 4, 8], [1.0, 1.1, 0.9, 1.2])
+    assert four.u_num == pytest.approx(0.15)
+    assert "another mesh" in four.verdict
+
+
+@given(
+    st.floats(0.6, 4.0), st.floats(1.3, 3.0), st.floats(1.3, 3.0),
+    st.floats(-5, 5), st.sampled_from([-1.0, 0.3]), st.integers(3, 5),
+)
+def test_known_orders_are_recovered(p, r1, r2, limit, slope, meshes) -> None:
+    h = np.cumprod([1.0, r1, r2, r1, r2])[:meshes]
+    f = limit + slope * h**p
+    assume(abs(limit) > 0.1)
+    result = grid_convergence(h, f)
+    assert result.behaviour == "monotone"
+    assert result.observed_order == pytest.approx(p, abs=1e-5)
+    # extrapolation amplifies the rounding of the values by 1 / (r^p - 1)
+    assert result.extrapolated == pytest.approx(limit, abs=1e-6 * max(1, abs(f).max()))
+    assert result.u_num is not None
+    assert result.u_num >= abs(f[0] - limit) * 0.999
+
+
+def test_factor_of_safety_and_limits() -> None:
+    h = np.array([1.0, 2, 4])
+    assert grid_convergence(h, 1 + 0.01 * h**2, formal_order=2).factor_of_safety == 1.25
+    low = grid_convergence(h, 1 + 0.01 * h**1.0, formal_order=2)
+    assert low.factor_of_safety == 3
+    assert low.observed_order == pytest.approx(1)
+    high = grid_convergence(h, 1 + 0.01 * h**4, formal_order=2)
+    assert (high.factor_of_safety, high.order_used) == (3, 2)
+    assert "indicative" in high.verdict
+    flat = grid_convergence(h, 1 + 0.01 * h**0.2, formal_order=2)
+    assert (flat.factor_of_safety, flat.order_used) == (3, 0.5)
+
+
+def test_four_meshes_need_agreeing_triples() -> None:
+    h = np.array([1.0, 2, 4, 8])
+    assert grid_convergence(h, 1 + 0.01 * h**1.5, formal_order=2).factor_of_safety == 1.25
+    bent = grid_convergence(h, 1 + 0.01 * h + 0.0005 * h**3)
+    assert bent.factor_of_safety == 3
+
+
+def test_order_of_input_means_nothing() -> None:
+    one = grid_convergence([1, 2, 4], [0.97050, 0.96854, 0.96178])
+    two = grid_convergence([4, 1, 2], [0.96178, 0.97050, 0.96854])
+    assert one == two
+
+
+@pytest.mark.parametrize(
+    ("sizes", "values", "match"),
+    [
+        ([1, 2], [1, 2], "at least three meshes"),
+        ([1, 2, 2], [1, 2, 3], "must be distinct"),
+        ([1, 2, -4], [1, 2, 3], "positive"),
+        ([1, 2, 4], [1, 2], "3 sizes for 2 values"),
+        ([1, 2, 4], [1, np.nan, 3], "finite numbers"),
+    ],
+)
+def test_bad_input(sizes, values, match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        grid_convergence(sizes, values)
+
+
+def test_small_ratios_are_said() -> None:
+    result = grid_convergence([1, 1.1, 1.2], [1.0, 1.1, 1.25])
+    assert any("below 1.3" in w for w in result.warnings)

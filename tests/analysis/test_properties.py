@@ -1,0 +1,110 @@
+"""Metamorphic tests P15 to P20 of the statistics."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from study.analysis import analyze, bartlett, ryan_joiner
+from study.analysis.normality import statistic
+
+seeds = st.integers(0, 10_000)
+shapes = st.tuples(st.integers(2, 3), st.integers(2, 4), st.integers(2, 3))
+
+
+def table_of(shape: tuple[int, int, int], seed: int) -> pd.DataFrame:
+    a, b, r = shape
+    rows = [(f"a{i}", f"b{j}") for i, j in itertools.product(range(a), range(b)) for _ in range(r)]
+    table = pd.DataFrame(rows, columns=["a", "b"])
+    return table.assign(y=np.random.default_rng(seed).normal(10, 1, len(table)))
+
+
+def rows_of(table: pd.DataFrame, factors: list[str], **options) -> dict[str, tuple[float, float]]:
+    result = analyze(table, "y", factors, exact=False, **options)
+    return {":".join(sorted(r.term.split(":"))): (r.ss, r.f or 0.0) for r in result.anova.rows}
+
+
+def same(one: dict, two: dict, rel: float, scale: float = 1.0) -> None:
+    assert one.keys() == two.keys()
+    total = sum(ss for ss, _ in one.values())
+    for term, (ss, f) in one.items():
+        assert two[term][0] == pytest.approx(scale * ss, rel=rel, abs=rel * scale * total)
+        assert two[term][1] == pytest.approx(f, rel=1e3 * rel, abs=1e3 * rel)
+
+
+@settings(max_examples=25)
+@given(shapes, seeds)
+def test_p15_labels_and_order_mean_nothing(shape, seed) -> None:
+    table = table_of(shape, seed)
+    base = rows_of(table, ["a", "b"])
+    shuffled = table.sample(frac=1, random_state=seed)
+    same(base, rows_of(shuffled, ["b", "a"]), 1e-12)
+    renamed = shuffled.assign(a=shuffled["a"].map(lambda v: {"a0": "z"}.get(v, v + " q")))
+    same(base, rows_of(renamed, ["a", "b"]), 1e-12)
+
+
+@settings(max_examples=25)
+@given(shapes, seeds, st.sampled_from([0.0, -3.0, 1e8]), st.sampled_from([0.5, -2.0, 1.0]))
+def test_p16_affine_response(shape, seed, shift, factor) -> None:
+    table = table_of(shape, seed)
+    # rounded so that adding 1e8 is exact in binary
+    table["y"] = np.round(table["y"] * 1024) / 1024
+    base = rows_of(table, ["a", "b"])
+    moved = rows_of(table.assign(y=factor * table["y"] + shift), ["a", "b"])
+    same(base, moved, 1e-11, factor**2)
+
+
+@settings(max_examples=25)
+@given(shapes, seeds)
+def test_p17_sums_add_up_and_types_agree(shape, seed) -> None:
+    table = table_of(shape, seed)
+    total = float(((table["y"] - table["y"].mean()) ** 2).sum())
+    types = [rows_of(table, ["a", "b"], type=t) for t in ("I", "II", "III")]
+    assert sum(ss for ss, _ in types[0].values()) == pytest.approx(total, rel=1e-10)
+    same(types[0], types[1], 1e-12)
+    same(types[0], types[2], 1e-12)
+
+
+@settings(max_examples=15)
+@given(shapes, seeds, st.integers(2, 3))
+def test_p18_duplication_scales_sums(shape, seed, k) -> None:
+    table = table_of(shape, seed)
+    copied = pd.concat([table] * k)
+    one = analyze(table, "y", ["a", "b"], exact=False)
+    many = analyze(copied, "y", ["a", "b"], exact=False)
+    for row in one.anova.rows:
+        assert many.anova.row(row.term).ss == pytest.approx(k * row.ss, rel=1e-11)
+    for effect in one.effects:
+        assert many.effect(effect.term).range == pytest.approx(effect.range, rel=1e-10)
+
+
+@settings(max_examples=25)
+@given(st.integers(4, 40), seeds, st.floats(0.01, 100), st.floats(-100, 100))
+def test_p19_location_scale(n, seed, scale, shift) -> None:
+    x = np.random.default_rng(seed).normal(size=n)
+    rj = statistic(x)
+    assert 0 < rj <= 1
+    assert statistic(scale * x + shift) == pytest.approx(rj, rel=1e-9)
+    one = bartlett([x[: n // 2], x[n // 2 :]])
+    two = bartlett([scale * x[: n // 2] + shift, scale * x[n // 2 :] + shift])
+    assert one.p is not None
+    assert 0 <= one.p <= 1
+    assert two.statistic == pytest.approx(one.statistic, rel=1e-7, abs=1e-9)
+    result = ryan_joiner(x, simulations=200)
+    assert result.p_exact is not None
+    assert 0 < result.p_exact <= 1
+
+
+@settings(max_examples=15)
+@given(seeds)
+def test_p20_coding_of_two_levels(seed) -> None:
+    table = table_of((2, 2, 3), seed)
+    base = rows_of(table, ["a", "b"])
+    for low, high in ((-1, 1), (0, 1), ("low", "high"), (-1.5, 2.5)):
+        coded = table.assign(a=table["a"].map({"a0": low, "a1": high}))
+        same(base, rows_of(coded, ["a", "b"]), 1e-12)
