@@ -1,0 +1,201 @@
+"""Whether a material is stable: Drucker's criterion, surface instability, plausible constants.
+
+Drucker: the incompressible tangent between principal Kirchhoff stresses and logarithmic
+strains, ``D_ij = H_ij - H_i3 - H_3j + H_33`` with ``H = d2W / dln l_i dln l_j`` and
+i, j = 1, 2, must be positive definite along uniaxial, equibiaxial and planar loading (the
+check that Abaqus prints; Abaqus Theory Guide, hyperelastic stability).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from study.errors import Fault, InputError
+from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode
+from study.material.material import Material
+from study.material.principal import source_slope
+
+Array = NDArray[np.float64]
+
+#: stretches judged where the caller has no range of its own
+USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
+#: real root of x^3 + x^2 + 3x = 1, the surface wave condition of Biot (1963)
+BIOT_ROOT = 0.29559774252208477
+#: compression at which the free surface of a neo-Hookean half-space creases or wrinkles (V45)
+BIOT_LIMITS: Mapping[str, float] = {
+    "planar": BIOT_ROOT ** (1 / 2),
+    "equibiaxial": BIOT_ROOT ** (1 / 3),
+    "uniaxial": BIOT_ROOT ** (2 / 3),
+}
+#: initial shear moduli of soft tissue and silicone, MPa; outside, a unit is probably wrong
+PLAUSIBLE_MU0 = (1e-4, 10.0)
+
+
+@dataclass(frozen=True)
+class StabilityResult:
+    """Verdict on a range of stretches.
+
+    Parameters
+    ----------
+    stable : bool
+        Whether Drucker's criterion holds in every mode on the whole range.
+    sentence : str
+        Names the mode and the stretch where it first fails.
+    limits : mapping
+        Mode -> the unstable stretch nearest to 1, for the modes that fail.
+    """
+
+    stable: bool
+    sentence: str
+    limits: Mapping[str, float]
+
+
+def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> StabilityResult:
+    """Check Drucker's criterion in uniaxial, equibiaxial and planar loading.
+
+    Parameters
+    ----------
+    material : Material
+        With numbers; K does not enter.
+    stretches : array_like
+        Range to judge, usually the tested one; its ends and 1 are what count.
+
+    Returns
+    -------
+    StabilityResult
+
+    Examples
+    --------
+    >>> stability(Material("reduced-polynomial", {"C10": 1.0, "C20": -0.1}, incompressible=True),
+    ...           stretches=[0.9, 1.0]).sentence
+    'stable in uniaxial, equibiaxial and planar loading from stretch 0.9 to 1'
+    """
+    given = np.append(np.asarray(stretches, float).ravel(), 1.0)
+    low, high = float(given.min()), float(given.max())
+    if material.family == "linear-elastic":
+        return StabilityResult(True, "stable: small strain, positive modulus", {})
+    limits = {}
+    for mode in (UNIAXIAL, EQUIBIAXIAL, PLANAR):
+        limit = _limit(material, mode, low, high)
+        if limit is not None:
+            limits[mode.name] = limit
+    if not limits:
+        where = f"from stretch {low:.4g} to {high:.4g}"
+        return StabilityResult(
+            True, f"stable in uniaxial, equibiaxial and planar loading {where}", {}
+        )
+    parts = [_failure(name, limit) for name, limit in limits.items()]
+    return StabilityResult(False, "unstable (Drucker) " + ", ".join(parts), limits)
+
+
+def tangent(material: Material, mode: Mode, stretch: ArrayLike) -> Array:
+    """Incompressible tangent D along a loading mode, MPa, shape (2, 2, n)."""
+    x = np.log(np.atleast_1d(np.asarray(stretch, float)))
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    bar = np.exp(a[:, None] * x - v[:, None] * x * a.sum() / v.sum())
+    with np.errstate(all="ignore"):
+        hessian = np.array([source_slope(material, bar, unit) for unit in np.eye(3)])
+    d = hessian[:2, :2] - hessian[:2, 2:] - hessian[2:, :2] + hessian[2:, 2:]
+    return np.asarray(d)
+
+
+def check(
+    material: Material, stretches: ArrayLike | None = None, where: str = "material"
+) -> tuple[str, ...]:
+    """Refuse constants that a user must not give; warn about implausible ones.
+
+    Parameters
+    ----------
+    material : Material
+        As the user gave it (a fit may pass over worse).
+    stretches : array_like, optional
+        Range of the test; where given, the material must be stable on it.
+    where : str
+        Key that errors name.
+
+    Returns
+    -------
+    tuple of str
+        Warnings.
+
+    Raises
+    ------
+    InputError
+        If a modulus is not positive, an exponent is zero, or the material is unstable on the
+        range.
+    """
+    faults = []
+    if not material.mu0 > 0:
+        rule = f"the initial shear modulus must be positive, got {1e3 * material.mu0:g} kPa"
+        faults.append(Fault(where, rule, _mu0_formula(material)))
+    for name, value in material.constants.items():
+        if name.startswith("alpha") and value == 0:
+            faults.append(Fault(f"{where}.{name}", "an Ogden exponent must not be zero"))
+    if not faults and stretches is not None:
+        verdict = stability(material, stretches)
+        if not verdict.stable:
+            faults.append(Fault(where, verdict.sentence, "give constants stable on this range"))
+    if faults:
+        raise InputError(faults)
+    low, high = PLAUSIBLE_MU0
+    if not low <= material.mu0 <= high:
+        return (
+            f"{where}: an initial shear modulus of {1e3 * material.mu0:.4g} kPa is outside "
+            f"{1e3 * low:g} to {1e3 * high:g} kPa of soft tissue and silicone: check the units",
+        )
+    return ()
+
+
+def surface_warning(material: Material, mode: str, stretch: float) -> str:
+    """Sentence if a compression goes beyond Biot's surface instability; empty otherwise."""
+    limit = BIOT_LIMITS.get(mode, 0.0)
+    if material.family == "linear-elastic" or stretch >= limit:
+        return ""
+    return (
+        f"beyond stretch {limit:.4f} in {mode} compression the free surface of a neo-Hookean "
+        f"body is unstable (Biot 1963), got {stretch:.4f}: the computed state may not be the one "
+        "that is seen"
+    )
+
+
+def _mu0_formula(material: Material) -> str:
+    formulas = {"polynomial": "mu0 = 2 (C10 + C01)", "ogden": "mu0 = the sum of the mu"}
+    return formulas.get(material.family, "")
+
+
+def _failure(name: str, limit: float) -> str:
+    if limit == 1:
+        return f"in {name} loading from the start"
+    side = "below" if limit < 1 else "above"
+    return f"in {name} loading {side} stretch {limit:.4f}"
+
+
+def _limit(material: Material, mode: Mode, low: float, high: float) -> float | None:
+    """Unstable stretch nearest to 1, by a scan outward and bisection; None if there is none."""
+    if not _stable(material, mode, np.array([1.0]))[0]:
+        return 1.0
+    found = []
+    for end in (low, high):
+        path = np.geomspace(1.0, end, 201) if end != 1 else np.ones(1)
+        bad = np.flatnonzero(~_stable(material, mode, path))
+        if bad.size:
+            found.append(_bisect(material, mode, path[bad[0] - 1], path[bad[0]]))
+    return min(found, key=lambda s: abs(np.log(s))) if found else None
+
+
+def _bisect(material: Material, mode: Mode, good: float, bad: float) -> float:
+    for _ in range(50):
+        middle = 0.5 * (good + bad)
+        stable = _stable(material, mode, np.array([middle]))[0]
+        good, bad = (middle, bad) if stable else (good, middle)
+    return float(bad)
+
+
+def _stable(material: Material, mode: Mode, stretch: Array) -> NDArray[np.bool_]:
+    d = tangent(material, mode, stretch)
+    determinant = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
+    return np.asarray((d[0, 0] + d[1, 1] > 0) & (determinant > 0))

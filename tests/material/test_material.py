@@ -1,0 +1,118 @@
+"""Declaration of energies, construction of materials, and conversions."""
+
+import math
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.material import MODELS, Material, constant_names, convert
+from study.material.conversions import bulk_from_poisson, from_ogden_classical, poisson_from_bulk
+
+
+def test_names_of_every_energy():
+    assert set(MODELS) == {
+        "linear-elastic", "neo-hookean", "mooney-rivlin", "reduced-polynomial", "polynomial",
+        "ogden",
+    }  # fmt: skip
+    for model in MODELS:
+        names = constant_names(model)
+        material = Material(model, dict.fromkeys(names, 1.0), incompressible=True)
+        assert material.names == names
+
+
+def test_constants_are_put_in_order():
+    material = Material("ogden", {"alpha1": 4.0, "mu1": 1.0}, incompressible=True)
+    assert material.names == ("mu1", "alpha1")
+    mu, alpha = material.ogden_terms()
+    assert (mu[0], alpha[0]) == (1.0, 4.0)
+    poly = Material("polynomial", {"C02": 3.0, "C10": 1.0, "C11": 2.0}, incompressible=True)
+    assert poly.names == ("C10", "C11", "C02")
+    assert poly.coefficient_table().tolist() == [[0, 0, 3], [1, 2, 0]]
+
+
+def test_shear_and_bulk_moduli():
+    mr = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, poisson_ratio=0.4995)
+    assert mr.mu0 == pytest.approx(1.0)
+    assert mr.bulk == pytest.approx(bulk_from_poisson(1.0, 0.4995))
+    assert mr.bulk_gradient() == pytest.approx({"C10": 2 * mr.bulk, "C01": 2 * mr.bulk})
+    assert poisson_from_bulk(mr.mu0, mr.bulk) == pytest.approx(0.4995, abs=1e-12)
+    assert poisson_from_bulk(1.0, math.inf) == 0.5
+    fixed = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=100)
+    assert fixed.bulk_gradient() == {"C10": 0.0, "C01": 0.0}
+
+
+def test_linear_elastic_shear_modulus_gradient():
+    for given in ({"poisson_ratio": 0.3}, {"bulk_modulus": 5.0}, {"incompressible": True}):
+        moved = [
+            Material("linear-elastic", {"youngs_modulus": e}, **given) for e in (2 - 1e-6, 2 + 1e-6)
+        ]
+        slope = (moved[1].mu0 - moved[0].mu0) / 2e-6
+        middle = Material("linear-elastic", {"youngs_modulus": 2.0}, **given)
+        assert middle.mu0_gradient()["youngs_modulus"] == pytest.approx(slope, rel=1e-8)
+
+
+def test_with_constants():
+    material = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, incompressible=True)
+    assert material.with_constants({"C01": 0.2}).constants == {"C10": 0.4, "C01": 0.2}
+    assert material.with_constants(np.array([1, 2])).constants == {"C10": 1.0, "C01": 2.0}
+    with pytest.raises(InputError, match="takes 2 constants"):
+        material.with_constants([1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    ("model", "constants", "rest", "words"),
+    [
+        ("neo-hokean", {"C10": 1}, {"incompressible": True}, "did you mean 'neo-hookean'"),
+        ("neo-hookean", {"C01": 1}, {"incompressible": True}, "is no constant of neo-hookean"),
+        ("mooney-rivlin", {"C10": 1}, {"incompressible": True}, "material.C01"),
+        ("reduced-polynomial", {"C10": 1, "C30": 1}, {"incompressible": True}, "material.C20"),
+        ("neo-hookean", {"C10": math.nan}, {"incompressible": True}, "must be finite"),
+        ("neo-hookean", {"C10": 1}, {}, "exactly one of"),
+        ("neo-hookean", {"C10": 1}, {"poisson_ratio": 0.4, "bulk_modulus": 1}, "exactly one of"),
+        ("neo-hookean", {"C10": 1}, {"poisson_ratio": 0.5}, "incompressible = true"),
+        ("neo-hookean", {"C10": 1}, {"poisson_ratio": -1.0}, "above -1"),
+        ("neo-hookean", {"C10": 1}, {"bulk_modulus": -2.0}, "must be positive"),
+    ],
+)
+def test_bad_materials(model, constants, rest, words):
+    with pytest.raises(InputError, match=words):
+        Material(model, constants, **rest)
+
+
+@pytest.mark.parametrize("order", [0, -1, 2.5, True])
+def test_bad_orders(order):
+    with pytest.raises(InputError, match="whole number"):
+        constant_names("ogden", order)
+    with pytest.raises(InputError, match="has no order"):
+        constant_names("neo-hookean", 2)
+
+
+def test_abaqus():
+    material = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000)
+    assert convert(material, "abaqus").constants == {"C10": 0.4, "C01": 0.1, "D1": 0.002}
+    free = Material("neo-hookean", {"C10": 0.4}, incompressible=True)
+    assert convert(free, "abaqus").constants["D1"] == 0
+
+
+def test_ogden_classical_round_trip():
+    # V44: Treloar's rubber, mu0 = 1/2 sum m a = 0.4225 MPa
+    treloar = {1: (0.63, 1.3), 2: (0.0012, 5.0), 3: (-0.01, -2.0)}
+    material = Material("ogden", from_ogden_classical(treloar), incompressible=True)
+    assert material.mu0 == pytest.approx(0.4225, rel=1e-15)
+    back = convert(material, "ogden-classical").constants
+    assert [back["m1"], back["m2"], back["m3"]] == pytest.approx([0.63, 0.0012, -0.01], rel=1e-14)
+
+
+def test_febio():
+    ogden = Material("ogden", {"mu1": 0.5, "alpha1": 4.0}, bulk_modulus=100)
+    assert convert(ogden, "febio").constants == {"c1": 1.0, "m1": 4.0, "k": 100}
+    yeoh = Material("reduced-polynomial", {"C10": 1, "C20": 2, "C30": 3}, bulk_modulus=100)
+    assert convert(yeoh, "febio").constants == {"c1": 1, "c2": 2, "c3": 3, "k": 100}
+    assert "ln J" in convert(yeoh, "febio").note
+    with pytest.raises(InputError, match="no energy with"):
+        convert(Material("polynomial", {"C11": 1.0}, incompressible=True), "febio")
+    with pytest.raises(InputError, match="did you mean 'abaqus'"):
+        convert(yeoh, "abacus")
+    with pytest.raises(InputError, match="for ogden materials"):
+        convert(yeoh, "ogden-classical")

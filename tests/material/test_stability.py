@@ -1,0 +1,82 @@
+"""Drucker's criterion, Biot's limits and what a user may not give."""
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.material import Material, check, stability
+from study.material.homogeneous import UNIAXIAL, response
+from study.material.stability import BIOT_LIMITS, BIOT_ROOT, surface_warning, tangent
+
+RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
+
+
+def _rp2(**constants):
+    return Material("reduced-polynomial", {**RP2, **constants}, incompressible=True)
+
+
+@pytest.mark.parametrize("model", ["neo-hookean", "mooney-rivlin"])
+def test_positive_constants_are_stable_everywhere(model):
+    constants = {"C10": 0.4} if model == "neo-hookean" else {"C10": 0.4, "C01": 0.1}
+    verdict = stability(Material(model, constants, incompressible=True), [0.1, 10])
+    assert verdict.stable
+    assert "from stretch 0.1 to 10" in verdict.sentence
+
+
+def test_softening_constants_name_the_stretch():
+    verdict = stability(_rp2(), [0.3, 1.0])
+    assert not verdict.stable
+    limit = verdict.limits["uniaxial"]
+    assert f"in uniaxial loading below stretch {limit:.4f}" in verdict.sentence
+    # at the limit the determinant of the tangent vanishes, on one side only
+    inside, outside = (
+        np.linalg.det(tangent(_rp2(), UNIAXIAL, s)[:, :, 0]) for s in (limit + 1e-6, limit - 1e-6)
+    )
+    assert inside > 0 > outside
+    assert stability(_rp2(), [0.9, 1.0]).stable
+
+
+def test_uniaxial_limit_is_no_later_than_the_peak_of_true_stress():
+    verdict = stability(_rp2(), [0.3, 1.0])
+    stretch = np.linspace(1.0, 0.3, 7001)
+    true = stretch * response(_rp2(), "uniaxial", stretch).stress
+    turning = stretch[np.argmin(true)]
+    # along the path d tau / d eps = det D / (a sum of its entries): both vanish together or
+    # the determinant does first
+    assert verdict.limits["uniaxial"] >= turning - 1e-3
+
+
+def test_negative_shear_modulus_is_unstable_from_the_start():
+    material = Material("mooney-rivlin", {"C10": 0.1, "C01": -0.2}, incompressible=True)
+    assert "from the start" in stability(material).sentence
+
+
+def test_biot_limits():
+    assert pytest.approx(1, abs=1e-15) == BIOT_ROOT**3 + BIOT_ROOT**2 + 3 * BIOT_ROOT
+    # V45 prints six digits
+    assert BIOT_LIMITS["planar"] == pytest.approx(0.543689, abs=5e-7)
+    assert BIOT_LIMITS["equibiaxial"] == pytest.approx(0.666142, abs=5e-7)
+    assert BIOT_LIMITS["uniaxial"] == pytest.approx(0.443746, abs=5e-7)
+    material = Material("neo-hookean", {"C10": 0.5}, incompressible=True)
+    assert surface_warning(material, "uniaxial", 0.5) == ""
+    assert "Biot" in surface_warning(material, "uniaxial", 0.4)
+
+
+@pytest.mark.parametrize(
+    ("material", "words"),
+    [
+        (Material("neo-hookean", {"C10": -1.0}, incompressible=True), "must be positive"),
+        (Material("linear-elastic", {"youngs_modulus": 0.0}, poisson_ratio=0.3), "positive"),
+        (Material("ogden", {"mu1": 1.0, "alpha1": 0.0}, incompressible=True), "must not be zero"),
+        (_rp2(C20=-8e-3), "unstable (Drucker)"),
+    ],
+)
+def test_what_a_user_may_not_give(material, words):
+    with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
+        check(material, stretches=[0.8, 1.0])
+
+
+def test_implausible_modulus_warns_about_units():
+    assert check(_rp2(), [0.9, 1]) == ()
+    (warning,) = check(Material("neo-hookean", {"C10": 5000.0}, incompressible=True))
+    assert "check the units" in warning

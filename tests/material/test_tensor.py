@@ -1,0 +1,153 @@
+"""P03, P06 and P07: relations that hold for any deformation gradient."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from study.material import Material
+from study.material.homogeneous import confined, uniaxial
+from study.material.tensor import first_piola, first_piola_gradient, strain_energy
+
+#: positive constants: polyconvex, so that the energy has its only minimum at rest
+STABLE = [
+    ("neo-hookean", {"C10": 0.5}),
+    ("mooney-rivlin", {"C10": 0.4, "C01": 0.1}),
+    ("reduced-polynomial", {"C10": 0.5, "C20": 0.1, "C30": 0.02}),
+    ("polynomial", {"C10": 0.3, "C01": 0.1, "C11": 0.05, "C02": 0.02}),
+    ("ogden", {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0}),
+]
+materials = st.builds(
+    lambda pair, bulk: Material(*pair, bulk_modulus=bulk),
+    st.sampled_from(STABLE),
+    st.floats(20, 1e4),
+)
+stretches = st.tuples(*[st.floats(0.6, 2.0)] * 3)
+angles = st.tuples(*[st.floats(-3, 3)] * 3)
+
+
+def _rotation(angle):
+    return Rotation.from_rotvec(angle).as_matrix()
+
+
+def _gradient(stretch, angle, other):
+    """Deformation gradient with given principal stretches and J between 0.8 and 1.2."""
+    s = np.array(stretch)
+    s *= (np.clip(s.prod(), 0.8, 1.2) / s.prod()) ** (1 / 3)
+    return _rotation(angle) @ np.diag(s) @ _rotation(other).T
+
+
+@settings(max_examples=40)
+@given(materials, stretches, angles, angles, angles)
+def test_objectivity_and_isotropy(material, stretch, angle, other, third):
+    F, Q = _gradient(stretch, angle, other), _rotation(third)
+    energy, stress = strain_energy(material, F), first_piola(material, F)
+    scale = material.bulk
+    # P03: 1e-12 of the largest modulus
+    assert strain_energy(material, Q @ F) == pytest.approx(energy, abs=1e-12 * scale)
+    assert strain_energy(material, F @ Q) == pytest.approx(energy, abs=1e-12 * scale)
+    # stresses go with powers of the stretch up to l^5 / 0.6: a hundred times the rounding
+    assert first_piola(material, Q @ F) == pytest.approx(Q @ stress, abs=1e-11 * scale)
+
+
+@settings(max_examples=40)
+@given(materials, stretches, angles, angles)
+def test_energy_is_positive_and_its_derivative_is_the_stress(material, stretch, angle, other):
+    F = _gradient(stretch, angle, other)
+    assert strain_energy(material, F) >= 0
+    stress, h = first_piola(material, F), 1e-6
+    steps = h * np.eye(9).reshape(9, 3, 3)
+    slopes = [
+        (strain_energy(material, F + d) - strain_energy(material, F - d)) / (2 * h) for d in steps
+    ]
+    # P07: central differences of step 1e-6 leave 1e-9 of the largest modulus
+    assert np.reshape(slopes, (3, 3)) == pytest.approx(stress, abs=1e-7 * material.bulk)
+
+
+@settings(max_examples=20)
+@given(materials, stretches, angles, angles)
+def test_tangent_has_major_symmetry(material, stretch, angle, other):
+    F, h = _gradient(stretch, angle, other), 1e-6
+    steps = h * np.eye(9).reshape(9, 3, 3)
+    rows = [
+        (first_piola(material, F + d) - first_piola(material, F - d)).ravel() / (2 * h)
+        for d in steps
+    ]
+    tangent = np.array(rows)
+    assert tangent == pytest.approx(tangent.T, abs=1e-7 * material.bulk)
+
+
+@pytest.mark.parametrize("pair", STABLE, ids=lambda p: p[0])
+def test_rest_and_rigid_motion_are_free_of_stress(pair):
+    material = Material(*pair, bulk_modulus=1000)
+    Q = _rotation((0.3, -1.0, 2.0))
+    for F in (np.eye(3), Q):
+        # V08: 1e-12 mu at rest; a rotation matrix has J = 1 to 4e-16, times K = 1000
+        assert strain_energy(material, F) == pytest.approx(0, abs=1e-12)
+        assert first_piola(material, F) == pytest.approx(np.zeros((3, 3)), abs=2e-12)
+
+
+@settings(max_examples=40)
+@given(stretches, angles, angles, st.floats(0.05, 1), st.floats(0.05, 1))
+def test_energies_collapse_into_each_other(stretch, angle, other, c10, c01):
+    F = _gradient(stretch, angle, other)
+    given_bulk = {"bulk_modulus": 100.0}
+    nh = Material("neo-hookean", {"C10": c10}, **given_bulk)
+    mr = Material("mooney-rivlin", {"C10": c10, "C01": c01}, **given_bulk)
+    pairs = [
+        (nh, Material("ogden", {"mu1": 2 * c10, "alpha1": 2.0}, **given_bulk)),
+        (nh, Material("reduced-polynomial", {"C10": c10}, **given_bulk)),
+        (nh, Material("polynomial", {"C10": c10, "C01": 0.0}, **given_bulk)),
+        (mr, Material("polynomial", {"C10": c10, "C01": c01}, **given_bulk)),
+        (
+            mr,
+            Material(
+                "ogden",
+                {"mu1": 2 * c10, "alpha1": 2.0, "mu2": 2 * c01, "alpha2": -2.0},
+                **given_bulk,
+            ),
+        ),
+    ]
+    for one, same in pairs:
+        # P06: 1e-12 of the largest modulus, K
+        assert first_piola(same, F) == pytest.approx(first_piola(one, F), abs=1e-10)
+        assert strain_energy(same, F) == pytest.approx(strain_energy(one, F), abs=1e-10)
+
+
+@pytest.mark.parametrize("pair", STABLE, ids=lambda p: p[0])
+def test_full_gradient_agrees_with_differences(pair):
+    material = Material(*pair, poisson_ratio=0.49)
+    F = _gradient((0.7, 1.1, 1.4), (0.2, 0.5, 1), (1, 0.1, -0.4))
+    gradient = first_piola_gradient(material, F)
+    for name in material.names:
+        h = 1e-6
+        ahead, behind = (
+            first_piola(material.with_constants({name: material.constants[name] + s * h}), F)
+            for s in (1, -1)
+        )
+        # the stress is smooth in the constants: central differences are good to 1e-9 of K
+        assert gradient[name] == pytest.approx((ahead - behind) / (2 * h), abs=1e-7)
+
+
+def test_tensor_and_closed_forms_agree():
+    material = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=100)
+    stress = first_piola(material, np.diag([0.9, 1.0, 1.0]))
+    assert confined(material, 0.9) == pytest.approx(stress[0, 0], rel=1e-13)
+    many = np.stack([np.eye(3), np.diag([0.9, 1, 1])], axis=-1)
+    assert first_piola(material, many).shape == (3, 3, 2)
+    linear = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.25)
+    F = np.diag([1.02, 1 - 0.25 * 0.02, 1 - 0.25 * 0.02])
+    assert first_piola(linear, F)[0, 0] == pytest.approx(uniaxial(linear, 1.02), rel=1e-12)
+    assert strain_energy(linear, F) == pytest.approx(0.5 * 3 * 0.02**2, rel=1e-12)
+    assert first_piola_gradient(linear, F)["youngs_modulus"][0, 0] == pytest.approx(0.02)
+
+
+@settings(max_examples=25)
+@given(st.sampled_from(STABLE), st.floats(0.6, 2.0), st.floats(1e-3, 1e3))
+def test_stress_scales_with_every_modulus(pair, stretch, factor):
+    # P01 at the material point: exponents are no moduli
+    scaled = {n: v * (1 if n.startswith("alpha") else factor) for n, v in pair[1].items()}
+    one = uniaxial(Material(*pair, bulk_modulus=500.0), stretch)
+    other = uniaxial(Material(pair[0], scaled, bulk_modulus=500.0 * factor), stretch)
+    assert other == pytest.approx(factor * one, rel=1e-10, abs=1e-12 * factor)
