@@ -25,7 +25,7 @@ from study.reporting.style import (
     canvas,
     color_of,
 )
-from study.reporting.text import clean, interval, name_of, quantity, ratio, significant, term_name
+from study.reporting.text import clean, interval, name_of, quantity, ratio, ratio_digits, significant, term_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,8 +82,10 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
         size = ratio(row.difference) if facts.ratio else quantity(
             row.difference, facts.difference_unit
         )
+        digits = ratio_digits(row.difference) if facts.ratio else 3
+        ends = interval(row.low, row.high, "", digits)
         ax.annotate(
-            f"{size}   [{interval(row.low, row.high)}]",
+            f"{size}   [{ends}]",
             (1.0, place), xycoords=ax.get_yaxis_transform(), xytext=(6, 0),
             textcoords="offset points", va="center", fontsize=8, annotation_clip=False,
         )

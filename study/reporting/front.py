@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
-from study.reporting.text import clean, duration, listing, quantity, sentence, significant
+from study.reporting.text import THIN, clean, duration, listing, quantity, sentence, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,7 +53,10 @@ def recommendation(data: ReportData, facts: Facts) -> str:
         return "No computing times are known, so accuracy alone decides."
     sign = -1.0 if facts.response.better == "higher" else 1.0
     best = frame.loc[(sign * frame["mean"]).idxmin()]
-    cheap = frame[frame["within"]].iloc[0]
+    good = frame[frame["within"]]
+    # a quarter more time is no reason to give up accuracy
+    cheap = good[good["seconds"] <= 1.25 * good["seconds"].min()]
+    cheap = cheap.loc[(sign * cheap["mean"]).idxmin()]
     factors = list(data.factors)
     named = listing([clean(cheap[name]) for name in factors])
     text = f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
@@ -64,6 +67,6 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     other = listing([clean(best[name]) for name in factors])
     return sentence(
         f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
-        f"{quantity(practical_of(facts, frame), facts.difference_unit)} that matters, and takes "
+        f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit} that matters, and takes "
         f"{times} times as long ({duration(best['seconds'])})"
     )

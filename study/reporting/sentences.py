@@ -14,6 +14,8 @@ from study.reporting.data import Failure, ReportData
 from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts
 from study.reporting.text import (
     MISSING,
+    THIN,
+    TIMES,
     clean,
     count,
     interval,
@@ -23,6 +25,7 @@ from study.reporting.text import (
     percent,
     quantity,
     ratio,
+    ratio_digits,
     sentence,
     significant,
     term_name,
@@ -51,14 +54,17 @@ def size(effect: Effect, facts: Facts) -> str:
 
 def size_interval(effect: Effect, facts: Facts) -> str:
     """Simultaneous 95 % interval of the largest difference."""
-    return interval(effect.low, effect.high, "" if effect.ratio else facts.difference_unit)
+    if effect.ratio:
+        return interval(effect.low, effect.high, "", ratio_digits(effect.difference))
+    return interval(effect.low, effect.high, facts.difference_unit)
 
 
 def practical(effect: Effect, facts: Facts) -> str:
-    """The smallest difference that matters, in the terms of the effect."""
-    if effect.ratio:
-        return ratio(effect.practical)
-    return quantity(effect.practical, facts.difference_unit)
+    """Return the smallest difference that matters, as it was declared."""
+    if effect.practical is None:
+        return MISSING
+    text = f"{float(significant(effect.practical).replace(',', '')):g}"
+    return f"{TIMES}{THIN}{text}" if effect.ratio else f"{text}{THIN}{facts.difference_unit}"
 
 
 def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
@@ -76,13 +82,14 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
         return _matters(effect, facts, name, numbers)
     if effect.verdict == NO_DIFFERENCE:
         return sentence(
-            f"{name} makes no practical difference to the {facts.title}: at most {numbers}, "
-            f"within the {practical(effect, facts)} that matters"
+            f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
+            f"within {practical(effect, facts)}"
         )
     limit = practical(effect, facts)
-    against = "" if limit == MISSING else f" against the {limit} that matters"
+    against = "" if limit == MISSING else f" against {limit} that matters"
     return sentence(
-        f"whether {name} matters for the {facts.title} cannot be told: {numbers}{against}"
+        f"{name}: these data cannot tell whether it matters for the {facts.title}; the largest "
+        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}"
     )
 
 
@@ -156,7 +163,7 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
         if yes and no:
             changed = titles[yes[0]]
             return sentence(
-                f"{name_of(term, data.labels)} is a choice that "
+                f"the choice of {name_of(term, data.labels)} "
                 f"{_cannot_be_seen(effects[no[0]])} the {titles[no[0]].title}, yet it changes the "
                 f"{changed.title} by {change(effects[yes[0]], changed)}"
             )
@@ -211,7 +218,7 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
         near = int(((frame["mean"] - mean).abs() <= limit).sum()) - 1
         tie = (
             f"; {count(near, 'other cell')} {'lies' if near == 1 else 'lie'} within "
-            f"{quantity(limit, facts.difference_unit)} of it, so cost may decide"
+            f"{limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
             if near
             else "; no other cell comes within the difference that matters"
         )

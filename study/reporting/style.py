@@ -57,6 +57,7 @@ _RC: dict[str, Any] = {
     "axes.facecolor": "none",
     "savefig.facecolor": "none",
 }
+_DECIMALS = re.compile(r"-?\d+\.\d+")
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
 
@@ -116,6 +117,11 @@ def _inline(text: str, name: str, title: str) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
+def _shorter(number: re.Match[str]) -> str:
+    """Hundredths of a point are finer than any screen or printer."""
+    return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
+
+
 def _prefix_ids(element: ElementTree.Element, name: str) -> None:
     for key, value in list(element.attrib.items()):
         if key == "id":
@@ -129,6 +135,8 @@ def _prefix_ids(element: ElementTree.Element, name: str) -> None:
             element.attrib["href"] = f"#{name}-{value.removeprefix('#')}"
         elif "url(#" in value:
             element.attrib[key] = value.replace("url(#", f"url(#{name}-")
+        elif key in ("d", "x", "y"):
+            element.attrib[key] = _DECIMALS.sub(_shorter, value)
         elif key == "transform" and value.startswith("rotate(-0 "):
             del element.attrib[key]
         elif key == "style" and element.tag.endswith("}text"):

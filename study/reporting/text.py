@@ -108,9 +108,17 @@ def _fixed(value: float, decimals: int) -> str:
     return text.replace("-", MINUS)
 
 
+def ratio_digits(value: float | None) -> int:
+    """Digits that a ratio needs: more near 1, so that a small change is not hidden."""
+    if value is None or not math.isfinite(value):
+        return 3
+    away = abs(value - 1)
+    return 3 if away >= 0.05 else 4 if away >= 0.005 else 5
+
+
 def ratio(value: float | None) -> str:
-    """A ratio: ``x 1.34`` with a proper sign."""
-    text = significant(value)
+    """A ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
+    text = significant(value, ratio_digits(value))
     return text if text == MISSING else f"{TIMES}{THIN}{text}"
 
 
@@ -126,7 +134,7 @@ def duration(seconds: float | None) -> str:
         return MISSING
     for limit, size, unit in ((1, 1e-3, "ms"), (60, 1, "s"), (3600, 60, "min")):
         if seconds < limit:
-            return f"{seconds / size:.2g}{THIN}{unit}".replace("e+01", "0")
+            return f"{float(f'{seconds / size:.2g}'):g}{THIN}{unit}"
     return f"{seconds / 3600:.3g}{THIN}h"
 
 

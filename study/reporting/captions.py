@@ -1,0 +1,143 @@
+"""Captions: each states what its figure shows, with numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from study.reporting.data import ReportData
+from study.reporting.facts import Facts, deciding_p
+from study.reporting.sentences import practical, size, size_interval
+from study.reporting.text import (
+    THIN,
+    clean,
+    count,
+    duration,
+    listing,
+    name_of,
+    p_phrase,
+    percent,
+    quantity,
+    sentence,
+    significant,
+    term_name,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.reporting.figures_curves import CurvePanels
+
+
+def effects(facts: Facts, data: ReportData) -> str:
+    """Name the largest effect, and what the band is."""
+    known = [effect for effect in facts.effects if effect.difference is not None]
+    if not known:
+        return ""
+    first = max(known, key=lambda e: abs((e.difference or 0) - (1 if e.ratio else 0)))
+    limit = practical(first, facts)
+    return sentence(
+        f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)} "
+        f"(95 % interval {size_interval(first, facts)}). Shaded: up to {limit}, which does not "
+        "matter in practice; an interval wholly outside it matters, one wholly inside it does not"
+    )
+
+
+def means(facts: Facts, data: ReportData) -> str:
+    """Say which share of the variation between cells each factor has."""
+    shares = [
+        (row["share"], term_name(str(row["term"]), data.labels))
+        for row in facts.rows
+        if row["term"] in data.factors and row.get("share") is not None
+    ]
+    text = listing([f"{name} {percent(share)}" for share, name in sorted(shares, reverse=True)])
+    band = "two means inside the shaded band differ by less than what matters"
+    shown = f"share of the total variation: {text}; " if shares else ""
+    return sentence(f"level means on one shared axis; {shown}{band}")
+
+
+def interactions(facts: Facts, data: ReportData) -> str:
+    """Say which interaction is the largest and whether it matters."""
+    known = [e for e in facts.interactions if e.term.count(":") == 1 and e.difference is not None]
+    key = "lines that are parallel mean that the factors act independently"
+    if not known:
+        return sentence(key)
+    first = max(known, key=lambda e: abs((e.difference or 0) - (1 if e.ratio else 0)))
+    row = facts.row(first.term)
+    p = f", {p_phrase(deciding_p(row))}" if row is not None and deciding_p(row) is not None else ""
+    return sentence(
+        f"the largest two-factor interaction is {term_name(first.term, data.labels)}, "
+        f"{size(first, facts)}{p}: {first.verdict}; {key}"
+    )
+
+
+def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
+    """Say what the points are, and how far the cells and the blocks differ."""
+    means_of = frame.drop_duplicates("rank")["cell_mean"]
+    unit = clean(data.block) or "run"
+    low, high = significant(float(means_of.min())), quantity(float(means_of.max()), facts.unit)
+    text = f"cell means (diamonds) run from {low} to {high}; each dot is one {unit}"
+    if "block" in frame:
+        spread = frame.groupby("block")["value"].mean()
+        text += (
+            f", joined across cells by a thin line; {unit} means run from "
+            f"{significant(float(spread.min()))} to {quantity(float(spread.max()), facts.unit)}"
+        )
+    kind = "geometric means" if facts.ratio else ""
+    return sentence(text + (f"; {kind}" if kind else ""))
+
+
+def residuals(facts: Facts, data: ReportData, n: int) -> str:
+    """Summarize the four panels and the test."""
+    found = facts.normality
+    verdict = "the test of normality does not apply"
+    if found and found.get("rj") is not None:
+        exact = found.get("p_exact")
+        rejected = exact is not None and exact < data.alpha
+        verdict = f"normality is {'rejected' if rejected else 'not rejected'}"
+        verdict += f" ({p_phrase(exact)}, simulated)" if exact is not None else ""
+    return sentence(
+        f"{count(n, 'residual')} of block and cell, one cell for each distinct computation; "
+        f"{verdict}. Run order means nothing for deterministic runs, so residuals stand against "
+        "the factors instead"
+    )
+
+
+def spread(frame: pd.DataFrame) -> str:
+    """Say how far the largest and the smallest standard deviation are apart."""
+    low, high = float(frame["sd"].min()), float(frame["sd"].max())
+    apart = float(frame["low"].max()) > float(frame["high"].min())
+    ratio = f"{significant(high / low)} times" if low > 0 else "far above"
+    return sentence(
+        f"the largest standard deviation is {ratio} the smallest, and the intervals "
+        f"{'do not all overlap' if apart else 'all overlap'}"
+    )
+
+
+def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
+    """Say how cheap a cell within the practical difference is."""
+    near = frame[frame["within"]]
+    dear = float(frame["seconds"].max())
+    cheap = float(near["seconds"].min())
+    return sentence(
+        f"{count(len(near), 'cell')} of {len(frame)} lie within {limit:.3g}{THIN}"
+        f"{facts.difference_unit} of the best; the cheapest of them takes {duration(cheap)} a "
+        f"case, the dearest cell of all {duration(dear)}"
+    )
+
+
+def curves(found: CurvePanels, data: ReportData) -> str:
+    """Say what is drawn, what is held fixed, and how large the residuals are."""
+    gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
+    worst = found.frame.loc[gap.idxmax()]
+    held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
+    text = (
+        f"force above, predicted minus measured below; the largest residual is "
+        f"{quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, {clean(worst['block'])})"
+    )
+    if held:
+        text += f"; shown with {held}"
+    if found.left_out:
+        text += f"; {count(found.left_out, 'more block')} not shown"
+    return sentence(text)
+
+

@@ -1,0 +1,177 @@
+"""The figures of a report: each drawn with its data, its caption and its failure.
+
+A figure that cannot be drawn never stops the report: the page says which one is missing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from study.reporting import captions
+from study.reporting import figures_curves as curves
+from study.reporting import figures_effects as effects
+from study.reporting import figures_residuals as residuals
+from study.reporting import style
+from study.reporting.data import ReportData
+from study.reporting.facts import Facts, cells
+from study.reporting.front import cost_front, practical_of
+from study.reporting.text import name_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure as Canvas
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A finished figure: ``svg`` is markup, all else plain text; ``missing`` says why not."""
+
+    name: str
+    title: str
+    caption: str = ""
+    svg: str = ""
+    data: pd.DataFrame | None = None
+    missing: str = ""
+
+
+Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
+
+
+def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
+    """Compute and draw one figure; any failure becomes its ``missing``.
+
+    Parameters
+    ----------
+    compute : callable
+        Returns the data, a function that draws them, and the caption.
+    """
+    frame: pd.DataFrame | None = None
+    try:
+        frame, draw, caption = compute()
+        svg = style.render(draw, name, title)
+    except Exception as error:  # the numbers must reach the reader whatever the drawing does
+        why = f"{type(error).__name__}: {error}"
+        return Figure(name, title, data=frame, missing=why[:300])
+    return Figure(name, title, caption, svg, frame)
+
+
+def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
+    """Figures of one response by kind; none where it was not analyzed."""
+    if not facts.terms:
+        return {}
+    stem = slug(facts.name)
+    makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
+        "effects": ("Effects against what matters", lambda: _effects(data, facts)),
+        "means": ("Main effects", lambda: _means(data, facts)),
+        "interactions": ("Interactions", lambda: _interactions(data, facts)),
+        "cells": ("Cells", lambda: _cells(data, facts)),
+        "residuals": ("Residuals", lambda: _residuals(data, facts)),
+        "spread": ("Spread of the cells", lambda: _spread(data, facts)),
+    }
+    if len(data.factors) < 2:
+        del makers["interactions"]
+    if facts.response.better and "seconds" in data.table:
+        makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
+    return {
+        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
+        for kind, (title, maker) in makers.items()
+    }
+
+
+def of_study(data: ReportData) -> dict[str, Figure]:
+    """Figures that belong to no single response."""
+    found: dict[str, Figure] = {}
+    if data.curves:
+        found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+    if data.failures:
+        found["failures"] = make("failures", "Failure map", lambda: _failures(data))
+    return found
+
+
+def slug(text: str) -> str:
+    """File and id name made of letters, digits and hyphens alone."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
+
+
+def _effects(data: ReportData, facts: Facts) -> Drawn:
+    frame = effects.effect_sizes(facts, data.labels)
+    if frame.empty:
+        raise ValueError("no effect could be estimated")
+    return frame, lambda: effects.draw_effect_sizes(frame, facts), captions.effects(facts, data)
+
+
+def _means(data: ReportData, facts: Facts) -> Drawn:
+    frame, center = effects.level_means(facts), effects.grand_mean(data, facts)
+    limit = next((e.practical for e in facts.effects if e.practical is not None), None)
+    return (
+        frame,
+        lambda: effects.draw_level_means(frame, facts, center, limit, data),
+        captions.means(facts, data),
+    )
+
+
+def _interactions(data: ReportData, facts: Facts) -> Drawn:
+    frame = effects.pair_means(data, facts)
+    return (
+        frame,
+        lambda: effects.draw_interactions(frame, facts, data.factors, data),
+        captions.interactions(facts, data),
+    )
+
+
+def _cells(data: ReportData, facts: Facts) -> Drawn:
+    frame = effects.cell_points(data, facts)
+    limit = practical_of(facts, cells(data, facts.name))
+    return (
+        frame,
+        lambda: effects.draw_cells(frame, facts, list(data.factors), limit),
+        captions.cells(facts, data, frame),
+    )
+
+
+def _residuals(data: ReportData, facts: Facts) -> Drawn:
+    frame = residuals.residual_points(facts)
+    return (
+        frame,
+        lambda: residuals.draw_residuals(frame, facts, data),
+        captions.residuals(facts, data, len(frame)),
+    )
+
+
+def _spread(data: ReportData, facts: Facts) -> Drawn:
+    frame = residuals.spread_of_cells(facts, data.alpha)
+    return frame, lambda: residuals.draw_spread(frame, facts), captions.spread(frame)
+
+
+def _front(data: ReportData, facts: Facts) -> Drawn:
+    frame = cost_front(data, facts)
+    if frame.empty:
+        raise ValueError("no computing times are known")
+    limit = practical_of(facts, frame)
+    return (
+        frame,
+        lambda: curves.draw_front(frame, facts, data, limit),
+        captions.front(frame, facts, limit),
+    )
+
+
+def _curves(data: ReportData) -> Drawn:
+    found = curves.curve_panels(data)
+    return found.frame, lambda: curves.draw_curves(found, data), captions.curves(found, data)
+
+
+def _failures(data: ReportData) -> Drawn:
+    factors = list(data.factors)
+    frame = data.table[[*factors, "status"]].astype(str)
+    block = data.table["block"].astype(str) if "block" in data.table else "all"
+    frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
+    statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
+    named = ", ".join(name_of(name, data.labels) for name in factors)
+    return (
+        frame,
+        lambda: curves.draw_failures(frame, statuses),
+        f"Rows are cells ({named}), columns are blocks; a large mark is a case that failed.",
+    )

@@ -1,0 +1,172 @@
+"""Figures of assumptions: four views of the residuals, and the spread of the cells."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.data import ReportData
+from study.reporting.facts import Facts
+from study.reporting.figures_effects import plain_ticks, wrap
+from study.reporting.style import BAND, MUTED, RULE, WIDTH_IN, canvas, color_of
+from study.reporting.text import clean, name_of, p_value
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+_SIMULATIONS = 1000
+
+
+def residual_points(facts: Facts) -> pd.DataFrame:
+    """Residuals of one representative of each computation, with their normal scores."""
+    if facts.residuals is None or facts.residuals.empty:
+        raise ValueError("there are no residuals")
+    frame = facts.residuals
+    if "representative" in frame:
+        frame = frame[frame["representative"].astype(bool)]
+    frame = frame.sort_values("residual", kind="stable").reset_index(drop=True)
+    return frame.assign(score=_scores(len(frame)))
+
+
+def _scores(n: int) -> np.ndarray:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri((np.arange(1, n + 1) - 0.375) / (n + 0.25)))
+
+
+def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pointwise 95 % envelope of ``n`` sorted independent normal values.
+
+    Returns
+    -------
+    low, high : ndarray, shape (n,)
+    """
+    draws = np.random.default_rng(seed).standard_normal((_SIMULATIONS, n))
+    draws.sort(axis=1)
+    draws = (draws - draws.mean(1, keepdims=True)) / draws.std(1, ddof=1, keepdims=True)
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low * spread, high * spread
+
+
+def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+    """Draw the four-in-one: normal plot, against fitted, histogram, against the factors."""
+    figure = canvas(WIDTH_IN, 5.6)
+    (normal, fitted), (histogram, factors) = figure.subplots(2, 2)
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    label = f"residual ({unit})" if unit else "residual"
+    _normal_plot(normal, frame, facts, data.seed, label)
+    fitted.axhline(0, color=MUTED, linewidth=0.7)
+    fitted.plot(frame["fitted"], frame["residual"], "o", markersize=3.2, alpha=0.7,
+                color=color_of(0), markeredgewidth=0)
+    where = f"log of {facts.unit}" if facts.ratio else facts.unit
+    fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
+    histogram.hist(frame["residual"], bins="fd" if len(frame) > 12 else 6, color=color_of(5),
+                   edgecolor="white", linewidth=0.6)
+    histogram.set(title="histogram", xlabel=label, ylabel="count")
+    _against_factors(factors, frame, data, label)
+    for ax in (normal, fitted, histogram):
+        plain_ticks(ax, "x")
+    for ax in (normal, fitted, histogram, factors):
+        plain_ticks(ax, "y")
+    return figure
+
+
+def _normal_plot(
+    ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: str
+) -> None:
+    values = frame["residual"].to_numpy(float)
+    spread = float(values.std(ddof=1))
+    low, high = envelope(values.size, spread, seed)
+    ax.fill_between(frame["score"], low, high, color=BAND, linewidth=0)
+    ends = np.array([frame["score"].min(), frame["score"].max()])
+    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
+    ax.plot(frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0),
+            markeredgewidth=0)
+    found = facts.normality
+    if found and found.get("rj") is not None:
+        text = f"RJ = {found['rj']:.4f}"
+        if found.get("p_exact") is not None:
+            text += f", simulated p {_with_sign(p_value(found['p_exact']))}"
+        ax.text(0.03, 0.96, text, transform=ax.transAxes, va="top", fontsize=8)
+    ax.set(title="normal plot, with 95 % envelope", xlabel="normal score", ylabel=label)
+
+
+def _with_sign(p: str) -> str:
+    return p if p[0] in "<>" else f"= {p}"
+
+
+def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
+    rng = np.random.default_rng(data.seed)
+    ticks: list[float] = []
+    names: list[str] = []
+    start = 0.0
+    ax.axhline(0, color=MUTED, linewidth=0.7)
+    for index, (factor, levels) in enumerate(data.factors.items()):
+        if factor not in frame:
+            continue
+        first = start
+        for level in levels:
+            values = frame.loc[frame[factor].astype(str) == level, "residual"]
+            jitter = start + rng.uniform(-0.18, 0.18, len(values))
+            ax.plot(jitter, values, "o", markersize=2.6, alpha=0.7, color=color_of(index),
+                    markeredgewidth=0)
+            ticks.append(start)
+            names.append(clean(level, 20))
+            start += 1
+        ax.text((first + start - 1) / 2, 1.0, wrap(name_of(factor, data.labels), 16, 24),
+                transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=7.5,
+                color=color_of(index), fontweight="bold")
+        start += 0.7
+    ax.set_xticks(ticks, names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7)
+    ax.set_ylabel(label)
+
+
+def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
+    """Standard deviation of the residuals of each cell, with Bonferroni intervals.
+
+    Intervals are those of the chi-squared distribution with n - 1 degrees of freedom:
+    approximate where the residuals come from a fit with blocks.
+    """
+    import pandas as pd
+    from scipy.special import chdtri
+
+    frame = residual_points(facts)
+    grouped = frame.groupby("cell", sort=False)["residual"].agg(["std", "count"])
+    grouped = grouped[grouped["count"] > 1].sort_values("std", ascending=False)
+    if grouped.empty:
+        raise ValueError("no cell holds two residuals")
+    tail = alpha / (2 * len(grouped))
+    df = grouped["count"].to_numpy(float) - 1
+    sd = grouped["std"].to_numpy(float)
+    return pd.DataFrame(
+        {
+            "cell": grouped.index.astype(str),
+            "n": grouped["count"].to_numpy(),
+            "sd": sd,
+            # chdtri takes the upper tail
+            "low": sd * np.sqrt(df / chdtri(df, tail)),
+            "high": sd * np.sqrt(df / chdtri(df, 1 - tail)),
+        }
+    )
+
+
+def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw one row a cell: its standard deviation and interval."""
+    figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
+    ax = figure.subplots()
+    places = np.arange(len(frame))
+    ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
+    ax.plot(frame["sd"], places, "o", color=color_of(0), markersize=5)
+    ax.set_yticks(places, [wrap(cell, 70, 70) for cell in frame["cell"]], fontsize=7.5)
+    ax.set_ylim(len(frame) - 0.4, -0.6)
+    ax.set_xlim(left=0)
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    ax.set_xlabel(f"standard deviation of residuals ({unit}), 95 % Bonferroni intervals")
+    plain_ticks(ax, "x")
+    return figure
