@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: components (3 i + j) of F that are live in axisymmetric space: rr, rz, zr, zz, hoop
-AXISYMMETRIC_COMPONENTS = np.array([0, 1, 3, 4, 8])
+#: reorder and contract sums, but keep NaN: an inverted element must still be seen
+_FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 
 @njit(cache=True, inline="always")
@@ -69,7 +69,7 @@ def cofactor(f: Array, g: Array) -> float:
     return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_FAST)
 def polynomial_stress(
     f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
 ) -> float:
@@ -136,7 +136,7 @@ def polynomial_stress(
     return J
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_FAST)
 def _polynomial_tangent(
     f: Array,
     I1: float,
@@ -181,7 +181,7 @@ def _polynomial_tangent(
                     tangent[o, n] = value
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_FAST)
 def _add_pressure(
     J: float,
     g: Array,
@@ -206,7 +206,7 @@ def _add_pressure(
                         tangent[n, o] += stiffening * J * J * g[n] * g[o]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_FAST)
 def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = gradients.shape[1]
@@ -220,6 +220,49 @@ def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> 
                 f[3 * i + j] += u[a, i] * gradients[a, j]
         if dim == 2:
             f[8] += u[a, 0] * hoop[a]
+
+
+@njit(cache=True, fastmath=_FAST)
+def _add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
+    """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out so that it vectorizes."""
+    na = dN.shape[0]
+    for a in range(na):
+        x, y, z = w * dN[a, 0], w * dN[a, 1], w * dN[a, 2]
+        for i in range(3):
+            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + z * A[3 * i + 2, 0]
+            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + z * A[3 * i + 2, 1]
+            t2 = x * A[3 * i, 2] + y * A[3 * i + 1, 2] + z * A[3 * i + 2, 2]
+            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + z * A[3 * i + 2, 3]
+            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + z * A[3 * i + 2, 4]
+            t5 = x * A[3 * i, 5] + y * A[3 * i + 1, 5] + z * A[3 * i + 2, 5]
+            t6 = x * A[3 * i, 6] + y * A[3 * i + 1, 6] + z * A[3 * i + 2, 6]
+            t7 = x * A[3 * i, 7] + y * A[3 * i + 1, 7] + z * A[3 * i + 2, 7]
+            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + z * A[3 * i + 2, 8]
+            row = 3 * a + i
+            for b in range(a, na):
+                p, q, r = dN[b, 0], dN[b, 1], dN[b, 2]
+                K[row, 3 * b] += t0 * p + t1 * q + t2 * r
+                K[row, 3 * b + 1] += t3 * p + t4 * q + t5 * r
+                K[row, 3 * b + 2] += t6 * p + t7 * q + t8 * r
+
+
+@njit(cache=True, fastmath=_FAST)
+def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
+    """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
+    na = dN.shape[0]
+    for a in range(na):
+        x, y, h = w * dN[a, 0], w * dN[a, 1], w * H[a]
+        for i in range(2):
+            hoop = h if i == 0 else 0.0
+            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + hoop * A[8, 0]
+            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + hoop * A[8, 1]
+            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + hoop * A[8, 3]
+            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + hoop * A[8, 4]
+            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + hoop * A[8, 8]
+            row = 2 * a + i
+            for b in range(a, na):
+                K[row, 2 * b] += t0 * dN[b, 0] + t1 * dN[b, 1] + t8 * H[b]
+                K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
 @njit(cache=True)
@@ -297,7 +340,7 @@ def element_residuals(
     m = nu + n_p
     f, stress = np.empty(9), np.empty(9)
     work, tangent = np.zeros((6, 9)), np.empty((9, 9))
-    Kl, Rl, T = np.empty((m, m)), np.empty(m), np.empty(9)
+    Kl, Rl = np.empty((m, m)), np.empty(m)
     shared = pressure_shape.shape[0] == 1
     smallest = np.inf
     for e in range(ne):
@@ -331,24 +374,13 @@ def element_residuals(
                         gn += H[a] * g[8]
                     row = dim * a + i
                     Rl[row] += w * r
-                    if want_tangent:
-                        for b in range(n_p):
-                            Kl[row, nu + b] += w * J * gn * N[b]
-                        for o in range(9):
-                            t = 0.0
-                            for j in range(dim):
-                                t += dN[a, j] * tangent[3 * i + j, o]
-                            if dim == 2 and i == 0:
-                                t += H[a] * tangent[8, o]
-                            T[o] = w * t
-                        for b in range(a, na):
-                            for k in range(dim):
-                                v = 0.0
-                                for j in range(dim):
-                                    v += T[3 * k + j] * dN[b, j]
-                                if dim == 2 and k == 0:
-                                    v += T[8] * H[b]
-                                Kl[row, dim * b + k] += v
+                    for b in range(n_p):
+                        Kl[row, nu + b] += w * J * gn * N[b]
+            if want_tangent:
+                if dim == 3:
+                    _add_stiffness_3d(dN, tangent, w, Kl)
+                else:
+                    _add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
             for b in range(n_p):
                 Rl[nu + b] += w * (J - 1.0 - pressure * compliance) * N[b]
                 if want_tangent:

@@ -60,6 +60,7 @@ class Pardiso:
 
         self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
         self._solver = pypardiso.PyPardisoSolver(mtype=-2)
+        self._solver.set_iparm(8, 0)  # Newton corrects itself: refine perturbed pivots only
         n = pattern.free.size
         self._matrix = sp.csr_matrix(
             (np.zeros(pattern.indices.size), pattern.indices, pattern.indptr), shape=(n, n)

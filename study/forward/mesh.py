@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
-CELLS_PER_LENGTH = 21.0
+CELLS_PER_LENGTH = 20.0
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION, GROWTH = 0.2, 0.35
 
