@@ -1,0 +1,32 @@
+"""Closed-form compression of a cylinder, as the runner gives it to the fit."""
+
+import numpy as np
+
+from study.calibration import MeasuredCurve
+from study.curve import Curve
+from study.material import Material
+from study.material.homogeneous import response
+
+AREA, HEIGHT = np.pi * 25.0**2, 30.0
+
+
+def predictor(model, names, depth, mode="uniaxial", points=60, sign=-1.0):
+    """Return predict(values) and the displacements; ``sign`` -1 compresses, +1 stretches."""
+    d = np.linspace(depth / points, depth, points)
+    stretch = 1 + sign * d / HEIGHT
+
+    def predict(values):
+        material = Material(model, dict(zip(names, values, strict=True)), incompressible=True)
+        state = response(material, mode, stretch)
+        gradient = {n: sign * AREA * g for n, g in state.gradient.items()}
+        return [Curve(d, sign * AREA * state.stress, force_gradient=gradient)]
+
+    return predict, d
+
+
+def virtual(predict, values, d, noise=0.0, rng=None):
+    """Return one measured curve made of a prediction and noise in N."""
+    force = predict(np.asarray(values))[0].force_N
+    if noise:
+        force = force + noise * rng.normal(size=d.size)
+    return [MeasuredCurve("virtual", Curve(d, force))]

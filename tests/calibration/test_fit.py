@@ -1,0 +1,262 @@
+"""Fits of curves: recovery (V40), verdicts (V39), coverage (V42), weights (P22), bad input."""
+
+import numpy as np
+import pytest
+
+from study.calibration import EvaluationFailed, MeasuredCurve, Status, aicc, fit, profile
+from study.calibration.uncertainty import scaled_condition
+from study.curve import Curve
+from study.errors import InputError, RefusedError
+from tests.calibration.cylinder import predictor, virtual
+
+MR = "mooney-rivlin", ("C10", "C01")
+RP2 = "reduced-polynomial", ("C10", "C20")
+RP3 = "reduced-polynomial", ("C10", "C20", "C30")
+OGDEN = "ogden", ("mu1", "alpha1")
+
+
+@pytest.mark.parametrize(
+    ("energy", "true", "start"),
+    [
+        (("neo-hookean", ("C10",)), [5e-3], [15e-3]),
+        (MR, [4e-3, 1e-3], [12e-3, 3e-3]),
+        (RP2, [5e-3, 1e-3], [15e-3, 0.0]),
+        (RP3, [5e-3, -0.5e-3, 0.2e-3], [15e-3, 0.0, 0.0]),
+        (OGDEN, [10e-3, 4.0], [30e-3, 2.0]),
+        (("linear-elastic", ("youngs_modulus",)), [30e-3], [90e-3]),
+    ],
+)
+def test_noise_free_recovery(energy, true, start):
+    predict, d = predictor(*energy, depth=12.0)
+    found = fit(predict, virtual(predict, true, d), energy[1], start)
+    assert found.converged
+    # V40: 1e-10 of the largest constant from a start three times off
+    assert found.values == pytest.approx(true, abs=1e-10 * max(np.abs(true)))
+    assert found.evaluations <= 15
+    assert found.curves[0].force_N == pytest.approx(predict(np.array(true))[0].force_N)
+
+
+@pytest.mark.parametrize(
+    ("depth", "correlation", "condition"),
+    [(0.14, -0.99958, 132), (0.30, -0.99775, 50), (0.50, -0.99243, 22)],
+)
+def test_mooney_rivlin_in_compression_is_not_identifiable(depth, correlation, condition):
+    """V39: from 1 % to the given compression, evenly in displacement."""
+    predict, d = predictor(*MR, depth=30 * depth, points=200)
+    data = virtual(predict, [4e-3, 1e-3], d, noise=1e-3, rng=np.random.default_rng(2011))
+    found = fit(predict, data, MR[1], [5e-3, 0.0])
+    # the published figures depend a little on where the points are: 2e-4 on the correlation
+    assert found.correlation[0, 1] == pytest.approx(correlation, abs=2e-4)
+    gradient = predict(np.array([4e-3, 1e-3]))[0].force_gradient
+    jacobian = np.array([gradient["C10"], gradient["C01"]]).T
+    assert scaled_condition(jacobian, np.array([4e-3, 1e-3])) == pytest.approx(condition, rel=0.1)
+    assert not found.identifiable
+    words = f"C10 and C01 move together: correlation {found.correlation[0, 1]:.4f}"
+    assert found.reason == f"{words}; only their sum is determined"
+
+
+def test_planar_data_leave_mooney_rivlin_rank_one():
+    predict, d = predictor(*MR, depth=15.0, mode="planar", sign=1.0)
+    data = virtual(predict, [4e-3, 1e-3], d, noise=1e-3, rng=np.random.default_rng(1))
+    found = fit(predict, data, MR[1], [5e-3, 1e-3])
+    assert not found.identifiable
+    assert "determine only 1 of 2 combinations of C10 and C01" in found.reason
+    assert np.all(np.isnan(found.standard_error))
+
+
+def test_reduced_polynomials_are_identifiable_with_a_caution():
+    predict, d = predictor(*RP3, depth=6.0)
+    rng = np.random.default_rng(2011)
+    data = virtual(predict, [7e-3, -0.5e-3, 0.3e-3], d, noise=1e-4, rng=rng)
+    found = fit(predict, data, RP3[1], [5e-3, 0.0, 0.0])
+    assert found.identifiable == (np.abs(np.triu(found.correlation, 1)).max() <= 0.99)
+    predict, d = predictor(*RP2, depth=6.0)
+    found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 1e-3, rng), RP2[1], [5e-3, 0.0])
+    assert found.identifiable
+    assert found.ci95[0, 0] < 7e-3 < found.ci95[0, 1]
+
+
+def test_wide_interval_is_not_identifiable():
+    predict, d = predictor(*RP2, depth=2.0, points=12)
+    rng = np.random.default_rng(3)
+    found = fit(predict, virtual(predict, [7e-3, 1e-3], d, 0.5, rng), RP2[1], [5e-3, 0.0])
+    assert not found.identifiable
+    assert "move together" in found.reason or "times as wide as its value" in found.reason
+
+
+def test_as_many_points_as_constants():
+    predict, d = predictor(*RP2, depth=9.0, points=2)
+    found = fit(predict, virtual(predict, [7e-3, 1e-3], d), RP2[1], [5e-3, 0.0])
+    assert found.converged
+    assert not found.identifiable
+    assert np.all(np.isnan(found.standard_error))
+    assert found.aicc == np.inf
+
+
+def _coverage(fits):
+    """Share of 95 % intervals that hold the truth, per constant, and the mean of chi^2/dof."""
+    true, noise = np.array([7e-3, 1e-3]), 5e-3
+    predict, d = predictor(*RP2, depth=9.0, points=30)
+    clean = predict(true)[0].force_N
+    rng = np.random.default_rng(2011)
+    covered, chi = np.zeros(2), 0.0
+    for _ in range(fits):
+        force = clean + noise * rng.normal(size=d.size)
+        data = [MeasuredCurve("virtual", Curve(d, force), weight=1 / noise)]
+        found = fit(predict, data, RP2[1], true)
+        assert found.converged
+        covered += (found.ci95[:, 0] <= true) & (true <= found.ci95[:, 1])
+        chi += found.reduced_chi_square
+    return covered / fits, chi / fits
+
+
+def test_coverage_of_intervals():
+    """V42: 500 fits; two binomial standard deviations are 2 points."""
+    covered, chi = _coverage(500)
+    assert covered == pytest.approx([0.95, 0.95], abs=0.02)
+    # the mean of 500 chi^2/28 has a standard deviation of sqrt(2/28/500) = 0.012
+    assert chi == pytest.approx(1, abs=0.036)
+
+
+@pytest.mark.slow
+def test_coverage_of_intervals_over_5000_fits():
+    covered, _ = _coverage(5000)
+    assert np.all((covered >= 0.942) & (covered <= 0.958))
+
+
+def test_doubled_weights_change_nothing():
+    """P22: only ratios of weights matter, for the values and for the covariance."""
+    predict, d = predictor(*RP2, depth=9.0)
+    (one,) = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(4))
+    first = fit(predict, [one], RP2[1], [5e-3, 0.0])
+    second = fit(predict, [MeasuredCurve("x", one.curve, 2.0)], RP2[1], [5e-3, 0.0])
+    assert second.values == pytest.approx(first.values, rel=1e-8)
+    assert second.covariance == pytest.approx(first.covariance, rel=1e-8)
+    assert second.rss == pytest.approx(4 * first.rss, rel=1e-8)
+    assert second.r_squared == pytest.approx(first.r_squared, rel=1e-8)
+
+
+def test_points_without_weight_change_nothing():
+    predict, d = predictor(*RP2, depth=9.0)
+    (one,) = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(4))
+    weight = np.ones(d.size)
+    weight[10:20] = 0
+    force = one.curve.force_N.copy()
+    first = fit(predict, [MeasuredCurve("x", one.curve, weight)], RP2[1], [5e-3, 0.0])
+    force[10:20] += 100.0
+    second = fit(predict, [MeasuredCurve("x", Curve(d, force), weight)], RP2[1], [5e-3, 0.0])
+    assert second.values.tolist() == first.values.tolist()
+    assert (first.n, second.n) == (50, 50)
+
+
+def test_held_out_curves_are_predicted_but_not_fitted():
+    predict, d = predictor(*RP2, depth=9.0)
+    (one,) = virtual(predict, [7e-3, 1e-3], d)
+    other = MeasuredCurve("other", Curve(d, 2 * one.curve.force_N), role="held-out")
+    found = fit(lambda v: [*predict(v), *predict(v)], [one, other], RP2[1], [5e-3, 0.0])
+    assert found.values == pytest.approx([7e-3, 1e-3], abs=1e-12)
+    assert found.n == d.size
+    assert len(found.curves) == 2
+
+
+def test_two_tests_together_identify_what_one_cannot():
+    compress, d = predictor(*MR, depth=4.2)
+    extend, e = predictor(*MR, depth=15.0, mode="equibiaxial", sign=1.0)
+    rng = np.random.default_rng(2011)
+    data = [
+        *virtual(compress, [4e-3, 1e-3], d, 1e-3, rng),
+        *virtual(extend, [4e-3, 1e-3], e, 1e-3, rng),
+    ]
+    found = fit(lambda v: [*compress(v), *extend(v)], data, MR[1], [5e-3, 0.0])
+    assert found.identifiable
+    assert abs(found.correlation[0, 1]) < 0.99
+
+
+def test_profile_likelihood_agrees_with_the_interval_of_a_linear_model():
+    predict, d = predictor(*RP2, depth=9.0)
+    data = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(5))
+    found = fit(predict, data, RP2[1], [5e-3, 0.0])
+    for i, name in enumerate(RP2[1]):
+        found_profile = profile(predict, data, found, name)
+        # the model is linear in its constants: both intervals are the same, to the bisection
+        width = np.diff(found.ci95[i])[0]
+        assert found_profile.interval == pytest.approx(tuple(found.ci95[i]), abs=1e-3 * width)
+        assert found_profile.rss.min() == pytest.approx(found.rss, rel=1e-9)
+
+
+def test_profile_of_one_constant_and_of_nothing():
+    predict, d = predictor("neo-hookean", ("C10",), depth=9.0)
+    data = virtual(predict, [7e-3], d, 1e-2, np.random.default_rng(5))
+    found = fit(predict, data, ["C10"], [5e-3])
+    assert profile(predict, data, found, "C10").interval == pytest.approx(
+        tuple(found.ci95[0]), rel=1e-3
+    )
+    stopped = fit(predict, data, ["C10"], [50e-3], callback=lambda it: True)
+    assert stopped.status is Status.stopped
+    with pytest.raises(RefusedError, match="no standard error"):
+        profile(predict, data, stopped, "C10")
+
+
+def test_failures_inside_a_fit():
+    predict, d = predictor(*RP2, depth=9.0)
+    data = virtual(predict, [7e-3, 1e-3], d)
+
+    def fragile(values):
+        if values[0] > 9e-3:
+            raise EvaluationFailed("stopped at 3 mm")
+        return predict(values)
+
+    assert fit(fragile, data, RP2[1], [2e-3, 0.0]).values == pytest.approx([7e-3, 1e-3])
+    failed = fit(fragile, data, RP2[1], [2e-2, 0.0])
+    assert failed.status is Status.start_failed
+    assert not failed.identifiable
+    assert failed.curves == ()
+    assert failed.reason == Status.start_failed.sentence
+
+    def short(values):  # the solver stopped before the end of the measured curve
+        (curve,) = predict(values)
+        gradient = {n: g[:20] for n, g in curve.force_gradient.items()}
+        return [Curve(curve.displacement_mm[:20], curve.force_N[:20], force_gradient=gradient)]
+
+    assert fit(short, data, RP2[1], [7e-3, 0.0]).status is Status.start_failed
+
+
+def test_bound_makes_errors_unavailable():
+    predict, d = predictor(*RP2, depth=9.0)
+    data = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(5))
+    found = fit(predict, data, RP2[1], [5e-3, 0.0], bounds=[(0, 1), (-1, 0.5e-3)])
+    assert found.converged
+    assert found.values[1] == 0.5e-3
+    assert np.isfinite(found.standard_error[0])
+    assert np.isnan(found.standard_error[1])
+    assert not found.identifiable
+    assert "C20 ended at a bound" in found.reason
+
+
+def _measured(force, label="A"):
+    return [
+        MeasuredCurve(label, Curve(np.linspace(1, 9, np.size(force)), np.asarray(force, float)))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        (_measured([5.0] * 10), "is constant"),
+        (_measured(-np.arange(1, 11)), "force falls as the displacement grows"),
+        (_measured([1.0]), "1 points cannot determine 2 constants"),
+        (_measured([1, np.nan, 3]), "not finite"),
+        (_measured([]), "has 0 displacements"),
+        ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, role="held-out")], "role 'fit'"),
+        ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, -1.0)], "not negative"),
+        ([MeasuredCurve("A", _measured([1, 2, 3])[0].curve, np.ones(2))], "2 weights for 3"),
+    ],
+)
+def test_data_that_cannot_answer(measured, words):
+    with pytest.raises(InputError, match=words):
+        fit(predictor(*RP2, depth=9.0)[0], measured, RP2[1], [5e-3, 0.0])
+
+
+def test_aicc_prefers_fewer_constants_for_the_same_sum_of_squares():
+    assert aicc(1.0, 30, 2) < aicc(1.0, 30, 3)
+    assert aicc(1.0, 4, 2) == np.inf
