@@ -81,4 +81,8 @@ def _parse(text: str) -> Threshold:
     value, unit = float(match["value"]), " ".join((match["unit"] or "").split())
     if unit.replace(" ", "") == "%ofmean":
         return Threshold(value / 100, relative=True)
+    if unit == "%":
+        raise InputError(
+            Fault("practical", f"{text!r} can mean two things", "write 'pp' or '% of mean'")
+        )
     return Threshold(value)

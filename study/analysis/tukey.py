@@ -58,7 +58,7 @@ def studentized_range_quantile(p: float, k: int, df: float) -> float:
     Examples
     --------
     >>> round(studentized_range_quantile(0.95, 3, 10), 4)
-    3.8776
+    3.8768
     """
     from scipy.optimize import brentq
 

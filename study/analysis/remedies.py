@@ -1,0 +1,232 @@
+"""When spreads differ or residuals are skewed: Box-Cox, HC3, Welch-James, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.analysis.matrix import Array, model_matrix, term_name, terms_of
+from study.analysis.sums import Factored, factor, span, term_sums
+from study.analysis.tidy import prepare
+from study.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class WaldTest:
+    """Robust test of one term."""
+
+    term: str
+    f: float | None
+    df: tuple[float, float] | None
+    p: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class BoxCoxResult:
+    """Power transformation of the response with its 95 % likelihood interval."""
+
+    exponent: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Influence:
+    """Leverage, internally studentized residual and Cook's distance of every row."""
+
+    leverage: Array
+    studentized: Array
+    cook: Array
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """p of every term in each defensible analysis, and in how many it is below alpha."""
+
+    p: dict[str, dict[str, float | None]]
+    agreement: dict[str, str]
+
+
+def influence(fit: Factored) -> Influence:
+    """Leverage and Cook's distance (Cook 1977) of a fit."""
+    leverage = np.einsum("ij,ij->i", fit.q, fit.q)
+    mse = fit.rss / fit.df_residual if fit.df_residual else np.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        studentized = fit.residual / np.sqrt(mse * (1 - leverage))
+        cook = studentized**2 * leverage / ((1 - leverage) * fit.rank)
+    return Influence(leverage, studentized, cook)
+
+
+def hc3(fit: Factored) -> dict[str, WaldTest]:
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
+    from scipy.special import fdtrc
+
+    leverage = np.einsum("ij,ij->i", fit.q, fit.q)
+    if fit.df_residual < 1 or float(leverage.max()) > 1 - 1e-10:
+        return {
+            term_name(t): WaldTest(term_name(t), None, None, None, "a row has leverage one")
+            for t in fit.matrix.terms[1:]
+        }
+    meat = fit.q * (fit.residual / (1 - leverage))[:, None]
+    out = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if s.df < s.nominal_df:
+            out[name] = WaldTest(name, None, None, None, "not estimable")
+            continue
+        estimate = s.basis.T @ fit.z
+        half = meat @ s.basis
+        f = float(estimate @ np.linalg.solve(half.T @ half, estimate)) / s.df
+        df = (float(s.df), float(fit.df_residual))
+        out[name] = WaldTest(name, f, df, float(fdtrc(*df, f)))
+    return out
+
+
+def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> WaldTest:
+    """Welch-James test of a contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
+
+    Parameters
+    ----------
+    cells : sequence of ndarray
+        Values of each cell, two or more.
+    contrast : ndarray, shape (d, cells)
+        Rows of the hypothesis.
+    """
+    from scipy.special import fdtrc
+
+    n = np.array([c.size for c in cells], dtype=float)
+    variance = np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells])
+    if n.min() < 2 or variance.min() <= 0:
+        return WaldTest(name, None, None, None, "a cell has one value or zero variance")
+    shift = cells[0][0]
+    mean = np.array([np.mean(c - shift) for c in cells])
+    s = variance / n
+    inner = np.linalg.inv((contrast * s) @ contrast.T)
+    effect = contrast @ mean
+    t = float(effect @ inner @ effect)
+    weight = np.einsum("ij,jk,ki->i", contrast.T, inner, contrast) * s
+    # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
+    a = float(np.sum(2 * weight**2 / (n - 1))) / 2
+    d = contrast.shape[0]
+    scale = d + 2 * a - 6 * a / (d + 2)
+    df = (float(d), d * (d + 2) / (3 * a))
+    f = t / scale
+    return WaldTest(name, f, df, float(fdtrc(*df, f)))
+
+
+def welch_factorial(
+    table: pd.DataFrame, response: str, factors: Sequence[str], model: Any = "full"
+) -> dict[str, WaldTest]:
+    """Welch-James test of every term of a factorial with unequal cell variances."""
+    data = prepare(table, response, factors)
+    present, index = np.unique(data.cell, return_inverse=True)
+    cells = [data.y[index == i] for i in range(present.size)]
+    first = np.array([int(np.flatnonzero(index == i)[0]) for i in range(present.size)])
+    layout = data.layout.take(first)
+    matrix = model_matrix(layout, terms_of(data.factors, model))
+    fit = factor(matrix, np.arange(float(present.size)))
+    out = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if s.df < s.nominal_df:
+            out[name] = WaldTest(name, None, None, None, "not estimable")
+        else:
+            out[name] = welch_james(cells, (fit.q @ s.basis).T, name)
+    return out
+
+
+def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
+    """Profile likelihood of the Box-Cox exponent in a linear model (Box and Cox 1964).
+
+    Raises
+    ------
+    InputError
+        If the response is not positive or leaves no residual.
+    """
+    from scipy.optimize import brentq, minimize_scalar
+
+    if y.min() <= 0:
+        raise InputError(Fault("Box-Cox", f"needs a positive response, got {y.min():g}"))
+    basis = span(matrix / np.linalg.norm(matrix, axis=0))
+    if basis.shape[1] >= y.size:
+        raise InputError(Fault("Box-Cox", "the model leaves no residual degrees of freedom"))
+    logs = np.log(y / np.exp(np.mean(np.log(y))))
+
+    def deviance(exponent: float) -> float:
+        # with the response over its geometric mean the Jacobian of the power is one
+        z = logs if abs(exponent) < 1e-9 else np.expm1(exponent * logs) / exponent
+        rest = z - basis @ (basis.T @ z)
+        return float(y.size * np.log(rest @ rest))
+
+    best = minimize_scalar(deviance, bracket=(-1.0, 1.0))
+    center, limit = float(best.x), float(best.fun) + 3.841458820694124
+
+    def bound(step: float) -> float:
+        edge = center + step
+        while deviance(edge) < limit and abs(edge - center) < 200:
+            edge += step
+        if deviance(edge) < limit:
+            return edge
+        root: float = brentq(lambda e: deviance(e) - limit, center, edge)
+        return root
+
+    return BoxCoxResult(center, (bound(-0.5), bound(0.5)))
+
+
+def sensitivity(
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    *,
+    model: Any = "full",
+    alpha: float = 0.05,
+) -> Sensitivity:
+    """P of every term in the defensible analyses of a replicated factorial.
+
+    Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
+    positive.
+    """
+    data = prepare(table, response, factors)
+    terms = terms_of(data.factors, model)
+    matrix = model_matrix(data.layout, terms)
+    fit = factor(matrix, data.y)
+    p: dict[str, dict[str, float | None]] = {term_name(t): {} for t in terms}
+    _add(p, "ordinary F", _ordinary(fit))
+    _add(p, "HC3 Wald", {k: w.p for k, w in hc3(fit).items()})
+    welch = welch_factorial(table, response, factors, model)
+    _add(p, "Welch-James", {k: w.p for k, w in welch.items()})
+    if data.y.min() > 0:
+        _add(p, "F of the log", _ordinary(factor(matrix, np.log(data.y))))
+    return Sensitivity(p, {name: _agreement(found, alpha) for name, found in p.items()})
+
+
+def _ordinary(fit: Factored) -> dict[str, float | None]:
+    from scipy.special import fdtrc
+
+    df = fit.df_residual
+    out: dict[str, float | None] = {}
+    for s in term_sums(fit, "III"):
+        usable = df > 0 and s.df == s.nominal_df and fit.rss > 0
+        f = s.ss / s.df / (fit.rss / df) if usable else 0.0
+        out[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
+    return out
+
+
+def _add(
+    table: dict[str, dict[str, float | None]], method: str, found: Mapping[str, float | None]
+) -> None:
+    for term in table:
+        table[term][method] = found.get(term)
+
+
+def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
+    known = [p for p in found.values() if p is not None]
+    return f"p < {alpha:g} in {sum(p < alpha for p in known)} of {len(known)} analyses"
+
+
