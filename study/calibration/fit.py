@@ -319,8 +319,9 @@ def _curve_faults(measured: MeasuredCurve) -> list[Fault]:
         return [Fault(where, f"has {np.size(measured.weight)} weights for {d.size} points")]
     if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
         return [Fault(where, "weights must be finite and not negative")]
-    if measured.role == "fit" and d.size > 1:
-        return _force_faults(where, d, force)
+    used = weights > 0
+    if measured.role == "fit" and np.count_nonzero(used) > 1:
+        return _force_faults(where, d[used], force[used])
     return []
 
 

@@ -106,5 +106,5 @@ def digits(computed, certified):
 
 
 def never_rises(history):
-    """Whether no accepted point costs more than the one before."""
-    return all(b.cost <= a.cost for a, b in pairwise(history))
+    """Whether no accepted point costs more than the one before, within a sum's rounding."""
+    return all(b.cost <= a.cost * (1 + 1e-13) for a, b in pairwise(history))

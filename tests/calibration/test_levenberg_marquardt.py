@@ -9,6 +9,7 @@ from study.calibration import EvaluationFailed, Status, finite_difference, leven
 from study.calibration.damped import Linearization, damped_step
 from study.calibration.levenberg_marquardt import updated_radius
 from study.errors import InputError
+from tests.calibration.nist import never_rises
 
 T = np.linspace(0.1, 3, 25)
 TRUE = np.array([2.0, 1.3])
@@ -86,20 +87,19 @@ def test_order_and_empty_rows_do_not_matter(order, zeros):
 @given(st.floats(0.2, 8), st.floats(0.2, 4))
 def test_cost_never_rises(first, second):
     result = levenberg_marquardt(decay, [first, second])
-    costs = [point.cost for point in result.history]
-    assert costs == sorted(costs, reverse=True)
+    assert never_rises(result.history)
 
 
 def test_failed_evaluations_are_rejected_steps():
     calls = {"failed": 0}
 
     def fragile(x):
-        if x[1] > 1.5:
+        if x[1] > 1.4:  # the first step from (1, 1) would go to 1.46
             calls["failed"] += 1
             raise EvaluationFailed("too soft")
         return decay(x)
 
-    result = levenberg_marquardt(fragile, [9.0, 0.1])
+    result = levenberg_marquardt(fragile, [1.0, 1.0])
     assert result.converged
     assert result.x == pytest.approx(BEST.x, rel=1e-8)
     assert calls["failed"] > 0
@@ -108,9 +108,9 @@ def test_failed_evaluations_are_rejected_steps():
 def test_nan_is_a_failed_evaluation():
     def holes(x):
         residual, jacobian = decay(x)
-        return (residual * np.nan if x[1] > 1.5 else residual), jacobian
+        return (residual * np.nan if x[1] > 1.4 else residual), jacobian
 
-    assert levenberg_marquardt(holes, [9.0, 0.1]).x == pytest.approx(BEST.x, rel=1e-8)
+    assert levenberg_marquardt(holes, [1.0, 1.0]).x == pytest.approx(BEST.x, rel=1e-8)
 
 
 def test_named_ends():
