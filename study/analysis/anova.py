@@ -13,6 +13,7 @@ from study.analysis.blocks import cell_fit, crossed, own_estimate, own_terms
 from study.analysis.copies import CopyGroups, group_cells, refuse_fake_replicates, ulp_floor
 from study.analysis.effects import Scale, TermEstimate, pooled_estimate, size
 from study.analysis.matrix import Array, Term, balanced, model_matrix, term_name, terms_of
+from study.analysis.nested import average_units, misleading
 from study.analysis.outcome import Outcome, assemble
 from study.analysis.practical import threshold
 from study.analysis.results import AnalysisResult, Anova, ErrorTerm, Row
@@ -33,6 +34,7 @@ def analyze(
     factors: Sequence[str],
     *,
     block: str | None = None,
+    unit: str | None = None,
     type: str = "auto",  # noqa: A002
     model: Any = "full",
     error: str = "auto",
@@ -57,6 +59,9 @@ def analyze(
         Columns of the factors.
     block : str, optional
         Column of the replicated unit (specimen, mix, ...).
+    unit : str, optional
+        Column of the unit on which rows are repeated: its rows are averaged first, and a
+        warning says how far the analysis of single rows would have misled.
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
@@ -85,6 +90,18 @@ def analyze(
         For copies that pose as replicates.
     """
     _check_options(type, transform, alpha)
+    if unit is not None:
+        means = average_units(
+            table, response, factors, unit, block=block, transform=transform
+        )
+        options: dict[str, Any] = {
+            "block": block, "type": type, "model": model, "error": error,
+            "tolerance": tolerance, "practical": practical, "transform": transform,
+            "u_num": u_num, "alpha": alpha, "seed": seed,
+        }
+        nested = analyze(means, response, factors, records=records, exact=exact, **options)
+        naive = analyze(table, response, factors, exact=False, **options)
+        return replace(nested, warnings=(*nested.warnings, *misleading(nested, naive, unit)))
     data = prepare(table, response, factors, block)
     terms = terms_of(data.factors, model)
     limit = threshold(practical)

@@ -167,5 +167,15 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert result.bartlett.statistic == pytest.approx(expected["bartlett_K2"], rel=1e-8)
     assert result.bartlett.df == expected["bartlett_df"]
     assert result.normality is not None
+    nested = analyze(
+        table, "F_at_6mm_N", ["family", "thinner_pct"], unit="specimen", transform="log",
+        exact=False,
+    )
+    # two specimens in each of 15 cells: 15 residual df instead of 135
+    assert nested.anova.row("residual").df == 15
+    means = table.groupby(["family", "thinner_pct", "specimen"])["y"].mean().reset_index()
+    by_hand = analyze(means, "y", ["family", "thinner_pct"], exact=False)
+    assert nested.anova.row("family").f == pytest.approx(by_hand.anova.row("family").f, rel=1e-9)
+    assert any("independent would have given F(2, 135)" in w for w in nested.warnings)
     # R's sf.test is the same statistic squared, with ppoints(): 3/8 and 1/4 as here
     assert result.normality.rj == pytest.approx(expected["ryan_joiner_residuals"], rel=1e-7)
