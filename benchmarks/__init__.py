@@ -1,0 +1,1 @@
+"""Speed comparisons, run by ``make bench``; never part of the tests."""
