@@ -18,6 +18,7 @@ from study.analysis.outcome import Outcome, assemble
 from study.analysis.practical import threshold
 from study.analysis.results import AnalysisResult, Anova, ErrorTerm, Row
 from study.analysis.sums import Factored, TermSum, factor, term_sums
+from study.analysis.threads import one_thread
 from study.analysis.tidy import Data, prepare
 from study.analysis.unreplicated import LenthResult
 from study.errors import Fault, InputError
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 _DEFAULT_TOLERANCE = 1e-8
 
 
+@one_thread
 def analyze(
     table: pd.DataFrame,
     response: str,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from study.analysis.matrix import Array
 from study.analysis.sums import span
+from study.analysis.threads import one_thread
 
 SCORES = "Phi^-1((r - 3/8)/(n + 1/4)), tied values share the average rank"
 _ALPHAS = (0.10, 0.05, 0.01)
@@ -125,6 +126,7 @@ def _correlation(x: Array, b: Array) -> float:
     return min(1.0, float(x @ b) / math.sqrt(float(x @ x) * float(b @ b)))
 
 
+@one_thread
 def ryan_joiner(
     values: ArrayLike,
     *,
