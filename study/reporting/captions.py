@@ -128,7 +128,7 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
 def curves(found: CurvePanels, data: ReportData) -> str:
     """Say what is drawn, what is held fixed, and how large the residuals are."""
     gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
-    worst = found.frame.loc[gap.idxmax()]
+    worst = found.frame.iloc[int(gap.to_numpy().argmax())]
     held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
     text = (
         f"force above, predicted minus measured below; the largest residual is "

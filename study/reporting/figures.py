@@ -10,11 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.reporting import captions
+from study.reporting import captions, style
 from study.reporting import figures_curves as curves
 from study.reporting import figures_effects as effects
 from study.reporting import figures_residuals as residuals
-from study.reporting import style
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
 from study.reporting.front import cost_front, practical_of

@@ -245,7 +245,7 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
     named: list[dict[str, Any]] = []
     for row in reversed(front.to_dict("records")):
         if not named or row["seconds"] < named[-1]["seconds"] / 1.25:
-            named.append(row)  # type: ignore[arg-type]
+            named.append(row)
     middle = float(np.sqrt(np.prod(ax.get_xlim())))
     for row in named[:6]:
         text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)

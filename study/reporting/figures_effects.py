@@ -25,7 +25,16 @@ from study.reporting.style import (
     canvas,
     color_of,
 )
-from study.reporting.text import clean, interval, name_of, quantity, ratio, ratio_digits, significant, term_name
+from study.reporting.text import (
+    clean,
+    interval,
+    name_of,
+    quantity,
+    ratio,
+    ratio_digits,
+    significant,
+    term_name,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,15 +84,13 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
             ha="center", va="bottom", color=MUTED, fontsize=7.5,
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
-    for place, row in enumerate(frame.itertuples()):
-        color = _VERDICT_COLOR.get(str(row.verdict), MUTED)
-        ax.plot([row.low, row.high], [place, place], color=color, linewidth=2.2)
-        ax.plot(row.difference, place, "o", color=color, markersize=6)
-        size = ratio(row.difference) if facts.ratio else quantity(
-            row.difference, facts.difference_unit
-        )
-        digits = ratio_digits(row.difference) if facts.ratio else 3
-        ends = interval(row.low, row.high, "", digits)
+    columns = (frame[name] for name in ("verdict", "difference", "low", "high"))
+    for place, (verdict, value, low, high) in enumerate(zip(*columns, strict=True)):
+        color = _VERDICT_COLOR.get(verdict, MUTED)
+        ax.plot([low, high], [place, place], color=color, linewidth=2.2)
+        ax.plot(value, place, "o", color=color, markersize=6)
+        size = ratio(value) if facts.ratio else quantity(value, facts.difference_unit)
+        ends = interval(low, high, "", ratio_digits(value) if facts.ratio else 3)
         ax.annotate(
             f"{size}   [{ends}]",
             (1.0, place), xycoords=ax.get_yaxis_transform(), xytext=(6, 0),
@@ -125,8 +132,9 @@ def draw_level_means(
     figure = canvas(WIDTH_IN, 3.5)
     ax = figure.subplots()
     if practical is not None:
-        half = (practical**0.5, practical / 2)[not facts.ratio]
-        low, high = (center / half, center * half) if facts.ratio else (center - half, center + half)
+        low, high = center - practical / 2, center + practical / 2
+        if facts.ratio:
+            low, high = center / practical**0.5, center * practical**0.5
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     ax.annotate(
@@ -138,7 +146,8 @@ def draw_level_means(
     for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
         places = start + np.arange(len(group))
         ax.plot(places, group["mean"], "o-", color=color_of(index), markersize=5.5)
-        for place, mean, side in zip(places, group["mean"], _sides(group["mean"]), strict=True):
+        means = group["mean"].tolist()
+        for place, mean, side in zip(places, means, _sides(means), strict=True):
             ax.annotate(significant(mean), (place, mean), xytext=(0, 6 * side),
                         textcoords="offset points", ha="center", fontsize=7.5,
                         va="bottom" if side > 0 else "top")
@@ -184,8 +193,8 @@ def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
         for second in names[i + 1 :]:
             values = frame.assign(y=np.log(frame["mean"]) if log else frame["mean"])
             means = values.groupby([first, second], sort=False)["y"].mean()
-            for (a, b), mean in means.items():  # type: ignore[misc]
-                rows.append((first, a, second, b, float(np.exp(mean) if log else mean)))
+            for key, mean in zip(means.index.tolist(), means.to_numpy(float), strict=True):
+                rows.append((first, key[0], second, key[1], float(np.exp(mean) if log else mean)))
     return pd.DataFrame(rows, columns=["factor", "level", "other", "other_level", "mean"])
 
 
@@ -196,7 +205,8 @@ def draw_interactions(
     k = len(factors)
     figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)
-    lookup = {(r.factor, r.level, r.other, r.other_level): float(r.mean) for r in frame.itertuples()}
+    keys = zip(*(frame[name] for name in frame.columns[:4]), strict=True)
+    lookup = dict(zip(keys, frame["mean"].astype(float), strict=True))
     low, high = float(frame["mean"].min()), float(frame["mean"].max())
     pad = 0.08 * (high - low or abs(high) or 1.0)
     names = list(factors)
@@ -332,8 +342,8 @@ def draw_cells(
             markeredgewidth=0)
     means = frame.drop_duplicates("rank")
     ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
-    for row in means.itertuples():
-        ax.annotate(significant(float(row.cell_mean)), (1.0, float(row.rank)), fontsize=7.5,
+    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
+        ax.annotate(significant(float(mean)), (1.0, float(place)), fontsize=7.5,
                     xycoords=ax.get_yaxis_transform(), xytext=(4, 0), va="center",
                     textcoords="offset points", annotation_clip=False)
     names = [

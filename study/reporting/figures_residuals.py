@@ -125,7 +125,7 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
 
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
-    """Standard deviation of the residuals of each cell, with Bonferroni intervals.
+    """Return the standard deviation of the residuals of each cell, with Bonferroni intervals.
 
     Intervals are those of the chi-squared distribution with n - 1 degrees of freedom:
     approximate where the residuals come from a fit with blocks.

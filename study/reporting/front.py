@@ -52,14 +52,15 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     if frame.empty:
         return "No computing times are known, so accuracy alone decides."
     sign = -1.0 if facts.response.better == "higher" else 1.0
-    best = frame.loc[(sign * frame["mean"]).idxmin()]
+    best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
     good = frame[frame["within"]]
     # a quarter more time is no reason to give up accuracy
-    cheap = good[good["seconds"] <= 1.25 * good["seconds"].min()]
-    cheap = cheap.loc[(sign * cheap["mean"]).idxmin()]
+    quick = good[good["seconds"] <= 1.25 * good["seconds"].min()]
+    cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
     factors = list(data.factors)
     named = listing([clean(cheap[name]) for name in factors])
-    text = f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
+    cost = duration(cheap["seconds"])
+    text = f"use {named}: {quantity(cheap['mean'], facts.unit)} in {cost} a case"
     if cheap["cell"] == best["cell"]:
         return sentence(f"{text}; it is the most accurate cell and none within reach is cheaper")
     gap = quantity(abs(float(best["mean"] - cheap["mean"])), facts.difference_unit)

@@ -89,12 +89,13 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    with mpl.rc_context({**_RC, "svg.hashsalt": name}):
+    look: Any = {**_RC, "svg.hashsalt": name}
+    nothing: Any = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with mpl.rc_context(look):
         figure = draw()
         buffer = io.StringIO()
-        FigureCanvasSVG(figure).print_svg(
-            buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
-        )
+        sheet: Any = FigureCanvasSVG(figure)
+        sheet.print_svg(buffer, metadata=nothing)
     return _inline(buffer.getvalue(), name, title)
 
 

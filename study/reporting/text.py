@@ -46,7 +46,7 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def p_value(p: float | None) -> str:
-    """A p-value: three decimals, no leading zero, bounds at the ends.
+    """Write a p-value: three decimals, no leading zero, bounds at the ends.
 
     Examples
     --------
@@ -71,7 +71,7 @@ def p_phrase(p: float | None) -> str:
 
 
 def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """A number with its unit, kept together by a space that does not break."""
+    """Write a number with its unit, kept together by a space that does not break."""
     number = significant(value, digits)
     if number == MISSING or unit in ("", "1"):
         return number
@@ -79,7 +79,7 @@ def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """A fraction as a percentage; below a tenth of a percent only said to be so."""
+    """Write a fraction as a percentage; below a tenth of a percent only said to be so."""
     if fraction is not None and 0 < abs(fraction) < 0.0005:
         return f"< 0.1{THIN}%" if fraction > 0 else f"{MINUS}< 0.1{THIN}%"
     if fraction is not None and abs(fraction) >= 0.9995:
@@ -88,7 +88,7 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 
 
 def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
-    """A confidence interval, both ends with the decimals of the larger one."""
+    """Write a confidence interval, both ends with the decimals of the larger one."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     largest = max(abs(low), abs(high))
@@ -117,7 +117,7 @@ def ratio_digits(value: float | None) -> int:
 
 
 def ratio(value: float | None) -> str:
-    """A ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
+    """Write a ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
     text = significant(value, ratio_digits(value))
     return text if text == MISSING else f"{TIMES}{THIN}{text}"
 
@@ -139,7 +139,7 @@ def duration(seconds: float | None) -> str:
 
 
 def count(number: int, noun: str, plural: str = "") -> str:
-    """A counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``."""
+    """Write a counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
@@ -177,7 +177,7 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
 
 
 def cell_name(levels: Mapping[str, str]) -> str:
-    """A cell as its levels, separated by dots."""
+    """Write a cell as its levels, separated by dots."""
     return " \N{MIDDLE DOT} ".join(clean(level) for level in levels.values())
 
 

@@ -132,8 +132,9 @@ def make_curves() -> tuple[CurvePair, ...]:
         for cell in cells():
             bend = 1 + CURL[cell["material"]] * (d / 3 - 1) + 0.02 * rng.normal()
             wiggle = 1 + 0.01 * (cell["plates"] == "bonded")
-            pairs.append(CurvePair(cell, block, measured, Curve(d[::20], (force * bend * wiggle)[::20]),
-                                   label="B", scatter_N=0.02 * force))
+            predicted = Curve(d[::20], (force * bend * wiggle)[::20])
+            pairs.append(CurvePair(cell, block, measured, predicted, label="B",
+                                   scatter_N=0.02 * force))
     return tuple(pairs)
 
 

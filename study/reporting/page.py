@@ -1,0 +1,197 @@
+"""The page: one self-contained HTML document, every word of a user escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.reporting import checks, figures, front, methods, sentences, tables
+from study.reporting.data import ReportData, ResponseAnalysis
+from study.reporting.facts import Facts, facts
+from study.reporting.figures import Figure
+from study.reporting.tables import Table
+from study.reporting.text import clean, duration, name_of
+
+_NO_FIGURE = "was not drawn"
+
+
+@dataclass(frozen=True)
+class Section:
+    """Everything the page shows about one response."""
+
+    facts: Facts
+    anchor: str
+    error_term: str
+    distinct: str
+    verdicts: tuple[str, ...]
+    anova: Table | None
+    strata: Table | None
+    figures: Mapping[str, Figure]
+    assumptions: tuple[str, ...]
+    recommendation: str
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A report with everything computed, before any markup."""
+
+    data: ReportData
+    found: tuple[Facts, ...]
+    sections: tuple[Section, ...]
+    figures: Mapping[str, Figure]
+    tables: Mapping[str, Table]
+
+    @property
+    def all_figures(self) -> tuple[Figure, ...]:
+        """Figures in the order of the page."""
+        own = [figure for section in self.sections for figure in section.figures.values()]
+        return (*own, *self.figures.values())
+
+
+def prepare(data: ReportData) -> Contents:
+    """Compute every sentence, table and figure of a report."""
+    found = facts(data)
+    known: dict[str, Table] = {
+        "verdicts": tables.verdicts(found, data),
+        "cells": tables.matrix(data, found),
+    }
+    if data.fits:
+        known["fits"] = tables.fits(data)
+        known["every_fit"] = tables.every_fit(data)
+    if data.numerical:
+        known["numerical"] = tables.numerical(data.numerical, data)
+    if data.failures:
+        known["failures"] = tables.failures(data)
+    sections = tuple(_section(data, item) for item in found)
+    return Contents(data, found, sections, figures.of_study(data), known)
+
+
+def _section(data: ReportData, item: Facts) -> Section:
+    strata = tables.strata(item, data) if item.rows else None
+    judged = [effect for effect in item.terms if effect.is_main or effect.verdict == "matters"]
+    return Section(
+        facts=item,
+        anchor=f"r-{figures.slug(item.name)}",
+        error_term=sentences.error_term(item, data),
+        distinct=sentences.distinct(item, data),
+        verdicts=tuple(sentences.verdict(effect, item, data.labels) for effect in judged),
+        anova=tables.anova(item, data) if item.rows else None,
+        strata=strata if strata is not None and strata.rows else None,
+        figures=figures.of_response(data, item),
+        assumptions=_assumptions(data, item),
+        recommendation=_recommendation(data, item),
+    )
+
+
+def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
+    if not item.terms:
+        return ()
+    lines = [sentences.normality(item, data.alpha)]
+    lines += [
+        sentences.spread(test, item.variance.get(test), data.alpha)
+        for test in ("bartlett", "levene")
+    ]
+    lines.append(sentences.sphericity(item, data.labels))
+    if item.non_additivity and item.non_additivity.get("p") is not None:
+        lines.append(sentences.additivity(item.non_additivity, data))
+    return tuple(line for line in lines if line)
+
+
+def _recommendation(data: ReportData, item: Facts) -> str:
+    if not item.response.better or item.name not in data.table:
+        return ""
+    if not data.table[item.name].notna().any():
+        return ""
+    return front.recommendation(data, item)
+
+
+def build(context: ReportData) -> str:
+    """Return the report as one HTML document.
+
+    Nothing is loaded from anywhere: styles and drawings are inline, there is no script, and
+    the content security policy forbids all else. Every text that came from a user is escaped
+    by the templates.
+    """
+    return render(prepare(context))
+
+
+def render(contents: Contents) -> str:
+    """Return the HTML of computed contents."""
+    environment = _environment()
+    data = contents.data
+    return environment.get_template("page.html.j2").render(
+        c=contents,
+        data=data,
+        answer=sentences.answer(data, contents.found),
+        would_change=sentences.would_change(data, contents.found),
+        checks=checks.all_checks(data, contents.found),
+        methods=methods.paragraph(data, contents.found),
+        failures=sentences.failures(data.failures, len(data.table)),
+        warnings=_warnings(contents),
+        what_if=sentences.WHAT_IF,
+        total_time=sum(data.timings.values()),
+    )
+
+
+def _warnings(contents: Contents) -> tuple[str, ...]:
+    found = [
+        f"{item.title}: {warning}" for item in contents.found for warning in item.warnings
+    ]
+    return tuple(dict.fromkeys((*contents.data.warnings, *found)))
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from markupsafe import Markup
+
+    def finalize(value: Any) -> Any:
+        # control characters are no markup, but no document may hold them either
+        if isinstance(value, str) and not isinstance(value, Markup):
+            return clean(value)
+        return value
+
+    environment = Environment(
+        loader=PackageLoader("study.reporting", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=finalize,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["duration"] = duration
+    environment.filters["name"] = name_of
+    # only drawings that this package rendered pass unescaped
+    environment.filters["drawing"] = _drawing
+    environment.filters["slug"] = figures.slug
+    environment.globals["response_note"] = response_note
+    return environment
+
+
+def _drawing(figure: Figure) -> Any:
+    from markupsafe import Markup
+
+    return Markup(figure.svg)  # noqa: S704
+
+
+def response_note(response: ResponseAnalysis) -> str:
+    """What was declared of a response: its unit, what matters, how it is analyzed."""
+    parts = [response.unit] if response.unit else []
+    if response.practical is not None:
+        if response.relative:
+            limit = f"{100 * response.practical:g} % of the mean"
+        else:
+            limit = f"{response.practical:g} {'pp' if response.unit == '%' else response.unit}"
+        parts.append(f"a difference of {limit.strip()} matters")
+    if response.transform == "log":
+        parts.append("analyzed on the log, effects are ratios")
+    if response.better:
+        parts.append(f"{response.better} is better")
+    return "; ".join(parts)
+
+
+def missing(drawn: Sequence[Figure]) -> tuple[str, ...]:
+    """Sentences about figures that could not be drawn."""
+    return tuple(
+        f"{figure.title} {_NO_FIGURE}: {figure.missing}" for figure in drawn if figure.missing
+    )

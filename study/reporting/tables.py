@@ -1,0 +1,258 @@
+"""The tables of a report: shown text and, for the CSV beside the report, the raw values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from study.reporting.data import NumericalRow, ReportData
+from study.reporting.facts import Facts, cells, deciding_p, is_effect
+from study.reporting.sentences import practical, size, size_interval
+from study.reporting.text import (
+    MISSING,
+    clean,
+    duration,
+    interval,
+    name_of,
+    p_value,
+    percent,
+    quantity,
+    significant,
+    term_name,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Table:
+    """Plain text in rows; ``left`` counts the leading columns that hold words."""
+
+    name: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int = 1
+    note: str = ""
+    raw: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
+
+
+def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
+    """One row a factor and response, and interactions that are not negligible."""
+    rows, raw = [], []
+    for facts in found:
+        strong = [e for e in facts.interactions if e.verdict == "matters"]
+        for effect in (*facts.effects, *strong):
+            rows.append(
+                (
+                    facts.title,
+                    term_name(effect.term, data.labels),
+                    effect.verdict,
+                    size(effect, facts),
+                    size_interval(effect, facts),
+                    practical(effect, facts),
+                    quantity(effect.u_num, facts.difference_unit, 2),
+                    p_value(effect.p),
+                )
+            )
+            raw.append(
+                {
+                    "response": facts.name, "factor": effect.term, "verdict": effect.verdict,
+                    "effect": effect.difference, "low": effect.low, "high": effect.high,
+                    "practical": effect.practical, "u_num": effect.u_num, "p": effect.p,
+                    "scale": "ratio" if effect.ratio else "difference",
+                }
+            )
+    columns = ("response", "factor", "verdict", "largest difference", "95 % interval",
+               "matters from", "u_num", "p")
+    return Table("verdicts", columns, tuple(rows), 3, raw=tuple(raw))
+
+
+def anova(facts: Facts, data: ReportData) -> Table:
+    """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
+    effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
+    corrected = any(row.get("epsilon_gg") is not None for row in effects)
+    tested = any(row.get("f") is not None for row in effects)
+    columns = ["term", "df"]
+    if tested:
+        columns += ["F", "p"] + (["GG epsilon", "p corrected"] if corrected else [])
+        columns += ["omega squared", "partial eta squared"]
+    else:
+        columns += ["sum of squares"]
+    columns.append("share")
+    rows = []
+    for row in effects:
+        cell = [term_name(str(row["term"]), data.labels), _df(row)]
+        if tested:
+            cell += [significant(row.get("f")), p_value(row.get("p"))]
+            if corrected:
+                cell += [_fixed(row.get("epsilon_gg")), p_value(deciding_p(row))]
+            cell += [_fixed(row.get("omega_sq"), 3), _eta(row)]
+        else:
+            cell += [significant(row.get("ss"))]
+        rows.append((*cell, percent(row.get("share"))))
+    note = "share: part of the total sum of squares, blocks included." if data.block else ""
+    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, note, tuple(facts.rows))
+
+
+def strata(facts: Facts, data: ReportData) -> Table:
+    """Rows of the ANOVA table that are blocks or error."""
+    names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
+    rows = tuple(
+        (
+            term_name(str(row["term"]), names),
+            significant(row.get("df")) if row.get("df") is None else f"{row['df']:g}",
+            significant(row.get("ss")),
+            significant(row.get("ms")),
+            percent(row.get("share")),
+        )
+        for row in facts.rows
+        if not is_effect(row, list(data.factors))
+    )
+    columns = ("stratum", "df", "sum of squares", "mean square", "share")
+    return Table(f"{facts.name}-strata", columns, rows)
+
+
+def _df(row: Mapping[str, Any]) -> str:
+    if row.get("df") is None:
+        return MISSING
+    error = row.get("df_error")
+    return f"{row['df']:g}" + (f", {error:g}" if error is not None else "")
+
+
+def _fixed(value: float | None, decimals: int = 2) -> str:
+    return MISSING if value is None else f"{value:.{decimals}f}"
+
+
+def _eta(row: Mapping[str, Any]) -> str:
+    text = _fixed(row.get("partial_eta_sq"), 3)
+    ends = row.get("partial_eta_sq_ci95")
+    return f"{text} ({interval(ends[0], ends[1])})" if ends else text
+
+
+def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
+    """Every cell: how many cases gave a response, its means, its cost."""
+    factors = list(data.factors)
+    known = [facts for facts in found if facts.name in data.table]
+    means = {
+        facts.name: dict(zip(*_columns(cells(data, facts.name), "cell", "mean"), strict=True))
+        for facts in known
+    }
+    rows, raw = [], []
+    for levels, group in data.table.groupby(factors, sort=False):
+        labels = [str(level) for level in levels]
+        values = [means[facts.name].get(":".join(labels)) for facts in known]
+        done = int((group["status"] == "converged").sum())
+        seconds = float(group["seconds"].mean()) if "seconds" in group else None
+        shown = [quantity(v, f.unit) for v, f in zip(values, known, strict=True)]
+        status = f"{done} of {len(group)}"
+        rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
+        raw.append({**dict(zip(factors, labels, strict=True)), "converged": done,
+                    "cases": len(group), **dict(zip(means, values, strict=True)),
+                    "seconds": seconds})
+    columns = (*(name_of(f, data.labels) for f in factors), "cases",
+               *(facts.title for facts in known), "mean time")
+    return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
+
+
+def _columns(frame: pd.DataFrame, *names: str) -> list[list[Any]]:
+    return [frame[name].tolist() for name in names]
+
+
+def fits(data: ReportData) -> Table:
+    """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
+    import numpy as np
+
+    groups: dict[tuple[str, ...], list[Any]] = {}
+    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
+    for fit in data.fits:
+        key = (*(clean(fit.levels.get(name, MISSING)) for name in names), clean(fit.constant))
+        groups.setdefault(key, []).append(fit)
+    rows = []
+    for key, items in groups.items():
+        values = np.array([i.value for i in items if i.value is not None], dtype=float)
+        relative = [
+            abs(i.standard_error / i.value)
+            for i in items
+            if i.standard_error is not None and i.value
+        ]
+        known = sum(item.identifiable for item in items)
+        reason = next((item.reason for item in items if item.reason), "")
+        rows.append(
+            (
+                *key,
+                quantity(float(np.median(values)), items[0].unit) if values.size else MISSING,
+                interval(float(values.min()), float(values.max()), items[0].unit)
+                if values.size else MISSING,
+                percent(float(np.median(relative)), 2) if relative else MISSING,
+                f"{known} of {len(items)}" + (f": {clean(reason, 160)}" if reason else ""),
+            )
+        )
+    raw = tuple(
+        {**{name: fit.levels.get(name) for name in names}, "block": fit.block,
+         "specimen": fit.specimen, "constant": fit.constant, "value": fit.value, "unit": fit.unit,
+         "standard_error": fit.standard_error, "low": fit.low, "high": fit.high,
+         "identifiable": fit.identifiable, "reason": fit.reason}
+        for fit in data.fits
+    )
+    columns = (*(name_of(name, data.labels) for name in names), "constant", "median",
+               "range over fits", "standard error", "identifiable")
+    return Table("fits", columns, tuple(rows), len(names) + 1, raw=raw)
+
+
+def every_fit(data: ReportData) -> Table:
+    """Every fitted constant with its 95 % interval."""
+    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
+    rows = tuple(
+        (
+            *(clean(fit.levels.get(name, MISSING)) for name in names),
+            clean(fit.block), clean(fit.specimen), clean(fit.constant),
+            quantity(fit.value, fit.unit), interval(fit.low, fit.high, fit.unit),
+            "yes" if fit.identifiable else "no",
+        )
+        for fit in data.fits
+    )
+    columns = (*(name_of(name, data.labels) for name in names), data.block or "block", "specimen",
+               "constant", "value", "95 % interval", "identifiable")
+    return Table("every-fit", columns, rows, len(names) + 3)
+
+
+def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:
+    """Numerical uncertainty of each kind of discretization."""
+    names = list(dict.fromkeys(name for item in items for name in item.levels))
+    rows = tuple(
+        (
+            *(clean(item.levels.get(name, MISSING)) for name in names),
+            name_of(item.response, data.labels),
+            quantity(item.value, item.unit),
+            quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
+            clean(item.behaviour) or MISSING,
+            clean(item.note),
+        )
+        for item in items
+    )
+    raw = tuple(
+        {**{name: item.levels.get(name) for name in names}, "response": item.response,
+         "value": item.value, "u_num": item.u_num, "unit": item.unit,
+         "behaviour": item.behaviour, "note": item.note}
+        for item in items
+    )
+    columns = (*(name_of(name, data.labels) for name in names), "response", "value", "u_num",
+               "behavior", "how")
+    return Table("numerical", columns, rows, len(names) + 1, raw=raw)
+
+
+def failures(data: ReportData) -> Table:
+    """Every failed case with what was said."""
+    rows = tuple(
+        (
+            clean(item.case_id, 16),
+            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
+            clean(item.block) or MISSING,
+            clean(item.status),
+            clean(item.message, 400),
+        )
+        for item in data.failures
+    )
+    return Table("failures", ("case", "cell", data.block or "block", "status", "message"), rows, 5)
