@@ -150,13 +150,13 @@ class _Batch:
         self.failed = 0
         self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(self, jobs: int, timeout_s: float | None, command: Sequence[str]) -> Summary:
+    def execute(self, workers: int, timeout_s: float | None, command: Sequence[str]) -> Summary:
         began = time.monotonic()
         tasks, costs = self._tasks(), Costs()
         prices = {task.key: self._price(costs, task.key) for task in tasks}
         left, spent_price = sum(prices.values()), 0.0
         outcomes = run_tasks(
-            tasks, jobs=jobs, finished=self.known, timeout_s=timeout_s, command=command
+            tasks, jobs=workers, finished=self.known, timeout_s=timeout_s, command=command
         )
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
@@ -164,7 +164,9 @@ class _Batch:
                 spent_price += prices[outcome.key]
                 left -= prices[outcome.key]
                 seconds = time.monotonic() - began
-                remaining = seconds * left / spent_price if spent_price else 0.0
+                # before a twentieth is done the prediction is better than the pace
+                pace = seconds / spent_price if spent_price > left / 20 else 1 / workers
+                remaining = pace * max(left, 0.0)
                 label = self._label(outcome.key)
                 state = Progress(count, len(tasks), self.failed, seconds, remaining, label)
                 self.progress(state)

@@ -22,7 +22,7 @@ class Costs:
     """Cost of computations; each distinct forward problem is estimated once."""
 
     def __init__(self) -> None:
-        self._known: dict[str, float] = {}
+        self._known: dict[str, tuple[float, float]] = {}
 
     def fit_seconds(self, problem: FitProblem) -> float:
         """Seconds of one calibration."""
@@ -57,14 +57,22 @@ class Costs:
 
     def solve_seconds(self, config: Mapping[str, Any], depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
-        parts = {k: config.get(k) for k in ("specimen", "test", "model")}
-        key = digest([parts])
+        return self._estimate(config, depth_mm)[0]
+
+    def memory_MB(self, config: Mapping[str, Any]) -> float:  # noqa: N802
+        """Peak memory of one worker at this configuration."""
+        return self._estimate(config, None)[1]
+
+    def _estimate(
+        self, config: Mapping[str, Any], depth_mm: float | None
+    ) -> tuple[float, float]:
+        key = digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)
         return self._known[key]
 
 
-def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> float:
+def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
     from study.forward.estimate import estimate
 
     section = {**config["material"], "constants": None, "model": "neo-hookean"}
@@ -73,9 +81,10 @@ def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> float:
         depth_mm = depth_mm or 0.2 * height
     try:
         problem = build.problem({**config, "material": section}, {"C10": 0.005}, depth_mm)
-        return float(estimate(problem).seconds)
+        found = estimate(problem)
+        return float(found.seconds), float(found.memory_MB)
     except (InputError, ValueError, RuntimeError):
-        return 1.0  # an estimate must never stop a plan; the case itself will say what is wrong
+        return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
 
 
 def _depth(curve: Curve) -> float:

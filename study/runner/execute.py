@@ -146,7 +146,7 @@ def _check_fit(direction: Mapping[str, Any]) -> None:
     if fit.get("status") != "converged":
         where = f"calibration on {direction['fit_label'] or 'the measured curve'}"
         raise _Stopped(str(fit.get("status", "failed")), f"{where}: {fit.get('message', '')}")
-    if not fit.get("stable", True):
+    if not fit.get("usable", True):
         raise _Stopped("unstable", f"the fitted constants are unstable: {fit.get('stability')}")
 
 
@@ -223,7 +223,7 @@ def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | No
     """Describe each fit, by the label of its specimen."""
     keep = (
         "method", "message", "values", "standard_error", "ci95", "correlation", "condition",
-        "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable", "stability",
+        "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable", "usable", "stability",
         "evaluations", "newton_iterations", "solves", "seconds", "mu0",
     )  # fmt: skip
     found = {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from study.curve import Curve
-from study.design import Case, Design, MeasurementSpec, cases, treatments
+from study.design import Case, Design, MeasurementSpec, case_id, cases, plain, treatments
 from study.errors import Fault, InputError
 from study.record import MeasuredTest, Measurements, read_measurements
 from study.runner import build
@@ -18,6 +18,9 @@ from study.runner.identity import code_version, digest
 from study.runner.scoring import UNITS, is_plain
 
 Config = Mapping[str, Any]
+
+#: ends in the name of the file that says how virtual measurements were made
+TRUTH_SUFFIX = ".virtual.json"
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,8 @@ class Work:
         Unit of every response that a record holds.
     blocks : tuple of str
         Labels of the blocks.
-    notes, files
-        What was done to the measurements, and their hashes.
+    data : DataCache
+        The measurements, each specification read once.
     """
 
     design: Design
@@ -71,8 +74,22 @@ class Work:
     fits: Mapping[str, FitJob]
     responses: Mapping[str, str]
     blocks: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-    files: Mapping[str, str] = field(default_factory=dict)
+    data: DataCache
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the measurements."""
+        return self.data.notes()
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Name of each measurement file and its sha256."""
+        return self.data.files()
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the measurements were generated."""
+        return any((self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.files)
 
     @property
     def input_hashes(self) -> dict[str, str]:
@@ -90,11 +107,23 @@ def expand(design: Design, data_root: Path) -> Work:
     """
     data = DataCache(data_root)
     found = _blocks(design, data)
-    all_cases = cases(design, found)
+    all_cases = _distinct(cases(design, found))
     fits: dict[str, FitJob] = {}
     responses = _responses(design)
     jobs = tuple(case_job(case, data, fits, responses) for case in all_cases)
-    return Work(design, jobs, fits, responses, found, data.notes(), data.files())
+    return Work(design, jobs, fits, responses, found, data)
+
+
+def _distinct(found: Sequence[Case]) -> list[Case]:
+    """Give cells of equal content names of their own, so that none hides the other's record."""
+    seen: set[str] = set()
+    out = []
+    for case in found:
+        if case.case_id in seen:
+            case = replace(case, case_id=case_id([case.case_id, case.levels]))
+        seen.add(case.case_id)
+        out.append(case)
+    return out
 
 
 def case_job(
@@ -240,38 +269,7 @@ def _responses(design: Design) -> dict[str, str]:
     return units | ({"seconds": "s"} if "seconds" in asked else {})
 
 
-def signature(config: Config) -> str:
-    """Name of the computation behind a treatment: equal names, equal answers.
-
-    Where calibrated and scored deformation are homogeneous, neither space nor elements nor
-    mesh can matter, so they are left out.
-    """
-    problem = fit_problem(config)
-    scored = {k: config[k] for k in ("specimen", "test", "material") if k in config}
-    if not build.is_homogeneous(config):
-        scored["model"] = config.get("model", {})
-    own = (config.get("calibration") or {}).get("problem") or {}
-    data = [_plain_spec(table.get("measurements")) for table in (config, own)]
-    return digest([problem.method, problem.config, scored, data])
-
-
-def _plain_spec(spec: Any) -> Any:
-    return spec.as_dict() if isinstance(spec, MeasurementSpec) else spec
-
-
 def for_workers(config: Config) -> dict[str, Any]:
-    """Make a configuration plain: workers get curves, not the specification of files."""
-    own = (config.get("calibration") or {}).get("problem")
-    kept = {k: v for k, v in config.items() if k != "measurements"}
-    if own:
-        problem = {k: v for k, v in own.items() if k != "measurements"}
-        kept["calibration"] = {**config["calibration"], "problem": problem}
-    return kept
-
-
-def equivalents(treatment_configs: Sequence[Config]) -> list[list[int]]:
-    """Group the treatments that are one computation, by index in the order given."""
-    groups: dict[str, list[int]] = {}
-    for index, config in enumerate(treatment_configs):
-        groups.setdefault(signature(config), []).append(index)
-    return list(groups.values())
+    """Make a configuration plain JSON."""
+    made: dict[str, Any] = plain(config)
+    return made

@@ -31,6 +31,7 @@ from study.design import Design, MeasurementSpec, treatments
 from study.errors import Fault, InputError
 from study.record.files import write_atomic
 from study.runner import build, fits
+from study.runner.expand import TRUTH_SUFFIX
 from study.runner.pool import Task, run_tasks
 
 Array = NDArray[np.float64]
@@ -41,8 +42,6 @@ CITATION = (
     "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
     "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
 )
-#: ends in the name of the file that says how virtual measurements were made
-TRUTH_SUFFIX = ".virtual.json"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,243 @@
+"""Stored records and analyses -> the values that a report shows."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from study.curve import Curve
+from study.design import calibration_factors, equivalent_groups, excluded
+from study.reporting.data import Check, CurvePair, Failure, FittedConstant, ReportData
+
+if TYPE_CHECKING:
+    from study.api.studies import StudyResult
+    from study.design import Design
+    from study.record import Record
+
+#: cells that must agree physically may differ by the tolerance of the solver
+CONTROL_TOLERANCE = 1e-5
+_HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
+           "measurements", "calibration", "converge", "uncertainty")  # fmt: skip
+
+
+def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
+    """Everything that the report of a study shows."""
+    design, manifest = study.design, study.manifest
+    blocks = tuple(manifest["blocks"])
+    spec = design.measurements
+    return ReportData(
+        name=design.name,
+        question=design.question,
+        factors={factor.name: factor.labels for factor in design.factors},
+        table=study.table,
+        responses=study.analyses,
+        block=(spec.block or "") if spec is not None and blocks else "",
+        blocks=blocks,
+        inputs=_inputs(design),
+        assumed=_assumed(design),
+        citation="" if spec is None else spec.citation,
+        exclusions=tuple((cell.label, why) for cell, why in excluded(design)),
+        curves=tuple(_curves(study.records)),
+        fits=tuple(_fits(design, study.records)),
+        failures=tuple(_failures(study.records)),
+        checks=tuple(_checks(study)),
+        numerical=study.numerical,
+        controls=tuple(_controls(design, study.records)),
+        virtual=bool(manifest["virtual"]),
+        seed=design.seed,
+        alpha=design.analysis.alpha,
+        timings=dict(timings),
+        provenance=_provenance(study),
+        commands=(f"study run {manifest['source']}", f"study report {study.folder}"),
+        data_notes=tuple(manifest["notes"]),
+        warnings=study.warnings,
+        design_text=manifest["text"] or manifest["design"],
+    )
+
+
+def _inputs(design: Design) -> dict[str, str]:
+    """Fixed inputs by dotted key, as they are written."""
+    varied = {key for factor in design.factors for lv in factor.levels for key in lv.settings}
+    flat = {
+        key: value
+        for name, section in design.config.items()
+        if name not in _HIDDEN
+        for key, value in _flat(section, name)
+    }
+    return {key: str(value) for key, value in flat.items() if key not in varied}
+
+
+def _flat(value: Any, prefix: str) -> Iterator[tuple[str, Any]]:
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            yield from _flat(item, f"{prefix}.{key}")
+    else:
+        yield prefix, value
+
+
+def _assumed(design: Design) -> dict[str, str]:
+    """Inputs that nobody measured, with what was assumed of them."""
+    flat = dict(_flat({k: v for k, v in design.config.items() if k not in _HIDDEN}, ""))
+    out = {}
+    for key in design.assumed:
+        found = [str(v) for k, v in flat.items() if k == f".{key}" or k.startswith(f".{key}.")]
+        levels = [
+            str(level.settings[key])
+            for factor in design.factors
+            for level in factor.levels
+            if key in level.settings
+        ]
+        out[key] = ", ".join(dict.fromkeys(levels or found)) or "default"
+    return out
+
+
+def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
+    import numpy as np
+
+    for record in records:
+        for fact in record.extra.get("directions", []) if record.converged else []:
+            label, scatter = fact["score"], fact.get("scatter_N")
+            measured = record.curves.get(f"measured:{label}")
+            predicted = record.curves.get(f"predicted:{label}")
+            if measured is None or predicted is None:
+                continue
+            yield CurvePair(
+                record.levels,
+                record.block or "",
+                measured,
+                _shown(predicted, measured),
+                label,
+                fact["role"],
+                None if scatter is None else np.asarray(scatter, dtype=float),
+            )
+
+
+def _shown(predicted: Curve, measured: Curve) -> Curve:
+    """Predicted force at the measured displacements, for drawing and subtracting."""
+    d = measured.displacement_mm
+    return Curve(d, predicted.force_at(d))
+
+
+def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstant]:
+    """Every fit once, with the levels that enter it."""
+    entering, seen = calibration_factors(design), set()
+    for record in records:
+        for specimen, fit in (record.fit or {}).items():
+            if fit["key"] in seen:
+                continue
+            seen.add(fit["key"])
+            levels = {name: record.levels[name] for name in entering}
+            for name, value in fit["values"].items():
+                plain = name.startswith("alpha")
+                scale = 1.0 if plain else 1000.0
+                low, high = (fit.get("ci95") or {}).get(name) or (None, None)
+                yield FittedConstant(
+                    levels,
+                    record.block or "",
+                    name,
+                    scale * value,
+                    "" if plain else "kPa",
+                    _scaled((fit.get("standard_error") or {}).get(name), scale),
+                    _scaled(low, scale),
+                    _scaled(high, scale),
+                    bool(fit["identifiable"]),
+                    str(fit.get("reason") or ""),
+                    "" if specimen == "all" else specimen,
+                )
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else scale * value
+
+
+def _failures(records: tuple[Record, ...]) -> Iterator[Failure]:
+    for record in records:
+        if not record.converged:
+            yield Failure(
+                record.case_id, record.levels, record.block or "", record.status, record.message
+            )
+
+
+def _checks(study: StudyResult) -> Iterator[Check]:
+    """Checks that only the records can make."""
+    done, missing = len(study.records) - study.failed, study.total - len(study.records)
+    outcome = "pass" if not study.failed and not missing else "caution"
+    consequence = "" if outcome == "pass" else "cells that failed are not missing at random"
+    yield Check(
+        "every case has an answer",
+        outcome,
+        f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
+        consequence,
+    )
+    fits = {f["key"]: f for r in study.records for f in (r.fit or {}).values()}
+    if fits:
+        yield _identifiability(fits)
+        yield _stability(fits)
+
+
+def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
+    vague = [fit for fit in fits.values() if not fit["identifiable"]]
+    finding = f"{len(fits) - len(vague)} of {len(fits)} calibrations determine every constant"
+    if not vague:
+        return Check("constants are identifiable", "pass", finding)
+    consequence = (
+        "single constants of the others must not be interpreted; their forces and mu0 may be"
+    )
+    return Check("constants are identifiable", "caution", finding, consequence)
+
+
+def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
+    bad = [fit for fit in fits.values() if not fit.get("stable", True)]
+    finding = f"{len(fits) - len(bad)} of {len(fits)} calibrations are stable over the range"
+    if not bad:
+        return Check("constants are stable", "pass", finding)
+    return Check(
+        "constants are stable",
+        "caution",
+        f"{finding}; for example {bad[0]['stability']}",
+        "do not use the others beyond the test they were fitted to",
+    )
+
+
+def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
+    """Cells that must agree physically: how far they differ."""
+    groups = [g for g in equivalent_groups(design) if len(g) > 1]
+    if not groups:
+        return
+    worst, pairs = 0.0, 0
+    by_cell: dict[tuple[tuple[str, str], ...], dict[str | None, float]] = {}
+    for record in records:
+        value = record.responses.get("rms_force_error", {}).get("value")
+        if record.converged and value is not None:
+            key = tuple(sorted(record.levels.items()))
+            by_cell.setdefault(key, {})[record.block] = float(value)
+    for group in groups:
+        cells = [by_cell.get(tuple(sorted(cell.levels.items())), {}) for cell in group]
+        for block in cells[0]:
+            values = [cell[block] for cell in cells if block in cell]
+            if len(values) > 1:
+                pairs += 1
+                worst = max(worst, (max(values) - min(values)) / max(abs(v) for v in values))
+    if not pairs:
+        return
+    good = worst <= CONTROL_TOLERANCE
+    yield Check(
+        "cells that must agree do agree",
+        "pass" if good else "fail",
+        f"{sum(map(len, groups))} cells in {len(groups)} groups differ by at most "
+        f"{worst:.2g} of their error",
+        "" if good else "something else than the factors differs between them",
+    )
+
+
+def _provenance(study: StudyResult) -> dict[str, str]:
+    manifest = study.manifest
+    out = {f"version of {k}": str(v) for k, v in manifest.get("versions", {}).items()}
+    solvers = {str(r.solver.get("name")) for r in study.records if r.solver.get("name")}
+    if solvers:
+        out["linear solver"] = ", ".join(sorted(solvers))
+    out |= {f"sha256 of {name}": sha for name, sha in manifest.get("files", {}).items()}
+    out["threads per worker"] = "1"
+    out["machine"] = f"{platform.system()} {platform.machine()}"
+    return out

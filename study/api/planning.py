@@ -1,0 +1,195 @@
+"""What a study will do, what it has done, and why a case is as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.api.places import RESULTS, data_root, results_folder
+from study.design import Design, describe, load
+from study.errors import Fault, InputError, nearest
+from study.record import Record, Store
+
+if TYPE_CHECKING:
+    from study.runner.expand import Work
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A design before it runs.
+
+    Parameters
+    ----------
+    design : Design
+    description : mapping
+        Of :func:`study.design.describe`: matrix, exclusions, what each factor can tell.
+    blocks : tuple of str
+        Empty without blocks, or where the data cannot be read.
+    total, done, failed, missing : int
+        Cases.
+    fits : int
+        Calibrations still to be made.
+    predicted_seconds : float
+        Wall time of what is missing.
+    memory_MB : float
+        Predicted peak of all workers together.
+    """
+
+    design: Design
+    description: Mapping[str, Any]
+    blocks: tuple[str, ...]
+    total: int
+    done: int
+    failed: int
+    missing: int
+    fits: int
+    predicted_seconds: float
+    memory_MB: float  # noqa: N815
+    jobs: int
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study plan --json``."""
+        return {
+            "study": self.design.name,
+            "cases": {
+                "total": self.total,
+                "done": self.done,
+                "failed": self.failed,
+                "missing": self.missing,
+            },
+            "predicted_seconds": self.predicted_seconds,
+            "report": None,
+            "verdicts": [],
+            "warnings": list(self.warnings),
+            "blocks": list(self.blocks),
+            "fits": self.fits,
+            "memory_MB": self.memory_MB,
+            "design": dict(self.description),
+        }
+
+
+def plan(
+    design: Design | str | Path,
+    *,
+    data: str | Path | None = None,
+    results: Path = RESULTS,
+    overrides: Sequence[str] = (),
+    jobs: int | None = None,
+) -> Plan:
+    """Say what a design computes, what is done already and what the rest will cost.
+
+    Data that cannot be read do not stop a plan: it then counts cells, not cases.
+
+    Raises
+    ------
+    InputError
+        For a faulty design.
+    """
+    from study.runner.batch import default_jobs
+    from study.runner.expand import expand
+
+    loaded = design if isinstance(design, Design) else load(design, overrides)
+    description = describe(loaded)
+    warnings = list(description["warnings"])
+    workers = jobs or default_jobs()
+    try:
+        work = expand(loaded, data_root(loaded.source, data))
+    except InputError as error:
+        warnings.append(f"the measurements cannot be read, so blocks are not counted: {error}")
+        total = int(description["cells"])
+        return Plan(
+            loaded, description, (), total, 0, 0, total, 0, 0.0, 0.0, workers, tuple(warnings)
+        )
+    return _counted(work, description, Store(results / loaded.name, warn=warnings.append),
+                    workers, warnings)  # fmt: skip
+
+
+def _counted(
+    work: Work, description: Mapping[str, Any], store: Store, workers: int, warnings: list[str]
+) -> Plan:
+    from study.runner.batch import missing, needed_fits
+    from study.runner.costs import Costs
+
+    found = store.survey(work.input_hashes)
+    todo = missing(work, store)
+    fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
+    costs = Costs()
+    seconds = costs.total_seconds(fits, todo, workers)
+    memory = workers * max((costs.memory_MB(job.case.config) for job in todo), default=0.0)
+    return Plan(
+        work.design, description, work.blocks, len(work.jobs), len(found.done),
+        len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+    )  # fmt: skip
+
+
+def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
+    """Progress of a study, from any shell.
+
+    Returns
+    -------
+    dict
+        The document of ``study status --json``, with ``running`` (pid, host, since) or None.
+    """
+    folder = results_folder(path, results)
+    warnings: list[str] = []
+    store = Store(folder, warn=warnings.append)
+    manifest = store.read_manifest()
+    if manifest is None:
+        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    found = store.survey(manifest["cases"])
+    failures = [record for case in found.failed if (record := store.read(case)) is not None]
+    counts: dict[str, int] = {}
+    for record in failures:
+        counts[record.status] = counts.get(record.status, 0) + 1
+    return {
+        "study": manifest["name"],
+        "cases": {
+            "total": len(manifest["cases"]),
+            "done": len(found.done),
+            "failed": len(found.failed),
+            "missing": len(found.missing),
+        },
+        "predicted_seconds": None,
+        "report": None,
+        "verdicts": [],
+        "warnings": warnings,
+        "failures": counts,
+        "running": store.running(),
+        "timings": manifest.get("timings", {}),
+    }
+
+
+def why(case: str, *, study: str | Path | None = None, results: Path = RESULTS) -> Record:
+    """Record of one case, found by the beginning of its id in one study or in all of them.
+
+    Raises
+    ------
+    InputError
+        If no case, or more than one, has an id that begins so.
+    """
+    folders = [results_folder(study, results)] if study is not None else _all_studies(results)
+    found: list[tuple[Store, str]] = []
+    names: list[str] = []
+    for folder in folders:
+        store = Store(folder)
+        ids = [path.name for path in sorted((folder / "cases").glob("*")) if path.is_dir()]
+        names += ids
+        found += [(store, name) for name in ids if name.startswith(case)]
+    if not found or not case:
+        mend = nearest(case, names[:20]) if names else f"there are no records below {results}"
+        raise InputError(Fault("case", f"no case has an id that begins with {case!r}", mend))
+    if len(found) > 1:
+        listed = ", ".join(name for _, name in found[:6])
+        raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
+    store, name = found[0]
+    record = store.read(name)
+    if record is None:
+        raise InputError(Fault("case", f"the record of {name} is damaged; run the study again"))
+    return record
+
+
+def _all_studies(results: Path) -> list[Path]:
+    return sorted(path.parent for path in results.glob("*/study.json"))

@@ -1,0 +1,154 @@
+"""Statistics alone: on the records of a study, on any tidy CSV, or a single test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.analysis import analyze as anova
+from study.analysis import bartlett, grid_convergence, ryan_joiner
+from study.errors import Fault, InputError, nearest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis import AnalysisResult
+    from study.design import Design, Response
+    from study.record import Record
+
+__all__ = ["analyze", "analyze_records", "anova", "bartlett", "grid_convergence", "ryan_joiner"]
+
+
+def analyze(
+    source: str | Path | pd.DataFrame,
+    response: str | None = None,
+    factors: Sequence[str] = (),
+    *,
+    block: str | None = None,
+    results: Path = Path("results"),
+    **options: Any,
+) -> AnalysisResult:
+    """Analyze one response of a finished study, of a CSV file or of a table.
+
+    Parameters
+    ----------
+    source : str, Path or DataFrame
+        Results folder or design of a study, a tidy CSV (one row a run), or a table.
+    response : str, optional
+        Column of the response; that of a study's first response by default.
+    factors : sequence of str
+        Columns of the factors; all factors of a study by default.
+    block : str, optional
+        Column of the blocks.
+    **options
+        As for :func:`study.analysis.analyze`: ``type``, ``model``, ``error``, ``practical``,
+        ``transform``, ``alpha``, ``seed``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to analyze, or a column does not exist.
+    RefusedError
+        If the answer would be meaningless.
+    """
+    from study.analysis import read_csv
+
+    if not isinstance(source, (str, Path)):
+        return _table(source, response, factors, block, options)
+    if _is_csv(Path(source)):
+        return _table(read_csv(Path(source)), response, factors, block, options)
+    return _study(source, response, factors, block, results, options)
+
+
+def analyze_records(
+    design: Design, records: Sequence[Record], response: Response, u_num: float | None = None
+) -> AnalysisResult:
+    """Analyze one response of a study as its design says.
+
+    Raises
+    ------
+    InputError
+        If too few cases have an answer.
+    RefusedError
+        If the answer would be meaningless.
+    """
+    from study.record import table
+
+    if not any(record.converged for record in records):
+        raise InputError(f"no case has an answer for {response.name}")
+    frame = table(list(records))
+    blocks = [record.block for record in records if record.block is not None]
+    spec = design.analysis
+    return anova(
+        frame,
+        response.name,
+        [factor.name for factor in design.factors if len(factor.levels) > 1],
+        block="block" if len(set(blocks)) > 1 else None,
+        type=spec.type,
+        model=spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        error=spec.error,
+        records=True,
+        practical=response.practical,
+        transform=response.transform,
+        u_num=u_num,
+        alpha=spec.alpha,
+        seed=design.seed,
+    )
+
+
+def _is_csv(path: Path) -> bool:
+    return path.is_file() and path.suffix != ".toml"
+
+
+def _table(
+    frame: pd.DataFrame,
+    response: str | None,
+    factors: Sequence[str],
+    block: str | None,
+    options: dict[str, Any],
+) -> AnalysisResult:
+    faults = []
+    if response is None:
+        faults.append(Fault("--response", "is missing", "name the column of the response"))
+    if not factors:
+        faults.append(Fault("--factors", "is missing", "name the columns of the factors"))
+    if faults:
+        raise InputError(faults)
+    return anova(frame, str(response), list(factors), block=block, **options)
+
+
+def _study(
+    source: str | Path,
+    response: str | None,
+    factors: Sequence[str],
+    block: str | None,
+    results: Path,
+    options: dict[str, Any],
+) -> AnalysisResult:
+    """Analysis of stored records: what is not said is taken from the design."""
+    from study.api.studies import open_study
+
+    study = open_study(source, results)
+    by_name = {r.name: r for r in study.design.responses}
+    name = response or next(iter(by_name))
+    if not study.records:
+        raise InputError(f"{study.folder}: no case is computed yet")
+    known = list(study.records[0].responses)
+    if name not in known:
+        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
+    asked, spec = by_name.get(name), study.design.analysis
+    u_num = [r.u_num for r in study.numerical if r.response == name and r.u_num is not None]
+    blocked = block or ("block" if len(study.manifest["blocks"]) > 1 else None)
+    merged = {
+        "type": spec.type,
+        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        "error": spec.error,
+        "alpha": spec.alpha,
+        "seed": study.design.seed,
+        "practical": None if asked is None else asked.practical,
+        "transform": "none" if asked is None else asked.transform,
+        "u_num": max(u_num, default=None),
+    } | {k: v for k, v in options.items() if v is not None}
+    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+    return anova(study.table, name, names, block=blocked, records=True, **merged)

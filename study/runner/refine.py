@@ -1,0 +1,212 @@
+"""Refinement of the mesh under a study: the numerical uncertainty of its responses.
+
+One block of one cell of every kind of discretization is computed again, calibration and
+all, on finer meshes: a change of the constants and of the score is what a finer mesh would
+have changed in the study. The cells chosen are those where the mesh can matter most: a
+deformation that is not homogeneous, with the material of fewest constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from study.design import Case, Design, case_id
+from study.record import Record
+from study.runner import build
+from study.runner.costs import Costs
+from study.runner.expand import CaseJob, FitJob, Work, case_job
+
+PURPOSE = "refinement"
+#: a third mesh is computed where the second is predicted to take less than this
+CHEAP_S = 20.0
+#: observed order where only two meshes exist: bonded corners limit it to one
+ASSUMED_ORDER = 1.0
+#: safety factors of the grid convergence index with two meshes (Roache 1994, ASME JFE 116, 405)
+TWO_MESH_FACTOR = 3.0
+
+
+@dataclass(frozen=True)
+class Numerical:
+    """Numerical uncertainty of one response on the mesh of the study.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Levels of the factors of the discretization.
+    value, u_num : float or None
+        Response on the study's mesh and its uncertainty, in ``unit``.
+    behaviour : str
+        Of the refinement series, or ``"two meshes"``.
+    note : str
+        Which cell was refined and how far.
+    """
+
+    levels: Mapping[str, str]
+    response: str
+    value: float | None
+    u_num: float | None
+    unit: str
+    behaviour: str
+    note: str
+
+
+def refinement_work(work: Work) -> Work:
+    """List the refined cases of a study, as work like any other.
+
+    Parameters
+    ----------
+    work : Work
+        The study.
+    """
+    fits: dict[str, FitJob] = {}
+    jobs: list[CaseJob] = []
+    costs = Costs()
+    for base in chosen(work):
+        size = base_size_mm(base.case)
+        for level in range(1, _levels(work.design, base.case, size, costs) + 1):
+            case = _refined(base.case, size / work.design.converge.ratio**level)
+            facts = {"purpose": PURPOSE, "of": base.case.case_id, "level": level}
+            jobs.append(case_job(case, work.data, fits, work.responses, facts))
+    return replace(work, jobs=tuple(jobs), fits=fits)
+
+
+def chosen(work: Work) -> list[CaseJob]:
+    """Choose one case for every kind of discretization, in the first block."""
+    groups: dict[str, CaseJob] = {}
+    for job in work.jobs:
+        config = job.case.config
+        if job.case.block not in (None, *work.blocks[:1]) or build.is_homogeneous(config):
+            continue
+        key = case_id(_discretization(config))
+        best = groups.get(key)
+        if best is None or _constants(job) < _constants(best):
+            groups[key] = job
+    return list(groups.values())
+
+
+def base_size_mm(case: Case) -> float:
+    """Element size of a case, named or given, in mm."""
+    from study.forward.mesh import mesh_size
+
+    section = {**case.config["material"], "model": "neo-hookean", "order": None}
+    config = {**case.config, "material": section}
+    return float(mesh_size(build.problem(config, {"C10": 1.0})))
+
+
+def numerical(
+    work: Work, refinement: Work, records: Mapping[str, Record], responses: Sequence[str]
+) -> list[Numerical]:
+    """Uncertainty of every response for every kind of discretization.
+
+    Parameters
+    ----------
+    records : mapping of str to Record
+        Records of the study and of its refinement, by case id.
+    responses : sequence of str
+        Names of the responses wanted.
+    """
+    found = []
+    for base in chosen(work):
+        series = [records.get(base.case.case_id)]
+        series += [
+            records.get(job.case.case_id)
+            for job in refinement.jobs
+            if job.extra.get("of") == base.case.case_id
+        ]
+        found += [_one(work, base, series, name) for name in responses if name != "seconds"]
+    return found
+
+
+def _one(
+    work: Work, base: CaseJob, series: Sequence[Record | None], name: str
+) -> Numerical:
+    good = [(k, r) for k, r in enumerate(series) if r is not None and r.converged]
+    values = [(k, r.responses.get(name, {}).get("value")) for k, r in good]
+    known = [(k, float(v)) for k, v in values if v is not None]
+    ratio, unit = work.design.converge.ratio, work.responses.get(name, "")
+    levels = _discretization_levels(work.design, base.case)
+    where = base.case.label
+    if not known or known[0][0] != 0 or len(known) < 2:
+        note = f"no second mesh gave an answer ({where})"
+        value = known[0][1] if known and known[0][0] == 0 else None
+        return Numerical(levels, name, value, None, unit, "not available", note)
+    dofs = " to ".join(str(int(r.mesh.get("dofs", 0))) for _, r in (good[0], good[-1]))
+    note = f"{where}; {len(known)} meshes of ratio {ratio:g}, {dofs} unknowns"
+    if len(known) == 2:
+        u = two_mesh_uncertainty(known[0][1], known[1][1], ratio)
+        return Numerical(levels, name, known[0][1], u, unit, "two meshes", note)
+    behaviour, u = series_uncertainty([v for _, v in known], ratio)
+    return Numerical(levels, name, known[0][1], u, unit, behaviour, note)
+
+
+def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
+    """Half-width for the coarser of two meshes: factor 3 on first-order extrapolation.
+
+    Examples
+    --------
+    >>> round(two_mesh_uncertainty(1.1, 1.0, 2.0), 10)
+    0.6
+    """
+    error = abs(coarse - fine) / (1 - ratio**-ASSUMED_ORDER)
+    return float(TWO_MESH_FACTOR * error)
+
+
+def series_uncertainty(values: Sequence[float], ratio: float) -> tuple[str, float]:
+    """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
+
+    Where the series converges the distance to the extrapolated value counts, with the
+    factor of the grid convergence index; where it does not, thrice the largest change.
+
+    Examples
+    --------
+    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0)
+    >>> behaviour, round(u, 6)
+    ('monotone', 0.5)
+    """
+    from study.analysis.convergence import grid_convergence
+
+    sizes = [ratio**-k for k in range(len(values))]
+    found = grid_convergence(sizes, values)
+    if found.extrapolated is not None and found.factor_of_safety is not None:
+        error = abs(values[0] - found.extrapolated)
+        return found.behaviour, float(found.factor_of_safety * error)
+    if found.behaviour == "noise-floor":
+        return found.behaviour, abs(values[0] - values[-1])
+    return found.behaviour, TWO_MESH_FACTOR * (max(values) - min(values))
+
+
+def _levels(design: Design, case: Case, size: float, costs: Costs) -> int:
+    """Count the refinements: two where the second is cheap, one elsewhere."""
+    twice = _refined(case, size / design.converge.ratio**2)
+    return 2 if costs.solve_seconds(twice.config) < CHEAP_S else 1
+
+
+def _refined(case: Case, size: float) -> Case:
+    """Copy a case with another mesh; everything else, the block too, stays."""
+    model = {**case.config["model"], "mesh": None, "mesh_size_mm": size}
+    config = {**case.config, "model": model}
+    own = (config.get("calibration") or {}).get("problem")
+    if own:
+        changed = {**own, "model": {**own["model"], "mesh": None, "mesh_size_mm": size}}
+        config["calibration"] = {**config["calibration"], "problem": changed}
+    name = case_id({**config, "block": case.block, "purpose": PURPOSE})
+    return replace(case, config=config, case_id=name)
+
+
+def _discretization(config: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in config["model"].items() if k not in ("mesh_ratio",)}
+
+
+def _discretization_levels(design: Design, case: Case) -> dict[str, str]:
+    """Levels of those factors that are keys of the discretization."""
+    names = [f.name for f in design.factors if f.name.startswith("model.") or f.name == "model"]
+    if names:
+        return {name: case.levels[name] for name in names}
+    model = case.config["model"]
+    return {"model.space": model["space"], "model.element_order": model["element_order"]}
+
+
+def _constants(job: CaseJob) -> int:
+    return len(build.calibrated_names(job.case.config["material"]))
