@@ -32,7 +32,8 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
             moved = _moved(fault, places)
             found.setdefault(moved, []).append(" / ".join(labels.values()))
     for fault, cells in found.items():
-        where = "" if len(cells) == count else f" (in {_listed(cells)})"
+        told = len(cells) == count or fault.where.startswith(("presets.", "factors."))
+        where = "" if told else f" (in {_listed(cells)})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, out, faults)
     if not found and configs:

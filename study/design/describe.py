@@ -30,7 +30,7 @@ def equivalent_groups(design: Design) -> Groups:
 
 
 def duplicates(design: Design) -> Groups:
-    """Groups of two or more cells with different labels and the same content."""
+    """Find groups of two or more cells with different labels and the same content."""
     groups = _grouped(treatments(design), lambda cell: case_id(cell.config))
     return tuple(group for group in groups if len(group) > 1)
 
@@ -114,7 +114,7 @@ def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
         return "cannot change any force: every cell is a control"
     parts = []
     if fitted:
-        parts.append("changes the fit and the force" if calibrates else "does not enter the fit")
+        parts.append("enters the fit" if calibrates else "does not enter the fit")
     if inert:
         parts.append(f"cannot matter in {inert} of {total} cells, which are controls")
     return "; ".join(parts)

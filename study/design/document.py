@@ -17,7 +17,8 @@ from study.errors import Fault, InputError
 Table = dict[str, Any]
 
 MAX_BYTES = 256 * 1024
-MAX_LINE = 4096  # tomllib takes quadratic time in the parts of a dotted key
+MAX_LINE = 4096
+MAX_DOTS = 32  # before an equals sign: tomllib takes quadratic time in the parts of a key
 MAX_DEPTH = 12
 _PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)\)$", re.DOTALL)
 
@@ -71,8 +72,8 @@ def parse_toml(text: str, source: str) -> Table:
     if len(text) > MAX_BYTES:
         raise InputError(Fault(source, f"is longer than {MAX_BYTES // 1024} KiB"))
     for number, line in enumerate(text.split("\n"), 1):
-        if len(line) > MAX_LINE:
-            rule = f"this line has {len(line)} characters, the limit is {MAX_LINE}"
+        rule = _unfit_line(line)
+        if rule:
             raise InputError(Fault(f"{source}:{number}", rule, "break it into several lines"))
     try:
         tables = tomllib.loads(text)
@@ -84,6 +85,17 @@ def parse_toml(text: str, source: str) -> Table:
     if unfit:
         raise InputError(Fault(source, unfit))
     return tables
+
+
+def _unfit_line(line: str) -> str:
+    """Reason why a line is refused before it is parsed."""
+    if len(line) > MAX_LINE:
+        return f"this line has {len(line)} characters, the limit is {MAX_LINE}"
+    *left, last = line.split("=")
+    keys = [*left, last] if line.lstrip().startswith("[") else left
+    if any(key.count(".") > MAX_DOTS for key in keys):
+        return f"this key has more than {MAX_DOTS} dots"
+    return ""
 
 
 def _syntax_fault(message: str, text: str, source: str) -> Fault:

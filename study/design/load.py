@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from study.design import document, settings
+from study.design import document, keys, settings
 from study.design.check import check_cells
 from study.design.factors import Presets, read_exclusions, read_factors, read_presets
 from study.design.measured import read_measurements_table
@@ -204,7 +204,10 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
-        document.set_value(tables, path, value)
+        if path[0] in keys.TABLES and len(path) > 1 and not any("." in part for part in path):
+            tables = keys.lay(tables, {".".join(path): value})
+        else:
+            document.set_value(tables, path, value)
     return _joined(tables, source)
 
 
@@ -226,12 +229,22 @@ def _joined(tables: dict[str, Any], source: str) -> dict[str, Any]:
 
 def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
     """Refuse an override that a factor's levels would hide again."""
-    key = ".".join(path)
-    factors = tables.get("factors")
-    if isinstance(factors, dict) and key in factors:
-        rule = "is a factor: its levels would hide this value"
+    key, factors = ".".join(path), tables.get("factors")
+    if not isinstance(factors, dict):
+        return
+    if key in factors:
         mend = f"change the levels: -s 'factors.{key}=[...]'"
-        raise InputError(Fault(f"-s {key}", rule, mend))
+        raise InputError(Fault(f"-s {key}", "is a factor: its levels would hide this", mend))
+    presets = read_presets(tables.get("presets"), Faults())
+    hiding = [
+        f"presets.{name}.{label}"
+        for name in factors
+        for label, settings in presets.get(name, {}).items()
+        if key in settings
+    ]
+    if hiding:
+        rule = f"is set by {', '.join(hiding[:3])}, which would hide this"
+        raise InputError(Fault(f"-s {key}", rule, f"change it there: -s '{hiding[0]}...=...'"))
 
 
 def _about(faults: Faults, table: str) -> bool:

@@ -209,7 +209,7 @@ def name(value: Any) -> str:
 def slug(value: Any) -> str:
     """Read a name that is also a folder's: letters, digits, dash, underscore, dot."""
     plain = name(value)
-    if not re.fullmatch(r"[A-Za-z0-9._-]*[A-Za-z0-9]", plain):
+    if not re.fullmatch(r"[A-Za-z0-9._-]*[A-Za-z0-9_-]", plain):
         raise Bad(f"may have letters, digits, - _ and . (not last) only, got {shown(value)}")
     if plain[0] == ".":
         raise Bad(f"must not begin with a dot, got {shown(value)}")

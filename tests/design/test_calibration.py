@@ -1,0 +1,99 @@
+"""Calibration files, and the calibration problem of a design."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from study import design
+from study.design import Range
+from study.errors import InputError
+
+TEXT = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[model]
+space = "axisymmetric"
+element_order = "quadratic"
+[material]
+model = "reduced-polynomial"
+order = 2
+poisson_ratio = 0.4995
+[[tests]]
+role = "fit"
+test = { kind = "compression", interface = "frictionless", displacement = "6 mm" }
+measurements = { file = "a.csv", columns = { displacement = "d", force = "f" }, units = { displacement = "mm", force = "N" }, range = ["1 %", "20 %"] }
+weight = "scatter"
+[[tests]]
+role = "held-out"
+test = { kind = "compression", interface = "bonded" }
+specimen = { shape = "cylinder", radius = "10 mm", height = "20 mm" }
+measurements = { file = "b.csv", columns = { displacement = "d", force = "f" }, units = { displacement = "mm", force = "N" }, range = ["1 %", "20 %"] }
+weight = 2.5
+"""  # noqa: E501
+CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
+
+
+def test_tests_inherit_specimen_and_model() -> None:
+    found = design.loads_calibration(TEXT)
+    fit, held_out = found["tests"]
+    assert found["material"]["order"] == 2
+    assert found["model"]["mesh"] == "medium"
+    assert (fit["role"], fit["weight"]) == ("fit", "scatter")
+    assert (held_out["role"], held_out["weight"]) == ("held-out", 2.5)
+    assert fit["specimen"] == found["specimen"]
+    assert held_out["specimen"]["height_mm"] == 20.0
+    assert fit["measurements"].range == Range("percent", 1.0, 20.0)
+    assert (fit["test"]["displacement_mm"], held_out["test"]["displacement_mm"]) == (6.0, 4.0)
+    assert held_out["test"]["base"] == "bonded"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('role = "held-out"', 'role = "test"', r"tests\[1\]\.role: unknown value 'test'"),
+        ('role = "fit"', 'role = "held-out"', "no test with role fit"),
+        ("weight = 2.5", "weight = -1", r"tests\[1\]\.weight"),
+        ('weight = "scatter"', 'weigth = "scatter"', "did you mean 'weight'"),
+        ('"6 mm"', '"7 mm"', r"tests\[0\]\.test\.displacement: 7 mm, but .* ends at 6 mm"),
+        ('"a.csv"', '"/a.csv"', r"tests\[0\]\.measurements\.file: must be relative"),
+        ('"10 mm"', "10", r"tests\[1\]\.specimen\.radius: needs a unit"),
+        ("order = 2\n", "", r"material\.order: is missing"),
+    ],
+)
+def test_faults_name_the_test(old: str, new: str, says: str) -> None:
+    assert old in TEXT
+    with pytest.raises(InputError, match=says):
+        design.loads_calibration(TEXT.replace(old, new, 1))
+
+
+def test_a_fault_of_an_inherited_table_is_told_once() -> None:
+    with pytest.raises(InputError) as caught:
+        design.loads(CONICAL.replace('"40 mm"', '"-40 mm"'), "x")
+    assert [f.where for f in caught.value.faults] == ["x: specimen.height"]
+
+
+def test_a_fault_of_the_calibration_problem_is_told_there() -> None:
+    text = CONICAL.replace('["1 %", "30 %"]', '["1 %", "130 %"]')
+    with pytest.raises(InputError) as caught:
+        design.loads(text, "x")
+    assert caught.value.faults[0].where == "x: calibration.problem.measurements.range"
+
+
+def test_no_calibration_where_constants_are_given() -> None:
+    start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
+    text = CONICAL[:start] + CONICAL[end:]
+    fixed = text.replace('model = "neo-hookean"\n', 'model = "neo-hookean"\nC10 = "5 kPa"\n')
+    cells = design.treatments(design.loads(fixed))
+    assert design.calibration_config(cells[0]) is None  # neo-Hookean: constants given
+    assert design.calibration_config(cells[-1]) is not None
+
+
+def test_cross_validation() -> None:
+    study = design.loads(CONICAL.replace('method = "auto"', 'method="auto"\nleave_out="specimen"'))
+    assert study.calibration.leave_out == "specimen"
+    assert design.treatments(study)[0].config["calibration"]["leave_out"] == "specimen"
