@@ -101,7 +101,7 @@ def parse(text: str, dimension: str) -> float:
     >>> parse("5 cm", "length"), parse("5 kPa", "pressure")
     (50.0, 0.005)
     """
-    if isinstance(text, bool) or not isinstance(text, str):
+    if not isinstance(text, str):
         raise _fault(f"needs a unit, got the bare value {text!r}", _mend(dimension, text))
     stripped = text.strip(" \t")
     if len(stripped) > MAX_LENGTH:
