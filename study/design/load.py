@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from study.design import document, keys, settings
+from study.design import document, keys, physics, settings
 from study.design.check import check_cells
 from study.design.factors import Presets, read_exclusions, read_factors, read_presets
 from study.design.measured import read_measurements_table
@@ -98,6 +98,7 @@ def loads_problem(
         material = config["material"]
         if material["model"] and not material["constants"] and not _about(faults, "material"):
             faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
+        physics.check_stability(config, faults)
     return {**config, "converge": converge}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from study.design.reader import Faults
@@ -90,6 +91,34 @@ def _check_indenter(config: Config, faults: Faults, places: Mapping[str, str]) -
         key = "half_angle" if indenter["shape"] == "cone" else "radius"
         rule = f"the indenter is {reach:g} mm wide from its axis, the specimen {half:g} mm"
         faults.add(where + key, rule, "it must stay inside the top face at full depth")
+
+
+def check_stability(config: Config, faults: Faults) -> None:
+    """Refuse given constants that Drucker's criterion refutes on the way to full compression.
+
+    Only what is solved as it stands is judged: constants that start a fit may be worse.
+    """
+    depth, height = config["test"]["displacement_mm"], config["specimen"].get("height_mm")
+    given = tuple(config["material"]["constants"].items())
+    mu0 = initial_shear_modulus(config["material"])
+    if faults or not given or mu0 is None or config["test"]["kind"] != "compression":
+        return
+    if depth is None or height is None or depth >= height:
+        return
+    sentence = _unstable(config["material"]["model"], given, 1 - depth / height)
+    if sentence:
+        faults.add("material", sentence, f"give constants stable to stretch {1 - depth / height:g}")
+
+
+@lru_cache(maxsize=1024)
+def _unstable(model: str, constants: tuple[tuple[str, float], ...], stretch: float) -> str:
+    """Verdict on uniaxial loading down to a stretch; empty if it is stable."""
+    from study.material import Material
+    from study.material.stability import stability
+
+    material = Material(model, dict(constants), poisson_ratio=0.4)  # K does not enter
+    verdict = stability(material, [stretch, 1.0])
+    return verdict.sentence if "uniaxial" in verdict.limits else ""
 
 
 def half_width(specimen: Mapping[str, Any]) -> float | None:

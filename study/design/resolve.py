@@ -149,6 +149,7 @@ def _check_method(spec: CalibrationSpec, config: Config, fitted: Config, faults:
         if not config["material"]["constants"] and config["material"]["model"]:
             mend = "give them, or let [calibration] find them"
             faults.add("material", "has no constants, and calibration.method is none", mend)
+        physics.check_stability(config, faults)
         return
     if spec.method is not None and fitted["measurements"] is None:
         if not any("measurements" in f.where for f in faults):

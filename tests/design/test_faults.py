@@ -169,6 +169,17 @@ def test_incompressible_needs_the_mixed_formulation() -> None:
     assert 'write formulation = "mixed"' in found["model.formulation"]
 
 
+def test_unstable_constants_name_the_stretch() -> None:
+    # dP/dl = 0 in uniaxial compression of W = C10 (I1 - 3) + C20 (I1 - 3)^2, here by the
+    # criterion of study.material.stability; F26
+    text = PROBLEM.replace('"indentation"', '"compression"').replace('C20 = "1', 'C20 = "-3')
+    deep = text.replace('"5 mm"', '"15 mm"')
+    assert design.loads_problem(deep.replace('"-3 kPa"', '"3 kPa"'))
+    found = faults(design.loads_problem, deep)
+    assert "uniaxial loading below stretch 0." in found["material"]
+    assert design.loads_problem(text.replace('"5 mm"', '"1 mm"'))
+
+
 def test_synonyms() -> None:
     text = PROBLEM.replace('"frictionless"', '"lubricated"')
     for written, meant in (
