@@ -170,8 +170,7 @@ def test_incompressible_needs_the_mixed_formulation() -> None:
 
 
 def test_unstable_constants_name_the_stretch() -> None:
-    # dP/dl = 0 in uniaxial compression of W = C10 (I1 - 3) + C20 (I1 - 3)^2, here by the
-    # criterion of study.material.stability; F26
+    # F26: a negative C20 softens with compression; Drucker's limit is that of study.material
     text = PROBLEM.replace('"indentation"', '"compression"').replace('C20 = "1', 'C20 = "-3')
     deep = text.replace('"5 mm"', '"15 mm"')
     assert design.loads_problem(deep.replace('"-3 kPa"', '"3 kPa"'))
