@@ -7,6 +7,8 @@ unsymmetric default.
 
 from __future__ import annotations
 
+import copy
+import functools
 import importlib.util
 from typing import Any, Protocol
 
@@ -50,6 +52,33 @@ def make_solver(pattern: Pattern, name: str = "auto") -> LinearSolver:
     return Pardiso(pattern)
 
 
+#: MKL's settings by their numbers from 1; the others are zero
+_IPARM = {
+    1: 1,  # these settings, not MKL's own
+    2: 2,  # nested dissection
+    8: 0,  # refine only where pivots were perturbed: Newton corrects itself
+    10: 8,  # perturb pivots below 1e-8 of the norm
+    21: 1,  # Bunch-Kaufman pivoting for an indefinite matrix
+}
+
+
+@functools.cache
+def _pardiso_template() -> Any:
+    """Find the MKL library once: pypardiso searches the whole environment for each solver."""
+    import pypardiso
+
+    return pypardiso.PyPardisoSolver(mtype=-2)
+
+
+def _fresh_pardiso() -> Any:
+    template = _pardiso_template()
+    solver = copy.copy(template)
+    solver.pt, solver.iparm = np.zeros_like(template.pt), np.zeros_like(template.iparm)
+    for number, value in _IPARM.items():
+        solver.iparm[number - 1] = value
+    return solver
+
+
 class Pardiso:
     """MKL PARDISO: symbolic analysis once, numerical factorization for each matrix."""
 
@@ -59,8 +88,7 @@ class Pardiso:
         import pypardiso
 
         self._error: type[Exception] = pypardiso.pardiso_wrapper.PyPardisoError
-        self._solver = pypardiso.PyPardisoSolver(mtype=-2)
-        self._solver.set_iparm(8, 0)  # Newton corrects itself: refine perturbed pivots only
+        self._solver = _fresh_pardiso()
         n = pattern.free.size
         self._matrix = sp.csr_matrix(
             (np.zeros(pattern.indices.size), pattern.indices, pattern.indptr), shape=(n, n)
