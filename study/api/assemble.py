@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from study.curve import Curve
 from study.design import calibration_factors, equivalent_groups, excluded
-from study.reporting.data import Check, CurvePair, Failure, FittedConstant, ReportData
+from study.reporting.data import (
+    Check,
+    CurvePair,
+    Failure,
+    FittedConstant,
+    NumericalRow,
+    ReportData,
+)
 
 if TYPE_CHECKING:
     from study.api.studies import StudyResult
@@ -42,7 +49,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         fits=tuple(_fits(design, study.records)),
         failures=tuple(_failures(study.records)),
         checks=tuple(_checks(study)),
-        numerical=study.numerical,
+        numerical=tuple(_numerical(study)),
         controls=tuple(_controls(design, study.records)),
         virtual=bool(manifest["virtual"]),
         seed=design.seed,
@@ -56,8 +63,15 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     )
 
 
+def _numerical(study: StudyResult) -> Iterator[NumericalRow]:
+    for row in study.numerical:
+        yield NumericalRow(
+            row.levels, row.response, row.value, row.u_num, row.unit, row.behaviour, row.note
+        )
+
+
 def _inputs(design: Design) -> dict[str, str]:
-    """Fixed inputs by dotted key, as they are written."""
+    """List the fixed inputs by dotted key, as they are written."""
     varied = {key for factor in design.factors for lv in factor.levels for key in lv.settings}
     flat = {
         key: value
@@ -77,7 +91,7 @@ def _flat(value: Any, prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _assumed(design: Design) -> dict[str, str]:
-    """Inputs that nobody measured, with what was assumed of them."""
+    """List the inputs that nobody measured, with what was assumed of them."""
     flat = dict(_flat({k: v for k, v in design.config.items() if k not in _HIDDEN}, ""))
     out = {}
     for key in design.assumed:
@@ -160,7 +174,7 @@ def _failures(records: tuple[Record, ...]) -> Iterator[Failure]:
 
 
 def _checks(study: StudyResult) -> Iterator[Check]:
-    """Checks that only the records can make."""
+    """Make the checks that need the records."""
     done, missing = len(study.records) - study.failed, study.total - len(study.records)
     outcome = "pass" if not study.failed and not missing else "caution"
     consequence = "" if outcome == "pass" else "cells that failed are not missing at random"

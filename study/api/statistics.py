@@ -57,7 +57,9 @@ def analyze(
     if not isinstance(source, (str, Path)):
         return _table(source, response, factors, block, options)
     if _is_csv(Path(source)):
-        return _table(read_csv(Path(source)), response, factors, block, options)
+        _check_named(response, factors)
+        frame = read_csv(Path(source), str(response), list(factors), block)
+        return _table(frame, response, factors, block, options)
     return _study(source, response, factors, block, results, options)
 
 
@@ -108,6 +110,11 @@ def _table(
     block: str | None,
     options: dict[str, Any],
 ) -> AnalysisResult:
+    _check_named(response, factors)
+    return anova(frame, str(response), list(factors), block=block, **options)
+
+
+def _check_named(response: str | None, factors: Sequence[str]) -> None:
     faults = []
     if response is None:
         faults.append(Fault("--response", "is missing", "name the column of the response"))
@@ -115,7 +122,6 @@ def _table(
         faults.append(Fault("--factors", "is missing", "name the columns of the factors"))
     if faults:
         raise InputError(faults)
-    return anova(frame, str(response), list(factors), block=block, **options)
 
 
 def _study(

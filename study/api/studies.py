@@ -16,9 +16,10 @@ from study.record import Record, Store, table
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.data import NumericalRow, ResponseAnalysis
+    from study.reporting.data import ResponseAnalysis
     from study.runner.batch import Progress, Summary
     from study.runner.expand import Work
+    from study.runner.refine import Numerical
 
 load_design = load
 
@@ -37,7 +38,7 @@ class StudyResult:
         Number of cases of the design.
     analyses : tuple of ResponseAnalysis
         One for every response of the design.
-    numerical : tuple of NumericalRow
+    numerical : tuple of Numerical
         Numerical uncertainty of every response for every discretization.
     manifest : mapping
         What else is stored of the run: blocks, notes, timings, versions.
@@ -50,7 +51,7 @@ class StudyResult:
     records: tuple[Record, ...]
     total: int
     analyses: tuple[ResponseAnalysis, ...]
-    numerical: tuple[NumericalRow, ...]
+    numerical: tuple[Numerical, ...]
     manifest: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
     report: Path | None = None
@@ -217,7 +218,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     InputError
         If there are none.
     """
-    from study.reporting.data import NumericalRow
+    from study.runner.refine import Numerical
 
     folder = results_folder(path, results)
     warnings: list[str] = []
@@ -228,7 +229,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     design = loads(manifest["design"], manifest["source"])
     records = tuple(store.records(manifest["cases"]))
     rows = store.read_json("numerical") or []
-    numerical = tuple(NumericalRow(**row) for row in rows)
+    numerical = tuple(Numerical(**row) for row in rows)
     missing = len(manifest["cases"]) - len(records)
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
@@ -241,7 +242,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
 
 
 def _analyses(
-    design: Design, records: Sequence[Record], numerical: Sequence[NumericalRow]
+    design: Design, records: Sequence[Record], numerical: Sequence[Numerical]
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     from study.analysis import threshold

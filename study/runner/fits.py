@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,9 @@ Array = NDArray[np.float64]
 Config = Mapping[str, Any]
 Predict = Callable[[Array], list[Curve]]
 
-#: each evaluation of an inverse fit is a simulation, whose interpolated gradient is good to
-#: some six digits: asking for more would buy solutions, not digits
-_TOLERANCES: dict[str, dict[str, Any]] = {
+#: each evaluation of an inverse fit is a simulation: digits far below the error of the mesh
+#: are not worth one
+TOLERANCES: dict[str, dict[str, Any]] = {
     "closed-form": {},
     "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7},
 }
@@ -154,14 +154,14 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
         return {"status": str(start.get("status", "failed")), "message": why}
     names, first = start_values(config, measured, (start or {}).get("values"))
     if task["method"] == "closed-form":
-        predict: Predict = _closed_form(config, measured, names)
+        predict: Predict = closed_form_model(config, measured, names)
     else:
-        predict = _InverseFem(config, measured, names)
+        predict = InverseFem(config, measured, names)
     data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
-    found = fit(predict, data, names, first, **_TOLERANCES[task["method"]])
+    found = fit(predict, data, names, first, **TOLERANCES[task["method"]])
     result = _described(found, config, names, measured)
-    if isinstance(predict, _InverseFem):
-        result |= predict.provenance()
+    if isinstance(predict, InverseFem):
+        result |= predict.provenance(found.values)
     result["method"] = task["method"]
     result["seconds"] = time.perf_counter() - began
     result["start_seconds"] = float((start or {}).get("seconds", 0.0))
@@ -198,7 +198,10 @@ def start_values(
     return names, np.array([values.get(n, 0.0) for n in names])
 
 
-def _closed_form(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+def closed_form_model(
+    config: Config, measured: Sequence[Curve], names: Sequence[str]
+) -> Predict:
+    """Model of compression between frictionless plates, for the optimizer."""
     from study.calibration import EvaluationFailed
 
     def predict(values: Array) -> list[Curve]:
@@ -218,18 +221,34 @@ def _closed_form(config: Config, measured: Sequence[Curve], names: Sequence[str]
     return predict
 
 
-class _InverseFem:
-    """Forward solutions with gradients; each starts from the one before it in the same fit."""
+class InverseFem:
+    """Forward solutions with gradients; each starts from the one before it in the same fit.
+
+    Between the solved steps the first curve is interpolated with its tangent (Hermite), and
+    what later curves add to it by a spline that is linear in the solved forces. The gradient
+    of the forces at the measured points is then the exact gradient of what is compared;
+    otherwise the optimizer would chase the difference of two interpolations.
+    """
 
     def __init__(self, config: Config, measured: Sequence[Curve], names: Sequence[str]) -> None:
         self._config, self._names = config, names
-        self._count = len(measured)
-        self._depth = max(float(curve.displacement_mm.max()) for curve in measured)
+        self._grids = [curve.displacement_mm for curve in measured]
+        self._depth = max(float(grid.max()) for grid in self._grids)
+        self._base: Curve | None = None
         self._last: Any = None
         self._newton = 0
         self._solves = 0
+        #: solved curve at every set of constants
+        self.curves: dict[bytes, Curve] = {}
 
     def __call__(self, values: Array) -> list[Curve]:
+        curve = self._solved(values)
+        self.curves[values.tobytes()] = _bare(curve)
+        if self._base is None:
+            self._base = curve
+        return [self._at(curve, grid) for grid in self._grids]
+
+    def _solved(self, values: Array) -> Curve:
         from study.calibration import EvaluationFailed
 
         constants = dict(zip(self._names, values.tolist(), strict=True))
@@ -243,18 +262,38 @@ class _InverseFem:
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
         self._last = solution
-        return [solution.curve] * self._count
+        return cast(Curve, solution.curve)
 
-    def provenance(self) -> dict[str, Any]:
-        """Mesh, solver and effort, for the record."""
+    def _at(self, curve: Curve, grid: Array) -> Curve:
+        """Forces and gradients at measured displacements, consistent with each other."""
+        base = curve if self._base is None else self._base
+        added = _spline(curve.displacement_mm, curve.force_N - base.force_N, grid)
+        gradient = {
+            n: _spline(curve.displacement_mm, curve.force_gradient[n], grid) for n in self._names
+        }
+        return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
+
+    def provenance(self, values: Array) -> dict[str, Any]:
+        """Curve at the final constants, mesh, solver and effort, for the record."""
         if self._last is None:
             return {}
         return {
+            "curve": self.curves[np.asarray(values).tobytes()].as_dict(),
             "mesh": mesh_facts(self._last),
-            "solver": {"name": self._last.solver},
+            "solver": {"name": str(self._last.solver), "min_j": float(self._last.min_j)},
             "newton_iterations": self._newton,
             "solves": self._solves,
         }
+
+
+def _spline(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin through the solved steps; linear in ``values``."""
+    from scipy.interpolate import CubicSpline
+
+    x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
+    if x.size < 3:
+        return np.asarray(np.interp(at, x, y))
+    return np.asarray(CubicSpline(x, y)(at))
 
 
 def mesh_facts(solution: Any) -> dict[str, Any]:
@@ -284,6 +323,7 @@ def _described(
     result: dict[str, Any] = {
         "status": "converged" if good else "not-converged",
         "message": str(found.status.value),
+        "names": list(names),  # JSON sorts keys; the matrices need their order
         "values": constants,
         "standard_error": _numbers(names, found.standard_error),
         "ci95": _intervals(names, found.ci95),
@@ -297,8 +337,6 @@ def _described(
         "reason": str(found.reason),
         "evaluations": int(found.evaluations),
     }
-    if found.curves:
-        result["curve"] = _bare(found.curves[0]).as_dict()
     if good:
         result |= _stability(config, constants, measured)
     return result

@@ -23,6 +23,8 @@ PURPOSE = "refinement"
 CHEAP_S = 20.0
 #: observed order where only two meshes exist: bonded corners limit it to one
 ASSUMED_ORDER = 1.0
+#: an observed order below this says that the meshes are not in the asymptotic range
+MIN_ORDER = 0.5
 #: safety factors of the grid convergence index with two meshes (Roache 1994, ASME JFE 116, 405)
 TWO_MESH_FACTOR = 3.0
 
@@ -50,6 +52,8 @@ class Numerical:
     unit: str
     behaviour: str
     note: str
+    mesh_size: tuple[float, ...] = ()
+    series: tuple[float, ...] = ()
 
 
 def refinement_work(work: Work) -> Work:
@@ -134,11 +138,12 @@ def _one(
         return Numerical(levels, name, value, None, unit, "not available", note)
     dofs = " to ".join(str(int(r.mesh.get("dofs", 0))) for _, r in (good[0], good[-1]))
     note = f"{where}; {len(known)} meshes of ratio {ratio:g}, {dofs} unknowns"
-    if len(known) == 2:
-        u = two_mesh_uncertainty(known[0][1], known[1][1], ratio)
-        return Numerical(levels, name, known[0][1], u, unit, "two meshes", note)
-    behaviour, u = series_uncertainty([v for _, v in known], ratio)
-    return Numerical(levels, name, known[0][1], u, unit, behaviour, note)
+    sizes = tuple(float(dict(good)[k].mesh.get("mesh_size_mm", 0.0)) for k, _ in known)
+    numbers = tuple(v for _, v in known)
+    behaviour, u = "two meshes", two_mesh_uncertainty(numbers[0], numbers[1], ratio)
+    if len(known) > 2:
+        behaviour, u = series_uncertainty(numbers, ratio)
+    return Numerical(levels, name, numbers[0], u, unit, behaviour, note, sizes, numbers)
 
 
 def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
@@ -156,8 +161,9 @@ def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
 def series_uncertainty(values: Sequence[float], ratio: float) -> tuple[str, float]:
     """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
 
-    Where the series converges the distance to the extrapolated value counts, with the
-    factor of the grid convergence index; where it does not, thrice the largest change.
+    Where the series converges with an order of its own, the distance to the extrapolated
+    value counts, with the factor of the grid convergence index; elsewhere thrice the range of
+    the values (Eca and Hoekstra 2014, J. Comput. Phys. 262, 104, for series without an order).
 
     Examples
     --------
@@ -169,7 +175,8 @@ def series_uncertainty(values: Sequence[float], ratio: float) -> tuple[str, floa
 
     sizes = [ratio**-k for k in range(len(values))]
     found = grid_convergence(sizes, values)
-    if found.extrapolated is not None and found.factor_of_safety is not None:
+    ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
+    if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
         error = abs(values[0] - found.extrapolated)
         return found.behaviour, float(found.factor_of_safety * error)
     if found.behaviour == "noise-floor":

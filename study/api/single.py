@@ -1,0 +1,213 @@
+"""One simulation, one calibration, one refinement series, virtual measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.api.places import RESULTS, data_root
+from study.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.analysis import ConvergenceResult
+    from study.forward.problem import Problem
+    from study.forward.solve import Solution
+    from study.runner.calibrate import CalibrationResult
+
+
+def solve(
+    problem: Problem | Mapping[str, Any] | str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    gradients: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> Solution:
+    """Simulate one test.
+
+    Parameters
+    ----------
+    problem : Problem, mapping, str or Path
+        A problem, its resolved configuration, or its file.
+    progress : callable, optional
+        Called with the fraction that is done.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem, or constants that make an unstable material.
+    """
+    from study.forward.solve import solve as forward_solve
+
+    return forward_solve(_problem(problem, overrides), gradients=gradients, progress=progress)
+
+
+def _problem(problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]) -> Problem:
+    import numpy as np
+
+    from study.design import load_problem
+    from study.forward.problem import Problem
+    from study.material import check
+    from study.runner import build
+
+    if isinstance(problem, Problem):
+        return problem
+    config = problem if isinstance(problem, Mapping) else load_problem(problem, overrides)
+    made = build.problem(config)
+    height = build.height_mm(config["specimen"])
+    compressed = made.test.kind == "compression" and height is not None
+    depth = made.test.displacement_mm
+    check(made.material, np.linspace(1 - depth / height, 1, 41) if compressed and height else None)
+    return made
+
+
+def solution_json(solution: Solution) -> dict[str, Any]:
+    """Document of ``study solve --json``."""
+    from study.record.record import plain
+
+    curve, warm = solution.curve, solution.warm
+    content = {
+        "status": solution.status,
+        "message": solution.message,
+        **curve.as_dict(),
+        "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
+        "parameters": {} if warm is None else dict(warm.values),
+        "dofs": solution.dofs,
+        "elements": solution.elements,
+        "newton_iterations": list(solution.newton_iterations),
+        "seconds": dict(solution.seconds),
+        "solver": solution.solver,
+        "reached_mm": solution.reached_mm,
+        "min_j": solution.min_j,
+        "base_reaction_N": solution.base_reaction_N.tolist(),
+        "mesh_hash": solution.mesh_hash,
+        "mesh_size_mm": solution.mesh_size_mm,
+    }
+    made: dict[str, Any] = plain(content, "solution", {})
+    return made
+
+
+def calibrate(
+    source: str | Path, *, data: str | Path | None = None, overrides: Sequence[str] = ()
+) -> CalibrationResult:
+    """Find material constants from one or several measured tests.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    data : str or Path, optional
+        Folder of the measurements.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data.
+    """
+    from study.design import load_calibration
+    from study.runner.calibrate import calibrate as run_calibration
+
+    config = load_calibration(source, overrides)
+    return run_calibration(config, data_root(source, data))
+
+
+def converge(
+    source: str | Path | None = None,
+    *,
+    values: Sequence[float] = (),
+    sizes: Sequence[float] = (),
+    formal_order: float | None = None,
+    tolerance: float = 0.0,
+    overrides: Sequence[str] = (),
+    results: Path = RESULTS,
+    progress: Callable[[str], None] | None = None,
+) -> ConvergenceResult | dict[str, Any]:
+    """Judge a refinement series: of plain numbers, of a problem, or of a finished study.
+
+    Parameters
+    ----------
+    source : str or Path, optional
+        Problem file (solved on every mesh), or a design or results folder (the stored
+        refinement of its cells).
+    values, sizes : sequence of float
+        Values and mesh sizes, where no source is given.
+
+    Returns
+    -------
+    ConvergenceResult
+        Or, for a study, ``{"cells": [...]}``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to judge.
+    """
+    from study.analysis import grid_convergence
+
+    if source is None:
+        if not values or not sizes:
+            mend = "give a file, or --values and --sizes"
+            raise InputError(Fault("converge", "needs something to judge", mend))
+        return grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
+    if values or sizes:
+        raise InputError(Fault("converge", "takes a file or numbers, not both"))
+    if _is_study(Path(source)):
+        return _stored_series(source, results)
+    return _problem_series(source, overrides, formal_order, tolerance, progress)
+
+
+def _is_study(path: Path) -> bool:
+    from study.design import file_kind
+
+    return not path.is_file() or file_kind(path) == "design"
+
+
+def _stored_series(source: str | Path, results: Path) -> dict[str, Any]:
+    from study.api.studies import open_study
+    from study.runner.series import stored_convergence
+
+    study = open_study(source, results)
+    found = stored_convergence(study.numerical)
+    if not found:
+        rule = "no refinement is stored of this study"
+        raise InputError(Fault(str(source), rule, "run it without --no-refine"))
+    return {"cells": found}
+
+
+def _problem_series(
+    source: str | Path,
+    overrides: Sequence[str],
+    formal_order: float | None,
+    tolerance: float,
+    progress: Callable[[str], None] | None,
+) -> ConvergenceResult:
+    from study.design import load_problem
+    from study.runner.series import problem_series
+
+    config = load_problem(source, overrides)
+    return problem_series(config, formal_order, tolerance, progress)
+
+
+def virtual(
+    out: str | Path, source: str | Path | None = None, *, overrides: Sequence[str] = ()
+) -> list[Path]:
+    """Write virtual measurements for a design; the demo's by default.
+
+    Parameters
+    ----------
+    out : str or Path
+        Data root: the files get the names that the design gives them below it.
+    source : str or Path, optional
+        The design.
+    """
+    from importlib import resources
+
+    from study.design import load, loads
+    from study.runner.virtual import write_virtual
+
+    if source is None:
+        text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
+        design = loads(text, "demo.toml", overrides)
+    else:
+        design = load(source, overrides)
+    return write_virtual(design, Path(out))
