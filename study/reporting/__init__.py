@@ -14,7 +14,7 @@ _LAZY = {
     "ReportData": "data",
     "ResponseAnalysis": "data",
     "build": "page",
-    "write": "write",
+    "write": "output",
 }
 __all__ = list(_LAZY)  # noqa: PLE0605
 

@@ -37,8 +37,8 @@ def effects(facts: Facts, data: ReportData) -> str:
     limit = practical(first, facts)
     return sentence(
         f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)} "
-        f"(95 % interval {size_interval(first, facts)}). Shaded: up to {limit}, which does not "
-        "matter in practice; an interval wholly outside it matters, one wholly inside it does not"
+        f"(95{THIN}% interval {size_interval(first, facts)}). Shaded: up to {limit}, which does "
+        "not matter in practice; an interval wholly outside matters, one wholly inside does not"
     )
 
 

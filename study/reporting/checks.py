@@ -12,7 +12,9 @@ from study.reporting.text import count, listing, term_name
 
 def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
-    made = [*data.checks, *data.controls, *_of_cases(data)]
+    # controls that pass stand under numerical credibility alone
+    bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
+    made = [*data.checks, *bad, *_of_cases(data)]
     for facts in found:
         if facts.terms:
             made += [
@@ -74,15 +76,16 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
     finding = sentences.sphericity(facts, data.labels)
     if not finding:
         return []
-    low = [
-        float(item["epsilon_gg"])
-        for item in facts.sphericity.values()
-        if item and item.get("epsilon_gg") is not None
+    name = f"Sphericity, {facts.title}"
+    changed = [
+        term_name(str(row["term"]), data.labels)
+        for row in facts.rows
+        if row.get("p_gg") is not None and row["p"] < data.alpha <= row["p_gg"]
     ]
-    if min(low) < 0.75:
-        return [Check(f"Sphericity, {facts.title}", "caution", finding,
-                      "Read the corrected p; the uncorrected one is too small.")]
-    return [Check(f"Sphericity, {facts.title}", "pass", finding)]
+    if changed:
+        return [Check(name, "caution", finding,
+                      f"The correction decides for {listing(changed)}: read the corrected p.")]
+    return [Check(name, "pass", finding, "No decision depends on the correction.")]
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:

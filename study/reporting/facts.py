@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 from study.reporting.data import ReportData, ResponseAnalysis
-from study.reporting.text import name_of
+from study.reporting.text import clean, name_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -126,10 +126,10 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
-    title = response.title or name_of(response.name, data.labels)
+    title = clean(response.title or name_of(response.name, data.labels))
     if response.result is None:
         warned = (response.refused,) if response.refused else ()
-        return Facts(response, title, response.unit, warnings=warned)
+        return Facts(response, title, clean(response.unit), warnings=warned)
     found: Mapping[str, Any] = response.result.to_json()
     error = found.get("error_term") or {}
     anova = found.get("anova") or {}
@@ -137,7 +137,7 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
     return Facts(
         response=response,
         title=title,
-        unit=response.unit,
+        unit=clean(response.unit),
         terms=tuple(_effect(item) for item in found.get("effects") or ()),
         rows=tuple(anova.get("rows") or ()),
         anova_type=str(anova.get("type") or ""),

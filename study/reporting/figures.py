@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.reporting import captions, style
@@ -17,7 +17,7 @@ from study.reporting import figures_residuals as residuals
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
 from study.reporting.front import cost_front, practical_of
-from study.reporting.text import name_of
+from study.reporting.text import clean, name_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -61,6 +61,7 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
     """Figures of one response by kind; none where it was not analyzed."""
     if not facts.terms:
         return {}
+    facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
     stem = slug(facts.name)
     makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
         "effects": ("Effects against what matters", lambda: _effects(data, facts)),

@@ -269,9 +269,9 @@ def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> N
                    label=clean(level, 22))
             for i, level in enumerate(data.factors[shape_by])
         ]
-    title = name_of(color_by, data.labels)
+    title = clean(name_of(color_by, data.labels), 30)
     if shape_by != color_by:
-        title += f" (color), {name_of(shape_by, data.labels)} (shape)"
+        title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
     ax.legend(handles=handles, title=title, title_fontsize=7.5, fontsize=7.5, ncols=len(handles),
               loc="lower left", bbox_to_anchor=(0, 1.0), alignment="left", borderpad=0)
 

@@ -61,7 +61,8 @@ def _statistics(facts: Facts, data: ReportData) -> str:
         "E7": "no test was made, for want of an error term",
     }.get(facts.source, f"the error term was {facts.source}")
     limit = next((practical(e, facts) for e in facts.effects if e.practical is not None), "")
-    against = f"; a difference of {limit} was declared to matter" if limit else ""
+    what = "ratio" if facts.ratio else "difference"
+    against = f"; a {what} of {limit} was declared to matter" if limit else ""
     return sentence(
         f"the {facts.title}{scale} was analyzed by a type {facts.anova_type} analysis of "
         f"variance in which {how}{against}"

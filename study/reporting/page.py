@@ -120,7 +120,7 @@ def render(contents: Contents) -> str:
     """Return the HTML of computed contents."""
     environment = _environment()
     data = contents.data
-    return environment.get_template("page.html.j2").render(
+    text: str = environment.get_template("page.html.j2").render(
         c=contents,
         data=data,
         answer=sentences.answer(data, contents.found),
@@ -129,9 +129,20 @@ def render(contents: Contents) -> str:
         methods=methods.paragraph(data, contents.found),
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
+        verdict_groups=_groups(contents.tables["verdicts"]),
         what_if=sentences.WHAT_IF,
         total_time=sum(data.timings.values()),
     )
+    # control and direction characters are no markup, yet no document may hold them
+    return clean(text)
+
+
+def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Rows of a table by their first column, in the order given."""
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for row in table.rows:
+        groups.setdefault(row[0], []).append(row)
+    return list(groups.items())
 
 
 def _warnings(contents: Contents) -> tuple[str, ...]:
@@ -143,19 +154,11 @@ def _warnings(contents: Contents) -> tuple[str, ...]:
 
 def _environment() -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-
-    def finalize(value: Any) -> Any:
-        # control characters are no markup, but no document may hold them either
-        if isinstance(value, str) and not isinstance(value, Markup):
-            return clean(value)
-        return value
 
     environment = Environment(
         loader=PackageLoader("study.reporting", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=finalize,
         trim_blocks=True,
         lstrip_blocks=True,
     )
@@ -175,7 +178,7 @@ def _drawing(figure: Figure) -> Any:
 
 
 def response_note(response: ResponseAnalysis) -> str:
-    """What was declared of a response: its unit, what matters, how it is analyzed."""
+    """Say what was declared of a response: its unit, what matters, how it is analyzed."""
     parts = [response.unit] if response.unit else []
     if response.practical is not None:
         if response.relative:

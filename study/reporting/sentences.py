@@ -7,6 +7,7 @@ called "normal"; units always; ratios for log responses.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -75,7 +76,7 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     name = term_name(effect.term, labels)
     if effect.difference is None:
         return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
-    numbers = f"{size(effect, facts)} (95 % interval {size_interval(effect, facts)})"
+    numbers = f"{size(effect, facts)} (95{THIN}% interval {size_interval(effect, facts)})"
     if effect.low is None:
         numbers = f"{size(effect, facts)}"
     if effect.verdict == MATTERS:
@@ -83,7 +84,7 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     if effect.verdict == NO_DIFFERENCE:
         return sentence(
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
-            f"within {practical(effect, facts)}"
+            f"within {practical(effect, facts)}{_repeatable(effect)}"
         )
     limit = practical(effect, facts)
     against = "" if limit == MISSING else f" against {limit} that matters"
@@ -93,6 +94,13 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     )
 
 
+def _repeatable(effect: Effect) -> str:
+    """Say that a tiny difference may well be real: p never decides alone."""
+    if effect.p is None or effect.p >= 0.05:
+        return ""
+    return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
+
+
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
     if not effect.is_main or effect.pair is None:
         return sentence(f"{name} matters for the {facts.title}: {numbers}")
@@ -100,8 +108,9 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
     verb = f"{high} gives {size(effect, facts)} " + (
         f"the {facts.title} of {low}" if effect.ratio else f"more {facts.title} than {low}"
     )
-    limits = f" (95 % interval {size_interval(effect, facts)})" if effect.low is not None else ""
-    return sentence(f"{name} matters: {verb}{limits}")
+    if effect.low is not None:
+        verb += f" (95{THIN}% interval {size_interval(effect, facts)})"
+    return sentence(f"{name} matters: {verb}")
 
 
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
@@ -264,12 +273,14 @@ def error_term(facts: Facts, data: ReportData) -> str:
     if not facts.source:
         return "No error term: the response was not analyzed."
     what = _SOURCES.get(facts.source, facts.source)
-    text = sentence(f"error term {facts.source}, {what}")
+    reason = f": {facts.reason}" if facts.reason else ""
+    text = sentence(f"the error term is {facts.source}, {what}{reason}")
     if facts.question:
         question = facts.question.rstrip(".")
-        text += f" p answers: {question}" + ("" if question.endswith(("?", ")")) else ".")
-    if facts.reason:
-        text += " " + sentence(facts.reason)
+        if data.block and data.block != "block":
+            question = re.sub(r"\bblock\b", lambda _: clean(data.block), question)
+        end = "" if question.endswith(("?", ")")) else "."
+        text += f" The p-values answer one question: {question}{end}"
     if data.virtual:
         text += (
             " The measurements are virtual, so p describes the scatter of their generator; the "
@@ -367,8 +378,8 @@ def sphericity(facts: Facts, labels: Labels = None) -> str:
         return ""
     term = min(known, key=lambda t: float(known[t]))
     return (
-        f"Sphericity: the smallest Greenhouse-Geisser epsilon is {known[term]:.2f} "
-        f"({term_name(term, labels)}); every p is corrected by its own epsilon, which decides."
+        f"The smallest Greenhouse-Geisser epsilon is {known[term]:.2f} "
+        f"({term_name(term, labels)}; 1 would be sphericity); every p is corrected by its own."
     )
 
 

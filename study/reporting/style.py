@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
@@ -91,7 +92,9 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
 
     look: Any = {**_RC, "svg.hashsalt": name}
     nothing: Any = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with mpl.rc_context(look):
+    with mpl.rc_context(look), warnings.catch_warnings():
+        # the reader's browser draws the text and has the glyphs; only widths are estimated
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         figure = draw()
         buffer = io.StringIO()
         sheet: Any = FigureCanvasSVG(figure)

@@ -28,12 +28,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Table:
-    """Plain text in rows; ``left`` counts the leading columns that hold words."""
+    """Plain text in rows.
+
+    ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
+    ``raw`` has the unrounded values for the CSV.
+    """
 
     name: str
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     left: int = 1
+    tail: int = 0
     note: str = ""
     raw: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
 
@@ -93,7 +98,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
             cell += [significant(row.get("ss"))]
         rows.append((*cell, percent(row.get("share"))))
     note = "share: part of the total sum of squares, blocks included." if data.block else ""
-    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, note, tuple(facts.rows))
+    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
 
 
 def strata(facts: Facts, data: ReportData) -> Table:
@@ -122,7 +127,10 @@ def _df(row: Mapping[str, Any]) -> str:
 
 
 def _fixed(value: float | None, decimals: int = 2) -> str:
-    return MISSING if value is None else f"{value:.{decimals}f}"
+    if value is None:
+        return MISSING
+    least = 10.0**-decimals
+    return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
 
 
 def _eta(row: Mapping[str, Any]) -> str:
@@ -198,7 +206,7 @@ def fits(data: ReportData) -> Table:
     )
     columns = (*(name_of(name, data.labels) for name in names), "constant", "median",
                "range over fits", "standard error", "identifiable")
-    return Table("fits", columns, tuple(rows), len(names) + 1, raw=raw)
+    return Table("fits", columns, tuple(rows), len(names) + 1, 1, raw=raw)
 
 
 def every_fit(data: ReportData) -> Table:
@@ -240,7 +248,7 @@ def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:
     )
     columns = (*(name_of(name, data.labels) for name in names), "response", "value", "u_num",
                "behavior", "how")
-    return Table("numerical", columns, rows, len(names) + 1, raw=raw)
+    return Table("numerical", columns, rows, len(names) + 1, 2, raw=raw)
 
 
 def failures(data: ReportData) -> Table:

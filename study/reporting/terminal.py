@@ -1,0 +1,43 @@
+"""Tables for a terminal: a header and plain rows of text; whoever prints adds the looks."""
+
+from __future__ import annotations
+
+from study.reporting import tables
+from study.reporting.data import ReportData
+from study.reporting.facts import facts
+from study.reporting.tables import Table
+
+Rows = list[list[str]]
+
+
+def verdict_rows(data: ReportData) -> Rows:
+    """Verdict table; the first row is the header."""
+    return _rows(tables.verdicts(facts(data), data))
+
+
+def anova_rows(data: ReportData, response: str) -> Rows:
+    """ANOVA table of a response; the first row is the header.
+
+    Raises
+    ------
+    KeyError
+        If the report has no such response.
+    """
+    for found in facts(data):
+        if found.name == response:
+            return _rows(tables.anova(found, data))
+    raise KeyError(response)
+
+
+def answer_lines(data: ReportData) -> list[str]:
+    """Return the sentences of the answer box, and what would change them."""
+    from study.reporting import sentences
+
+    found = facts(data)
+    return [*sentences.answer(data, found), sentences.would_change(data, found)]
+
+
+def _rows(table: Table) -> Rows:
+    # a terminal may not know the space that does not break
+    rows = [list(table.columns), *(list(row) for row in table.rows)]
+    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]

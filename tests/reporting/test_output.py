@@ -1,0 +1,129 @@
+"""Files: the data beside the page, safe CSV, LaTeX, PDF, terminal tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from study.errors import InputError
+from study.reporting import output, page, pdf, safecsv, tables, terminal, tex
+from study.reporting.data import Check, ReportData
+from study.reporting.facts import facts
+
+
+@pytest.fixture
+def quick(monkeypatch, contents: page.Contents, html: str) -> None:
+    """Reuse the report of the session: these tests are about files."""
+    monkeypatch.setattr(page, "prepare", lambda data: contents)
+    monkeypatch.setattr(page, "render", lambda made: html)
+
+
+@pytest.mark.usefixtures("quick")
+def test_writes_page_and_data_beside(tmp_path: Path, data: ReportData, html: str):
+    main = output.write(data, tmp_path / "new folder", ("csv", "tex", "html"))
+    assert main == tmp_path / "new folder" / "ecoflex-compression.html"
+    assert main.read_text("utf-8") == html
+    beside = main.parent / "ecoflex-compression-data"
+    names = {path.name for path in beside.iterdir()}
+    assert {"numbers.json", "cases.csv", "table-verdicts.csv", "figure-curves.csv"} <= names
+    assert not [name for name in names if name.endswith(".part")]
+    numbers = json.loads((beside / "numbers.json").read_text())
+    assert set(numbers["responses"]) == {"relative_rms_force_error", "mu0"}
+    assert len(pd.read_csv(beside / "cases.csv")) == 288
+
+
+@pytest.mark.usefixtures("quick")
+def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
+    output.write(data, tmp_path)
+    text = (tmp_path / "ecoflex-compression-data" / "table-verdicts.csv").read_text()
+    first = next(iter(csv.DictReader(io.StringIO(text))))
+    assert float(first["effect"]) == facts(data)[0].effects[0].difference
+
+
+def test_unknown_format_is_named_before_anything_is_written(tmp_path: Path, data: ReportData):
+    with pytest.raises(InputError, match="did you mean 'html'"):
+        output.write(data, tmp_path / "x", ("htm",))
+    assert not (tmp_path / "x").exists()
+
+
+def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path: Path, data: ReportData):
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match="apt-get install chromium"):
+        output.write(data, tmp_path / "x", ("html", "pdf"))
+    assert not (tmp_path / "x").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not any(map(shutil.which, pdf.BROWSERS)), reason="no Chromium installed")
+def test_pdf_is_printed(tmp_path: Path, html: str):
+    (tmp_path / "r.html").write_text(html, "utf-8")
+    pdf.print_page(tmp_path / "r.html", tmp_path / "r.pdf")
+    assert (tmp_path / "r.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    "evil", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "  =1+1", "=cmd|' /C calc'!A0"]
+)
+def test_text_cells_are_no_formulas(evil: str):
+    rows = list(csv.reader(io.StringIO(safecsv.of_rows([evil], [[evil]]))))
+    assert all(cell.startswith("'") for row in rows for cell in row)
+
+
+def test_numbers_stay_numbers_in_csv():
+    frame = pd.DataFrame({"a": [-1.5, float("nan")], "b": ["x,y", 'q"']})
+    assert safecsv.of_frame(frame) == 'a,b\n-1.5,"x,y"\n,"q"""\n'
+
+
+def test_tex_has_no_command_of_a_user():
+    text = tex.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
+    assert r"\input" not in text
+    assert text.startswith(r"\textbackslash{}input\{")
+    made = tex.table(tables.Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
+    assert r"a\_b & n \\" in made
+    assert r"\begin{tabular}{lr}" in made
+
+
+def test_terminal_rows_have_one_width(data: ReportData):
+    for rows in (terminal.verdict_rows(data), terminal.anova_rows(data, "mu0")):
+        assert len({len(row) for row in rows}) == 1
+        assert all(isinstance(cell, str) and "\N{NO-BREAK SPACE}" not in cell
+                   for row in rows for cell in row)
+    assert terminal.verdict_rows(data)[0][2] == "verdict"
+    with pytest.raises(KeyError):
+        terminal.anova_rows(data, "nothing")
+
+
+def test_anova_table_shows_exact_df_and_the_corrected_p(data: ReportData):
+    header, first, *_ = terminal.anova_rows(data, "relative_rms_force_error")
+    row = dict(zip(header, first, strict=True))
+    assert row["term"] == "material"
+    assert row["df"] == "3, 24"
+    assert row["p corrected"] == "< .001"
+    found = data.responses[0].result.anova.row("material")
+    assert row["GG epsilon"] == f"{found.epsilon_gg:.2f}"
+
+
+def test_every_cell_of_the_matrix_is_there(data: ReportData):
+    made = tables.matrix(data, facts(data))
+    assert len(made.rows) == 32
+    assert made.rows[0][:5] == ("neo-hookean", "frictionless", "axisymmetric", "linear", "9 of 9")
+
+
+def test_matrix_survives_colons_in_levels(data: ReportData):
+    table = data.table.assign(plates=data.table["plates"].str.replace("bonded", "a:b"))
+    factors = {**data.factors, "plates": ("frictionless", "a:b")}
+    changed = replace(data, table=table, factors=factors)
+    rows = tables.matrix(changed, facts(changed)).rows
+    assert {row[1] for row in rows} == {"frictionless", "a:b"}
+
+
+def test_outcomes_are_a_closed_list():
+    with pytest.raises(ValueError, match="outcome must be one of"):
+        Check("x", "maybe", "y")

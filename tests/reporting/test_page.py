@@ -1,0 +1,199 @@
+"""The page: complete, in order, self-contained, and safe with hostile names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from study.reporting import figures_effects
+from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
+from study.reporting.page import Contents, build, missing, prepare, render
+from tests.reporting.example import FACTORS, with_failures
+
+SECTIONS = ["answer", "study", "checks", "numerics", "error", "r-relative-rms-force-error",
+            "r-mu0", "assumptions", "curves", "constants", "failures", "recommendation",
+            "methods", "provenance"]
+
+CORPUS = [
+    "<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "=cmd|' /C calc'!A0",
+    "'); import os", "../../x", r"$\frac{a}{b}$", "\u202egnp.exe", "a\x00b", "x" * 10_000,
+    "{{ 7 * 7 }}", "</style><b>", "]]>", "&lt;b&gt;", "javascript:alert(1)",
+]
+
+
+class Collector(HTMLParser):
+    """Every tag, attribute name and text of a page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.attributes: set[str] = set()
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        for key, value in attrs:
+            self.attributes.add(key)
+            if key in ("href", "src", "xlink:href"):
+                self.links.append(value or "")
+            if key == "id":
+                self.ids.append(value or "")
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def parsed(html: str) -> Collector:
+    collector = Collector()
+    collector.feed(html)
+    return collector
+
+
+def test_sections_stand_in_the_order_of_the_design(html: str):
+    assert re.findall(r'<section id="([^"]+)"', html) == SECTIONS
+
+
+def test_page_is_self_contained_and_small(html: str):
+    page = parsed(html)
+    assert not page.tags & {"script", "link", "img", "iframe", "object", "embed", "image"}
+    assert all(link.startswith("#") for link in page.links)
+    assert not [name for name in page.attributes if name.startswith("on")]
+    assert "default-src 'none'" in html
+    assert "@import" not in html
+    # only namespaces may look like an address
+    addresses = set(re.findall(r"https?://[^\s\"'<]+", html))
+    assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+    assert len(html.encode()) < 3_000_000
+
+
+def test_ids_are_unique_and_links_lead_somewhere(html: str):
+    page = parsed(html)
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links} <= set(page.ids)
+
+
+def test_no_number_is_longer_than_a_reader_can_use(html: str):
+    body = re.sub(r"<svg.*?</svg>|<style>.*?</style>|<dl class=\"facts mono\">.*?</dl>", "", html,
+                  flags=re.S)
+    text = " ".join(parsed(body).text)
+    digits = [re.sub(r"[.]", "", n).lstrip("0") for n in re.findall(r"\d+\.\d+", text)]
+    assert max(map(len, digits)) <= 5
+    assert not re.search(r"\bnan\b|\binf\b|\bNone\b", text)
+
+
+def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, html: str):
+    assert render(contents) == html
+    again = prepare(replace(data, responses=data.responses[:1], curves=()))
+    first = [f.svg for f in contents.sections[0].figures.values()]
+    assert [f.svg for f in again.sections[0].figures.values()] == first
+
+
+def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
+    assert missing(contents.all_figures) == ()
+    assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
+    names = [figure.name for figure in contents.all_figures]
+    assert len(names) == len(set(names)) == 14
+
+
+def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: ReportData):
+    def broken(*_args):
+        raise RuntimeError("the <pen> broke")
+
+    monkeypatch.setattr(figures_effects, "draw_interactions", broken)
+    small = replace(data, responses=data.responses[:1], curves=())
+    page = build(small)
+    assert page.count("Figure missing.") == 1
+    assert "Interactions: relative RMS force error could not be drawn" in page
+    assert "the &lt;pen&gt; broke" in page
+    assert 'id="provenance"' in page
+
+
+def test_failures_are_listed_with_their_map():
+    page = build(replace(with_failures(), responses=(), curves=()))
+    assert "3 cases of 288" in page
+    assert "Failure map" in page
+    assert "the step could not be halved further" in page
+
+
+def test_no_failures_are_said_plainly(html: str):
+    assert "None: all 288 cases gave a response." in html
+
+
+def test_assumed_inputs_are_labelled(html: str):
+    assert re.search(r"test\.interface <span class=\"flag\">assumed</span>", html)
+
+
+def test_refused_analysis_still_makes_a_report(data: ReportData):
+    refused = ResponseAnalysis("mu0", "kPa", refused="copies pose as replicates")
+    page = build(replace(data, responses=(refused,), curves=()))
+    assert "Not analyzed. copies pose as replicates" in page
+    assert "No response could be analyzed" in page
+
+
+def test_smallest_possible_report():
+    table = pd.DataFrame({"case_id": ["a", "b"], "f": ["x", "y"], "status": "converged",
+                          "y": [1.0, 2.0]})
+    data = ReportData("tiny", "", {"f": ("x", "y")}, table, (ResponseAnalysis("y", "N"),))
+    assert "tiny" in build(data)
+
+
+def test_all_cases_failed():
+    table = pd.DataFrame({"case_id": ["a", "b"], "f": ["x", "y"], "status": "timeout",
+                          "y": [np.nan, np.nan]})
+    failed = tuple(Failure(i, {"f": v}, "", "timeout") for i, v in (("a", "x"), ("b", "y")))
+    data = ReportData("none", "", {"f": ("x", "y")}, table,
+                      (ResponseAnalysis("y", "N", refused="nothing to analyze"),), failures=failed)
+    page = build(data)
+    assert "2 cases of 2" in page
+    assert "nothing to analyze" in page
+
+
+def hostile(data: ReportData, evil: str) -> ReportData:
+    """The example with a hostile text in every place where a user may write."""
+    from study.analysis.anova import analyze
+
+    keep = data.table["material"].isin(FACTORS["material"][:2])
+    keep &= data.table["model.space"] == "axisymmetric"
+    table = data.table[keep].rename(columns={"plates": evil})
+    table = table.assign(material=table["material"].replace("neo-hookean", evil),
+                         block=table["block"].replace("EF10_1", evil + "1"))
+    factors = {"material": (evil, "mooney-rivlin"), evil: FACTORS["plates"]}
+    result = None
+    try:
+        result = analyze(table, "mu0", list(factors), block="block", records=True, exact=False,
+                         tolerance=1e-7, practical="1 kPa")
+    except Exception:  # whatever the analysis makes of such names, the page must be safe
+        result = None
+    curves = tuple(
+        replace(pair, block=evil, levels={"material": evil, evil: pair.levels["plates"]})
+        for pair in data.curves[:4]
+    )
+    return replace(
+        data, name=evil, question=evil, factors=factors, table=table, curves=curves,
+        responses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
+        block=evil, blocks=(evil,), inputs={evil: evil}, assumed={evil: evil}, citation=evil,
+        exclusions=((evil, evil),), checks=(Check(evil, "fail", evil, evil),), controls=(),
+        failures=(Failure(evil, {"material": evil}, evil, evil, evil),), fits=(), numerical=(),
+        provenance={evil: evil}, commands=(evil,), data_notes=(evil,), warnings=(evil,),
+        design_text=evil,
+    )
+
+
+@pytest.mark.parametrize("evil", CORPUS, ids=range(len(CORPUS)))
+def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str):
+    page = build(hostile(data, evil))
+    seen = parsed(page)
+    assert not seen.tags & {"script", "img", "iframe", "link"}
+    assert not [name for name in seen.attributes if name.startswith("on")]
+    assert all(link.startswith("#") for link in seen.links)
+    assert not re.search("[\x00-\x08\u202a-\u202e]", page)
+    shown = re.sub("[\x00\u202e]", "\ufffd", evil)
+    assert shown in "".join(seen.text)
+    assert "Figure missing" not in page

@@ -1,0 +1,152 @@
+"""Sentences say what the numbers say: wording pinned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from study.reporting import sentences
+from study.reporting.data import Failure, ReportData, ResponseAnalysis
+from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, facts
+from study.reporting.front import recommendation
+
+
+def flat(text: str) -> str:
+    return text.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def effect(verdict: str, **changes) -> Effect:
+    return replace(
+        Effect("plates", ("frictionless", "bonded"), (5.0, 6.2), 1.2, 0.9, 1.5, 0.5, verdict,
+               p=0.001, pair=("bonded", "frictionless")),
+        **changes,
+    )
+
+
+def error() -> Facts:
+    return Facts(ResponseAnalysis("relative_rms_force_error", "%", better="lower"),
+                 "relative RMS force error", "%")
+
+
+def modulus() -> Facts:
+    return Facts(ResponseAnalysis("mu0", "kPa", transform="log"), "initial shear modulus", "kPa")
+
+
+def test_matters_names_levels_difference_and_interval():
+    assert flat(sentences.verdict(effect(MATTERS), error())) == (
+        "Plates matters: bonded gives 1.20 pp more relative RMS force error than frictionless "
+        "(95 % interval 0.90 to 1.50 pp)."
+    )
+
+
+def test_matters_on_the_log_is_a_ratio():
+    one = effect(MATTERS, difference=1.373, low=1.36, high=1.38, practical=1.1, ratio=True)
+    assert flat(sentences.verdict(one, modulus())) == (
+        "Plates matters: bonded gives \N{MULTIPLICATION SIGN} 1.37 the initial shear modulus of "
+        "frictionless (95 % interval 1.36 to 1.38)."
+    )
+
+
+def test_no_difference_says_that_a_small_p_does_not_decide():
+    one = effect(NO_DIFFERENCE, difference=0.02, low=0.01, high=0.03, p=1e-9)
+    assert flat(sentences.verdict(one, error())) == (
+        "Plates: no practical difference in the relative RMS force error; the largest is "
+        "0.0200 pp (95 % interval 0.0100 to 0.0300 pp), within 0.5 pp (repeatable, p < .001, but "
+        "too small to matter)."
+    )
+
+
+def test_cannot_tell_is_said_whatever_p_is():
+    one = effect(CANNOT_TELL, low=0.1, high=2.3, p=0.0001, why="the interval crosses")
+    text = sentences.verdict(one, error())
+    assert "cannot tell" in text
+    assert "matters:" not in text
+    assert "the interval crosses" in text
+
+
+def test_not_estimable_keeps_its_reason():
+    one = effect(CANNOT_TELL, difference=None, low=None, high=None, why="not estimable")
+    assert sentences.verdict(one, error()) == "Plates: cannot tell; not estimable."
+
+
+@pytest.mark.parametrize(
+    ("exact", "printed", "rejected"),
+    [
+        (0.061, "0.048", False),  # the simulated p decides
+        (0.02, "> 0.100", True),
+        (None, "0.048", True),
+        (None, "> 0.100", False),
+        (None, "< 0.010", True),
+    ],
+)
+def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
+    found = {"rj": 0.9871, "n": 30, "p_minitab": printed, "p_exact": exact}
+    text = sentences.normality(replace(error(), normality=found))
+    assert ("is rejected" in text) is rejected
+    assert ("not rejected" in text) is not rejected
+    assert "RJ = 0.9871" in text
+
+
+def test_tests_that_do_not_apply_say_why():
+    assert sentences.normality(error()) == (
+        "Ryan-Joiner: not applicable, there are no residuals to test."
+    )
+    missing = {"statistic": None, "reason": "group a has zero variance"}
+    assert sentences.spread("bartlett", missing) == (
+        "Bartlett: not applicable, group a has zero variance."
+    )
+
+
+def test_monte_carlo_p_decides_the_spread():
+    found = {"statistic": 9.0, "df": 3, "p": 0.03, "p_monte_carlo": 0.2}
+    assert "not rejected" in sentences.spread("levene", found)
+    assert "p = .200" in sentences.spread("levene", found)
+
+
+def test_failures_are_said_plainly():
+    assert sentences.failures((), 144) == "None: all 144 cases gave a response."
+    items = [Failure("a", {}, "b", "timeout"), Failure("c", {}, "d", "timeout")]
+    text = flat(sentences.failures(items, 100))
+    assert text.startswith("2 cases of 100 (2.00 %) failed: 2 timeout.")
+    assert "not missing at random" in text
+
+
+def test_answer_is_three_sentences_of_the_example(data: ReportData):
+    found = facts(data)
+    which, contrast, best = (flat(line) for line in sentences.answer(data, found))
+    assert "material (1.76 pp between extremes) matters" in which
+    assert "plates (\N{MULTIPLICATION SIGN} 1.37)" in which
+    assert contrast == (
+        "The choice of plates makes no practical difference to the relative RMS force error, yet "
+        "it changes the initial shear modulus by 37.3 % (ratio 1.37)."
+    )
+    assert best.startswith("The lowest relative RMS force error is 4.83 %, with mooney-rivlin")
+
+
+def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
+    virtual = replace(data, virtual=True)
+    assert "scatter of their generator" in sentences.error_term(facts(virtual)[0], virtual)
+    assert "real measurements" in sentences.would_change(virtual, facts(virtual))
+
+
+def test_error_term_names_source_and_question(data: ReportData):
+    text = sentences.error_term(facts(data)[0], data)
+    assert text.startswith("The error term is E1, measured replicates as blocks")
+    assert "another phantom?" in text
+
+
+def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData):
+    table = data.table.copy()
+    slow = (table["material"] == "mooney-rivlin") & (table["plates"] == "frictionless")
+    table.loc[slow, "seconds"] = 500.0
+    text = flat(recommendation(replace(data, table=table), facts(data)[0]))
+    assert text.startswith("Use reduced-polynomial-3, frictionless")
+    assert "less than the 0.5 pp that matters" in text
+    assert "8.3 min" in text
+
+
+def test_nothing_is_called_normal(html: str):
+    lowered = html.lower()
+    for word in ("is normal", "are normal", "normally distributed", "data normal"):
+        assert word not in lowered
