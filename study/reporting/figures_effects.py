@@ -46,7 +46,7 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 
 def wrap(label: object, width: int = 14, longest: int = 60) -> str:
     """Label of user text over several lines, broken at spaces and hyphens."""
-    text = clean(label, longest).replace("_", " ")
+    text = clean(label, longest)
     return "\n".join(textwrap.wrap(text, width, break_on_hyphens=True)) or text
 
 
