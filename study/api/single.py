@@ -42,7 +42,9 @@ def solve(
     return forward_solve(_problem(problem, overrides), gradients=gradients, progress=progress)
 
 
-def _problem(problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]) -> Problem:
+def _problem(
+    problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]
+) -> Problem:
     import numpy as np
 
     from study.design import load_problem

@@ -305,14 +305,14 @@ def report(
     if reports is None:
         return study
     from study.api.assemble import report_data
-    from study.reporting import page
+    from study.reporting import write
 
     wanted = tuple(formats) or study.design.report.format
     try:
         timings = dict(study.manifest.get("timings", {}))
         if began is not None:
             timings["statistics"] = began.parts.get("statistics", 0.0)
-        written = page.write(report_data(study, timings), reports / study.design.name, wanted)
+        written = write(report_data(study, timings), reports / study.design.name, wanted)
     except (InputError, RefusedError):
         raise
     except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)

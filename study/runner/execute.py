@@ -222,8 +222,9 @@ def _parameters(config: Config, directions: Sequence[Mapping[str, Any]]) -> dict
 def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """Describe each fit, by the label of its specimen."""
     keep = (
-        "method", "message", "names", "values", "standard_error", "ci95", "correlation", "condition",
-        "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable", "usable", "stability",
+        "method", "message", "names", "values", "standard_error", "ci95", "correlation",
+        "condition", "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable",
+        "usable", "stability",
         "evaluations", "newton_iterations", "solves", "seconds", "mu0",
     )  # fmt: skip
     found = {

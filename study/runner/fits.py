@@ -242,6 +242,7 @@ class InverseFem:
         self.curves: dict[bytes, Curve] = {}
 
     def __call__(self, values: Array) -> list[Curve]:
+        """Predict the forces at the measured displacements for constants in MPa."""
         curve = self._solved(values)
         self.curves[values.tobytes()] = _bare(curve)
         if self._base is None:
@@ -265,7 +266,7 @@ class InverseFem:
         return cast(Curve, solution.curve)
 
     def _at(self, curve: Curve, grid: Array) -> Curve:
-        """Forces and gradients at measured displacements, consistent with each other."""
+        """Interpolate force and gradient at measured points, each consistent with the other."""
         base = curve if self._base is None else self._base
         added = _spline(curve.displacement_mm, curve.force_N - base.force_N, grid)
         gradient = {

@@ -1,0 +1,62 @@
+"""The program ``study``: its verbs, its exit codes, its errors in words."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from study.cli import single, studies
+from study.cli.show import complain
+from study.errors import StudyError
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="study",
+    help="Design of experiments and honest statistics for simulations of soft materials.",
+    epilog="Exit codes: 0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for verb in (*studies.VERBS, *single.VERBS):
+    app.command()(verb)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the program and exit with its code."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run the program; errors that a user can mend are printed, bugs raise."""
+    try:
+        code = app(list(arguments) if arguments is not None else None, standalone_mode=False)
+    except StudyError as error:
+        complain(error)
+        return error.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        # a second Ctrl-C while leaving must not undo the orderly end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print("interrupted: what is finished is kept, run again to resume", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if not _is_usage(error):
+            raise
+        error.show()  # type: ignore[attr-defined]
+        return 2
+    return code if isinstance(code, int) else 0
+
+
+def _is_usage(error: Exception) -> bool:
+    """Whether the parser complains: it knows how to show itself and which code it has."""
+    return hasattr(error, "show") and hasattr(error, "exit_code")

@@ -1,0 +1,272 @@
+"""Verbs about whole studies: demo, plan, run, status, analyze, report, why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from study.cli import show
+
+if TYPE_CHECKING:
+    from study.analysis import AnalysisResult
+    from study.api.planning import Plan
+    from study.api.studies import StudyResult
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+Data = Annotated[
+    Path | None, typer.Option("--data", help="Folder that measurement files are relative to.")
+]
+Set = Annotated[
+    list[str] | None, typer.Option("-s", "--set", help="Override a key: model.mesh_size='2 mm'.")
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
+Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
+Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
+RESULTS, REPORTS = Path("results"), Path("reports")
+
+
+def demo(
+    jobs: Jobs = None, results: Results = RESULTS, reports: Reports = REPORTS, as_json: Json = False
+) -> None:
+    """Run a complete small study on built-in virtual specimens."""
+    from study import api
+
+    with show.progress_line() as progress:
+        study = api.demo(results=results, reports=reports, jobs=jobs, progress=progress)
+    _finish(study, as_json)
+
+
+def plan(
+    design: Annotated[Path, typer.Argument(help="Design file.")],
+    data: Data = None,
+    jobs: Jobs = None,
+    settings: Set = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
+    from study import api
+
+    found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
+    if as_json:
+        show.warn(found.warnings)
+        show.print_json(found.to_json())
+    else:
+        _print_plan(found)
+
+
+def run(
+    design: Annotated[Path, typer.Argument(help="Design file.")],
+    data: Data = None,
+    jobs: Jobs = None,
+    settings: Set = None,
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds after which one computation is stopped.")
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option(help="Refine the mesh under one block for the numerical uncertainty.")
+    ] = True,
+    as_json: Json = False,
+) -> None:
+    """Compute what is missing, then analyze and report; run it again to resume."""
+    from study import api
+
+    with show.progress_line() as progress:
+        study = api.run(
+            design, data=data, jobs=jobs, results=results, reports=reports,
+            overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
+        )  # fmt: skip
+    _finish(study, as_json)
+
+
+def status(
+    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Print the progress of a study, from another shell too."""
+    from study import api
+
+    found = api.status(path, results=results)
+    show.warn(found["warnings"])
+    if as_json:
+        show.print_json(found)
+        return
+    print(f"{found['study']}: {show.counts(found['cases'])}")
+    for name, count in sorted(found["failures"].items()):
+        print(f"  {count} {name}")
+    runner = found["running"]
+    print(f"running: {_words(runner)}" if runner else "not running")
+
+
+def report(
+    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    formats: Annotated[
+        str, typer.Option("--format", help="html, pdf, tex, csv: one or several with commas.")
+    ] = "",
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Write the report again from stored records, in seconds."""
+    from study import api
+
+    wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
+    _finish(api.report(path, reports=reports, results=results, formats=wanted), as_json)
+
+
+def analyze(
+    source: Annotated[Path, typer.Argument(help="Results of a study, or any tidy CSV.")],
+    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
+    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    block: Annotated[str | None, typer.Option(help="Column of the blocks.")] = None,
+    error: Annotated[str | None, typer.Option(help="auto, pooled or own.")] = None,
+    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
+    model: Annotated[
+        str | None, typer.Option(help="full, or the highest order of interaction.")
+    ] = None,
+    practical: Annotated[
+        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+    ] = None,
+    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Analyze a study's results, or any CSV with one row a run."""
+    from study import api
+
+    given: dict[str, Any] = {
+        "error": error, "type": kind, "practical": practical, "transform": transform,
+        "model": int(model) if model is not None and model.isdigit() else model,
+    }  # fmt: skip
+    options = {name: value for name, value in given.items() if value is not None}
+    names = [name.strip() for name in factors.split(",") if name.strip()]
+    found = api.analyze(source, response, names, block=block, results=results, **options)
+    if as_json:
+        show.warn(found.warnings)
+        show.print_json(found.to_json())
+    else:
+        _print_analysis(found)
+
+
+def why(
+    case: Annotated[str, typer.Argument(help="Case id, or its beginning.")],
+    study: Annotated[Path | None, typer.Option(help="Study to look in; all by default.")] = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Explain the state of a case."""
+    import json
+
+    from study import api
+
+    record = api.why(case, study=study, results=results)
+    if as_json:
+        show.print_json(json.loads(record.to_json())["content"])
+        return
+    print(f"case {record.case_id} of {record.study}: {record.status}")
+    if record.message:
+        print(f"  {record.message}")
+    for name, level in record.levels.items():
+        print(f"  {name} = {level}")
+    if record.block is not None:
+        print(f"  block = {record.block}")
+    rows = [["response", "value", "unit"]]
+    rows += [[n, show.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
+    show.table(rows)
+    for specimen, fit in (record.fit or {}).items():
+        print(f"calibration on {specimen}: {fit['message']}; {fit.get('reason') or 'identifiable'}")
+        print(f"  {fit['stability']}")
+    if "traceback" in record.extra:
+        print(record.extra["traceback"])
+
+
+VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, analyze, why)
+
+
+def _words(runner: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in runner.items())
+
+
+def _finish(study: StudyResult, as_json: bool) -> None:
+    """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
+    show.warn(study.warnings)
+    if as_json:
+        show.print_json(study.to_json())
+    else:
+        _print_study(study)
+    if study.failed:
+        raise typer.Exit(1)
+
+
+def _print_study(study: StudyResult) -> None:
+    from study.api.assemble import report_data
+    from study.reporting import terminal
+
+    data = report_data(study, study.manifest.get("timings", {}))
+    print(f"\n{study.design.name}: {show.counts(study.to_json()['cases'])}")
+    try:
+        for line in terminal.answer_lines(data):
+            print(line)
+        print()
+        show.table(terminal.verdict_rows(data))
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        # the numbers are stored and the report is separate: a table must not end the run
+        show.warn([f"the verdict table could not be printed: {error}"])
+    if study.report is not None:
+        print(f"\nreport: {study.report}")
+
+
+def _print_plan(found: Plan) -> None:
+    described = found.description
+    print(f"{described['study']}: {described['question']}\n")
+    rows = [["cell", "distinct", "calibration"]]
+    rows += [
+        [row["label"], str(row["group"]), "-" if row["calibration"] is None
+         else str(row["calibration"])]
+        for row in described["matrix"]
+    ]  # fmt: skip
+    show.table(rows, f"{described['cells']} cells, {described['distinct']} distinct computations")
+    for row in described["excluded"]:
+        print(f"excluded: {row['label']}: {row['why']}")
+    print()
+    for factor in described["factors"]:
+        print(f"{factor['name']} ({', '.join(factor['levels'])}): {factor['note'] or 'varies'}")
+    print()
+    if found.blocks:
+        print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
+    cases = found.to_json()["cases"]
+    print(show.counts(cases))
+    if found.missing and found.fits:
+        print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
+    time = show.seconds(found.predicted_seconds)
+    print(f"predicted: about {time} on {found.jobs} workers, {found.memory_MB:.0f} MB")
+    show.warn(found.warnings)
+
+
+def _print_analysis(found: AnalysisResult) -> None:
+    term = found.error_term
+    print(f"error term {term.source}: {term.question}. {term.reason}\n")
+    rows = [["term", "df", "SS", "F", "p", "share"]]
+    rows += [
+        [row.term, f"{row.df:g}", show.number(row.ss), show.number(row.f),
+         show.number(row.p_deciding, 3), show.number(row.share, 3)]
+        for row in found.anova.rows
+    ]  # fmt: skip
+    show.table(rows, f"{found.response}: analysis of variance, type {found.anova.type}")
+    print()
+    effects = [["term", "largest difference", "95 % interval", "verdict"]]
+    effects += [
+        [e.term, show.number(e.range),
+         "-" if e.ci95 is None else f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}", e.verdict]
+        for e in found.effects
+    ]  # fmt: skip
+    show.table(effects)
+    if found.normality is not None:
+        print(f"\nRyan-Joiner {found.normality.rj:.4f}, p {found.normality.p_minitab}")
+    show.warn(found.warnings)
