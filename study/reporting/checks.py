@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from study.reporting import sentences
+from study.reporting import assumptions, sentences
 from study.reporting.data import Check, ReportData
 from study.reporting.facts import MATTERS, Facts
 from study.reporting.text import count, listing, term_name
@@ -44,10 +44,10 @@ def _not_analyzed(facts: Facts) -> Check:
 
 def _normality(facts: Facts, alpha: float) -> Check:
     found, name = facts.normality, f"Normal residuals, {facts.title}"
-    finding = sentences.normality(facts, alpha)
+    finding = assumptions.normality(facts, alpha)
     if not found or found.get("rj") is None:
         return Check(name, "not applicable", finding)
-    if sentences.rejects_normality(facts, alpha):
+    if assumptions.rejects_normality(facts, alpha):
         return Check(
             name, "caution", finding,
             "Small p-values are approximate; the verdicts rest on the size of the effect "
@@ -61,10 +61,10 @@ def _spread(facts: Facts, alpha: float) -> Check:
     tests = {key: test for key, test in facts.variance.items() if test}
     applicable = {k: t for k, t in tests.items() if t.get("statistic") is not None}
     both = ("bartlett", "levene")
-    finding = " ".join(sentences.spread(key, tests.get(key), alpha) for key in both)
+    finding = " ".join(assumptions.spread(key, tests.get(key), alpha) for key in both)
     if not applicable:
         return Check(name, "not applicable", finding)
-    if any(sentences.rejects(test, alpha) for test in applicable.values()):
+    if any(assumptions.rejects(test, alpha) for test in applicable.values()):
         return Check(
             name, "caution", finding,
             "Intervals are too short for the cells that scatter most and too long for the others.",
@@ -73,7 +73,7 @@ def _spread(facts: Facts, alpha: float) -> Check:
 
 
 def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
-    finding = sentences.sphericity(facts, data.labels)
+    finding = assumptions.sphericity(facts, data.labels)
     if not finding:
         return []
     name = f"Sphericity, {facts.title}"
@@ -94,7 +94,7 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
         return []
     p = float(found["p"])
     name = f"Additive blocks, {facts.title}"
-    finding = sentences.additivity(found, data)
+    finding = assumptions.additivity(found, data)
     if p < data.alpha:
         return [Check(name, "caution", finding,
                       "Effects grow or shrink with the level of the block: consider the log.")]

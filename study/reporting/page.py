@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from study.reporting import checks, figures, front, methods, sentences, tables
+from study.reporting import assumptions, checks, figures, front, methods, sentences, tables
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.facts import Facts, facts
 from study.reporting.figures import Figure
@@ -87,14 +87,14 @@ def _section(data: ReportData, item: Facts) -> Section:
 def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
     if not item.terms:
         return ()
-    lines = [sentences.normality(item, data.alpha)]
+    lines = [assumptions.normality(item, data.alpha)]
     lines += [
-        sentences.spread(test, item.variance.get(test), data.alpha)
+        assumptions.spread(test, item.variance.get(test), data.alpha)
         for test in ("bartlett", "levene")
     ]
-    lines.append(sentences.sphericity(item, data.labels))
+    lines.append(assumptions.sphericity(item, data.labels))
     if item.non_additivity and item.non_additivity.get("p") is not None:
-        lines.append(sentences.additivity(item.non_additivity, data))
+        lines.append(assumptions.additivity(item.non_additivity, data))
     return tuple(line for line in lines if line)
 
 
@@ -130,7 +130,7 @@ def render(contents: Contents) -> str:
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
-        what_if=sentences.WHAT_IF,
+        what_if=assumptions.WHAT_IF,
         total_time=sum(data.timings.values()),
     )
     # control and direction characters are no markup, yet no document may hold them

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from study.reporting import sentences
+from study.reporting import assumptions, sentences
 from study.reporting.data import Failure, ReportData, ResponseAnalysis
 from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, facts
 from study.reporting.front import recommendation
@@ -82,26 +82,26 @@ def test_not_estimable_keeps_its_reason():
 )
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
     found = {"rj": 0.9871, "n": 30, "p_minitab": printed, "p_exact": exact}
-    text = sentences.normality(replace(error(), normality=found))
+    text = assumptions.normality(replace(error(), normality=found))
     assert ("is rejected" in text) is rejected
     assert ("not rejected" in text) is not rejected
     assert "RJ = 0.9871" in text
 
 
 def test_tests_that_do_not_apply_say_why():
-    assert sentences.normality(error()) == (
+    assert assumptions.normality(error()) == (
         "Ryan-Joiner: not applicable, there are no residuals to test."
     )
     missing = {"statistic": None, "reason": "group a has zero variance"}
-    assert sentences.spread("bartlett", missing) == (
+    assert assumptions.spread("bartlett", missing) == (
         "Bartlett: not applicable, group a has zero variance."
     )
 
 
 def test_monte_carlo_p_decides_the_spread():
     found = {"statistic": 9.0, "df": 3, "p": 0.03, "p_monte_carlo": 0.2}
-    assert "not rejected" in sentences.spread("levene", found)
-    assert "p = .200" in sentences.spread("levene", found)
+    assert "not rejected" in assumptions.spread("levene", found)
+    assert "p = .200" in assumptions.spread("levene", found)
 
 
 def test_failures_are_said_plainly():
