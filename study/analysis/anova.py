@@ -93,13 +93,18 @@ def analyze(
     """
     _check_options(type, transform, alpha)
     if unit is not None:
-        means = average_units(
-            table, response, factors, unit, block=block, transform=transform
-        )
+        means = average_units(table, response, factors, unit, block=block, transform=transform)
         options: dict[str, Any] = {
-            "block": block, "type": type, "model": model, "error": error,
-            "tolerance": tolerance, "practical": practical, "transform": transform,
-            "u_num": u_num, "alpha": alpha, "seed": seed,
+            "block": block,
+            "type": type,
+            "model": model,
+            "error": error,
+            "tolerance": tolerance,
+            "practical": practical,
+            "transform": transform,
+            "u_num": u_num,
+            "alpha": alpha,
+            "seed": seed,
         }
         nested = analyze(means, response, factors, records=records, exact=exact, **options)
         naive = analyze(table, response, factors, exact=False, **options)
@@ -219,8 +224,7 @@ def _own(out: Outcome, kind: str, error: str) -> Outcome | None:
     choice = error_term.own_choice(block, b, error)
     df = {t.row.term: float(t.error.df) for t in tests}
     estimates = [
-        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha)
-        for t in tests
+        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
     ]
     return replace(
         out,
@@ -249,8 +253,13 @@ def _pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     copied = len(out.copies.groups) < np.unique(data.cell).size
     complete = single and not copied and balanced(data.layout, data.factors)
     situation = error_term.Situation(
-        out.records, data.block, not single, fit.df_residual, model == "full",
-        int(np.sum([s.df for s in sums])), complete,
+        out.records,
+        data.block,
+        not single,
+        fit.df_residual,
+        model == "full",
+        int(np.sum([s.df for s in sums])),
+        complete,
     )
     choice = error_term.choose(situation, error)
     df = fit.df_residual if choice.how == error_term.POOLED else 0
@@ -292,8 +301,18 @@ def _row(s: TermSum, fit: Factored, df: int) -> Row:
         return Row(name, s.df, s.ss, ms, error="residual", df_error=df)
     f = ms / mse
     return Row(
-        name, s.df, s.ss, ms, f, float(fdtrc(s.df, df, f)), "residual", df, None, None,
-        max(0.0, (s.ss - s.df * mse) / (fit.tss + mse)), s.ss / (s.ss + fit.rss),
+        name,
+        s.df,
+        s.ss,
+        ms,
+        f,
+        float(fdtrc(s.df, df, f)),
+        "residual",
+        df,
+        None,
+        None,
+        max(0.0, (s.ss - s.df * mse) / (fit.tss + mse)),
+        s.ss / (s.ss + fit.rss),
     )
 
 

@@ -80,11 +80,15 @@ def crossed(data: Data, y: Array) -> Crossed:
         warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
     first = np.array([int(np.flatnonzero(index == i)[0]) for i in np.flatnonzero(keep_cells)])
     layout = data.layout.take(first) if first.size else data.layout
-    only = Layout({f: layout.levels[f] for f in data.factors},
-                  {f: layout.codes[f] for f in data.factors})
+    only = Layout(
+        {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}
+    )
     return Crossed(
-        mean[np.ix_(keep_cells, keep_blocks)], cells[keep_cells], only,
-        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept), tuple(warnings),
+        mean[np.ix_(keep_cells, keep_blocks)],
+        cells[keep_cells],
+        only,
+        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
+        tuple(warnings),
     )
 
 
@@ -130,9 +134,18 @@ def _own_term(
     epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
     ms_error = ss_error / df_error
     row = Row(
-        name, df, ss, ss / df, f, float(fdtrc(df, df_error, f)), f"{block}:{name}", df_error,
-        epsilon, float(fdtrc(df * epsilon, df_error * epsilon, f)),
-        max(0.0, (ss - df * ms_error) / (total + ms_error)), ss / (ss + ss_error),
+        name,
+        df,
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        f"{block}:{name}",
+        df_error,
+        epsilon,
+        float(fdtrc(df * epsilon, df_error * epsilon, f)),
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
     )
     return OwnTerm(sums, row, error, spread)
 
@@ -162,8 +175,12 @@ def own_estimate(
     centers = mean.mean(axis=1)
     centers[np.logical_not(fit.estimable(mean_rows))] = np.nan
     return TermEstimate(
-        term, levels,
+        term,
+        levels,
         component.mean(axis=1) if estimable else np.full(len(levels), np.nan),
-        centers, np.atleast_2d(np.cov(component)) / blocks,
-        own_critical(len(levels), max(df, 1), blocks, alpha), mean_half, p,
+        centers,
+        np.atleast_2d(np.cov(component)) / blocks,
+        own_critical(len(levels), max(df, 1), blocks, alpha),
+        mean_half,
+        p,
     )

@@ -63,7 +63,8 @@ def _summary(groups: Mapping[str, ArrayLike]) -> _Groups:
     if faults:
         raise InputError(faults)
     return _Groups(
-        tuple(values), np.array([float(v.size) for v in values.values()]),
+        tuple(values),
+        np.array([float(v.size) for v in values.values()]),
         np.array([v[0] + np.mean(v - v[0]) for v in values.values()]),
         np.array([np.var(v - v[0], ddof=1) for v in values.values()]),
     )
@@ -122,13 +123,20 @@ def dunnett(
     others = [str(k) for k in groups if k != control]
     found = scipy_dunnett(
         *(np.asarray(groups[k], float) for k in others),
-        control=np.asarray(groups[control], float), random_state=np.random.default_rng(seed),
+        control=np.asarray(groups[control], float),
+        random_state=np.random.default_rng(seed),
     )
     interval = found.confidence_interval(1 - alpha)
     reference = float(np.mean(np.asarray(groups[control], float)))
     pairs = tuple(
-        Pair(name, control, float(np.mean(np.asarray(groups[name], float))) - reference,
-             float(interval.low[i]), float(interval.high[i]), float(found.pvalue[i]))
+        Pair(
+            name,
+            control,
+            float(np.mean(np.asarray(groups[name], float))) - reference,
+            float(interval.low[i]),
+            float(interval.high[i]),
+            float(found.pvalue[i]),
+        )
         for i, name in enumerate(others)
     )
     return Comparisons("Dunnett", alpha, pairs, {})
@@ -176,11 +184,10 @@ def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, s
             else:
                 split.append(column)
         columns = [
-            c for i, c in enumerate(split)
+            c
+            for i, c in enumerate(split)
             if not any(c < other or (c == other and j < i) for j, other in enumerate(split))
         ]
     columns.sort(key=lambda c: [names.index(n) for n in names if n in c])
     tags = [ascii_letters[i] if i < 52 else f"({i})" for i in range(len(columns))]
-    return {
-        n: "".join(tag for tag, c in zip(tags, columns, strict=True) if n in c) for n in names
-    }
+    return {n: "".join(tag for tag, c in zip(tags, columns, strict=True) if n in c) for n in names}

@@ -100,8 +100,13 @@ def grid_convergence(
     warnings = _ratio_warnings(h)
     behaviour = classify(h, f, tolerance)
     base: dict[str, Any] = {
-        "qoi": qoi, "unit": unit, "mesh_size": tuple(h.tolist()), "value": tuple(f.tolist()),
-        "behaviour": behaviour, "formal_order": formal_order, "warnings": tuple(warnings),
+        "qoi": qoi,
+        "unit": unit,
+        "mesh_size": tuple(h.tolist()),
+        "value": tuple(f.tolist()),
+        "behaviour": behaviour,
+        "formal_order": formal_order,
+        "warnings": tuple(warnings),
     }
     if behaviour == "monotone":
         return ConvergenceResult(**base, **_monotone(h, f, formal_order, tolerance))

@@ -63,9 +63,7 @@ class Scale:
     deterministic: bool
 
 
-def term_rows(
-    layout: Layout, fit: Factored, term: Term
-) -> tuple[tuple[str, ...], Array, Array]:
+def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
     """Linear combinations of the coefficients that give a term's components and means.
 
     Returns
@@ -88,8 +86,7 @@ def term_rows(
         mean[:, at] = local.columns[:, local.of(t)]
     component[:, matrix.of(term)] = local.columns[:, local.of(term)]
     labels = tuple(
-        " ".join(layout.levels[name][cells.codes[name][i]] for name in term)
-        for i in range(cells.n)
+        " ".join(layout.levels[name][cells.codes[name][i]] for name in term) for i in range(cells.n)
     )
     return labels, component, mean
 
@@ -118,9 +115,14 @@ def pooled_estimate(
     covariance = fit.unscaled_covariance() * fit.rss / df
     spread = np.einsum("ij,jk,ik->i", mean_rows, covariance, mean_rows)
     return TermEstimate(
-        term, levels, component, mean, component_rows @ covariance @ component_rows.T,
+        term,
+        levels,
+        component,
+        mean,
+        component_rows @ covariance @ component_rows.T,
         pooled_critical(len(levels), _df_of(layout, term), df, len(term) == 1, alpha),
-        t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)), p,
+        t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
+        p,
     )
 
 
@@ -176,8 +178,17 @@ def size(estimate: TermEstimate, scale: Scale) -> Effect:
     practical = None if scale.practical is None else back(scale.practical)
     if np.isnan(estimate.component).any():
         return Effect(
-            term_name(estimate.term), estimate.levels, mean, None, None, CANNOT_TELL, kind,
-            practical=practical, u_num=scale.u_num_raw, p=estimate.p, why="not estimable",
+            term_name(estimate.term),
+            estimate.levels,
+            mean,
+            None,
+            None,
+            CANNOT_TELL,
+            kind,
+            practical=practical,
+            u_num=scale.u_num_raw,
+            p=estimate.p,
+            why="not estimable",
         )
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
     largest = float(estimate.component[top] - estimate.component[bottom])
@@ -188,12 +199,21 @@ def size(estimate: TermEstimate, scale: Scale) -> Effect:
     verdict, why = decide(estimate, largest, interval, half, scale)
     resolved = None if not scale.u_num else _resolved(largest / scale.u_num)
     return Effect(
-        term_name(estimate.term), estimate.levels, mean,
+        term_name(estimate.term),
+        estimate.levels,
+        mean,
         None if interval is None else (back(interval[0]), back(interval[1])),
-        back(largest), verdict, kind,
+        back(largest),
+        verdict,
+        kind,
         (estimate.levels[top], estimate.levels[bottom]),
-        _mean_intervals(estimate, back), practical, scale.u_num_raw,
-        largest / scale.u_num if scale.u_num else None, resolved, estimate.p, why,
+        _mean_intervals(estimate, back),
+        practical,
+        scale.u_num_raw,
+        largest / scale.u_num if scale.u_num else None,
+        resolved,
+        estimate.p,
+        why,
     )
 
 
@@ -262,7 +282,9 @@ def pair_table(estimate: TermEstimate) -> list[tuple[str, str, float, float | No
     names: Sequence[str] = estimate.levels
     return [
         (
-            names[i], names[j], float(estimate.component[i] - estimate.component[j]),
+            names[i],
+            names[j],
+            float(estimate.component[i] - estimate.component[j]),
             None if half is None else float(half[i, j]),
         )
         for i in range(len(names))

@@ -52,8 +52,11 @@ def method(error: str, block: str | None, records: bool, *, copies: bool = False
         raise InputError(Fault("error", f"must be auto, pooled or own, got {error!r}"))
     if error == "own" and block is None:
         raise InputError(
-            Fault("error", "'own' tests against interactions with the blocks, but no block is "
-                  "named", "name the replicated unit with --block")
+            Fault(
+                "error",
+                "'own' tests against interactions with the blocks, but no block is named",
+                "name the replicated unit with --block",
+            )
         )
     if block is None or error == "pooled":
         return POOLED
@@ -65,9 +68,11 @@ def own_choice(block: str, blocks: int, error: str) -> Choice:
     """E1 with every effect against its own interaction."""
     why = "asked for" if error == "own" else "cells of a study are scored on the same blocks"
     return Choice(
-        "E1", OWN,
+        "E1",
+        OWN,
         f"would the ranking change with another {block}? (each effect against its own "
-        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)", why,
+        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
+        why,
     )
 
 
@@ -76,28 +81,37 @@ def choose(s: Situation, error: str) -> Choice:
     if s.df_residual > 0 and s.block is not None:
         why = "asked for instead of own interactions" if s.records else "independently run trials"
         return Choice(
-            "E1", POOLED,
+            "E1",
+            POOLED,
             f"would the ranking change with another {s.block}? (interactions with {s.block} "
-            "pooled)", why,
+            "pooled)",
+            why,
         )
     if s.df_residual > 0 and s.replicated:
         extra = "" if s.full else "; interactions left out of the model are pooled with it"
         return Choice(
-            "E0", POOLED, "is the effect larger than the run-to-run scatter within a cell?",
+            "E0",
+            POOLED,
+            "is the effect larger than the run-to-run scatter within a cell?",
             f"cells hold replicates{extra}",
         )
     if s.df_residual > 0:
         return Choice(
-            "E5", POOLED,
+            "E5",
+            POOLED,
             "is the effect larger than the interactions declared negligible?",
             "assumption: the interactions left out of the model are zero",
         )
     if s.sparse_ready and s.contrasts >= 7:
         return Choice(
-            "E6", NONE, "is the effect an outlier among the effects (effect sparsity)?",
+            "E6",
+            NONE,
+            "is the effect an outlier among the effects (effect sparsity)?",
             f"no replicates and no blocks; Lenth's method on {s.contrasts} contrasts",
         )
     return Choice(
-        "E7", NONE, "no p: shares of variation and effects against the practical threshold",
+        "E7",
+        NONE,
+        "no p: shares of variation and effects against the practical threshold",
         "no replicates, no blocks and nothing declared negligible",
     )

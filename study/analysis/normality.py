@@ -167,12 +167,18 @@ def ryan_joiner(
     p_exact = exact_p(rj, basis, count, seed) if exact else None
     p_text = minitab_p(rj, n)
     df = n - basis.shape[1]
-    warning = (
-        f"Ryan-Joiner on {df} residual degrees of freedom has little power" if df < 8 else ""
-    )
+    warning = f"Ryan-Joiner on {df} residual degrees of freedom has little power" if df < 8 else ""
     return RyanJoinerResult(
-        rj, n, p_text, p_exact, count if exact else 0, seed, True, "",
-        _decision(p_text, p_exact, alpha), warning,
+        rj,
+        n,
+        p_text,
+        p_exact,
+        count if exact else 0,
+        seed,
+        True,
+        "",
+        _decision(p_text, p_exact, alpha),
+        warning,
     )
 
 
@@ -199,9 +205,7 @@ def _decision(p_text: str, p_exact: float | None, alpha: float) -> str:
         rejected = p_exact < alpha
         how = f"exact p = {p_exact:.3g}"
     else:
-        rejected = p_text.startswith("<") or (
-            not p_text.startswith(">") and float(p_text) < alpha
-        )
+        rejected = p_text.startswith("<") or (not p_text.startswith(">") and float(p_text) < alpha)
         how = f"p {p_text}"
     return f"normality {'rejected' if rejected else 'not rejected'} at {alpha:g} ({how})"
 

@@ -69,7 +69,9 @@ class Outcome:
         )
         cells = tuple(int(c) for c in np.unique(self.data.cell))
         return replace(
-            self, y=self.data.y, copies=CopyGroups((cells,)),
+            self,
+            y=self.data.y,
+            copies=CopyGroups((cells,)),
             warnings=(*self.data.warnings, message),
         )
 
@@ -96,16 +98,35 @@ def assemble(out: Outcome) -> AnalysisResult:
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
         out = out.warn(_copies_sentence(out))
     return AnalysisResult(
-        out.response, out.data.factors, out.data.block, out.transform, out.alpha, out.seed,
-        out.error, out.anova, normality, tests["bartlett"], tests["levene"], out.effects,
-        tuple(dict.fromkeys(out.warnings)), _cell_means(out), _residual_frame(out),
-        _shares(out), tuple(names[c] for c in out.copies.representatives), len(groups_of),
+        out.response,
+        out.data.factors,
+        out.data.block,
+        out.transform,
+        out.alpha,
+        out.seed,
+        out.error,
+        out.anova,
+        normality,
+        tests["bartlett"],
+        tests["levene"],
+        out.effects,
+        tuple(dict.fromkeys(out.warnings)),
+        _cell_means(out),
+        _residual_frame(out),
+        _shares(out),
+        tuple(names[c] for c in out.copies.representatives),
+        len(groups_of),
         tuple(tuple(names[c] for c in g) for g in groups_of if len(g) > 1),
-        _grand_mean(out), _back(out, out.scale.practical), out.u_raw, out.lenth, out.sphericity,
+        _grand_mean(out),
+        _back(out, out.scale.practical),
+        out.u_raw,
+        out.lenth,
+        out.sphericity,
         None if fit is None else non_additivity(fit),
         None if residual is None else anderson_darling(residual),
         None if residual is None else shapiro_wilk(residual),
-        None if fit is None else fit.matrix.columns, int(out.data.y.size),
+        None if fit is None else fit.matrix.columns,
+        int(out.data.y.size),
     )
 
 
@@ -126,14 +147,20 @@ def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
     rows = np.flatnonzero(_representative(out))
     if out.fit is None:
         reason = "there are no residuals"
-        return out.warn(f"normality: not applicable: {reason}",
-                        f"variance: not applicable: {reason}"), None, None
+        return (
+            out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),
+            None,
+            None,
+        )
     if out.data.block is not None:
         fit = checks.additive_fit(out.data, out.y, rows)
     else:
         fit = checks.reduced_fit(out.data, out.y, out.terms, rows)
     result = ryan_joiner(
-        fit.residual, model_matrix=fit.matrix.columns, seed=out.seed, exact=out.exact,
+        fit.residual,
+        model_matrix=fit.matrix.columns,
+        seed=out.seed,
+        exact=out.exact,
         alpha=out.alpha,
     )
     if not result.applicable:
@@ -187,8 +214,15 @@ def _cell_means(out: Outcome) -> pd.DataFrame:
             mean = float(np.exp(np.mean(np.log(values))))
         sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
         same = groups.get(int(cell), (int(cell),))
-        rows.append({**levels, "n": values.size, "mean": mean, "sd": sd,
-                     "representative": same[0] == int(cell)})
+        rows.append(
+            {
+                **levels,
+                "n": values.size,
+                "mean": mean,
+                "sd": sd,
+                "representative": same[0] == int(cell),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -213,5 +247,3 @@ def _residual_frame(out: Outcome) -> pd.DataFrame:
         if f not in frame:
             frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
     return pd.DataFrame(frame)
-
-

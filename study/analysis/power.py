@@ -18,8 +18,15 @@ class PowerRow:
     cost: float | None = None
 
 
-def power_of(difference: float, sd: float, n: int, *, levels: int = 2, blocked: bool = True,
-             alpha: float = 0.05) -> float:
+def power_of(
+    difference: float,
+    sd: float,
+    n: int,
+    *,
+    levels: int = 2,
+    blocked: bool = True,
+    alpha: float = 0.05,
+) -> float:
     """Power of the F test for the least favorable pattern with a given largest difference.
 
     Parameters

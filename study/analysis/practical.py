@@ -9,9 +9,7 @@ from typing import Any
 
 from study.errors import Fault, InputError
 
-_TEXT = re.compile(
-    r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$"
-)
+_TEXT = re.compile(r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$")
 
 
 @dataclass(frozen=True)

@@ -228,5 +228,3 @@ def _add(
 def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
     known = [p for p in found.values() if p is not None]
     return f"p < {alpha:g} in {sum(p < alpha for p in known)} of {len(known)} analyses"
-
-

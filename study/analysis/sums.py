@@ -113,8 +113,17 @@ def factor(matrix: ModelMatrix, y: Array) -> Factored:
     z = z + correction
     centered = shifted - shifted.mean()
     return Factored(
-        matrix, q, r, scale, z, y - residual, residual, rank,
-        float(residual @ residual), float(centered @ centered), shift,
+        matrix,
+        q,
+        r,
+        scale,
+        z,
+        y - residual,
+        residual,
+        rank,
+        float(residual @ residual),
+        float(centered @ centered),
+        shift,
     )
 
 
@@ -130,7 +139,8 @@ def term_sums(fit: Factored, kind: str, skip: Sequence[Term] = ()) -> list[TermS
     """
     terms = fit.matrix.terms
     return [
-        _term_sum(fit, i, _others(terms, i, kind)) for i in range(1, len(terms))
+        _term_sum(fit, i, _others(terms, i, kind))
+        for i in range(1, len(terms))
         if terms[i] not in skip
     ]
 

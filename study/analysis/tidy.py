@@ -119,8 +119,11 @@ def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
             raise InputError(
-                Fault(f"{path}: row {number}", f"has {len(row)} cells, expected {len(header)}",
-                      "a decimal comma? write decimal points")
+                Fault(
+                    f"{path}: row {number}",
+                    f"has {len(row)} cells, expected {len(header)}",
+                    "a decimal comma? write decimal points",
+                )
             )
     return header, rows[1:]
 
@@ -218,17 +221,20 @@ def prepare(
         order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name == block else "factor"
-            faults.append(
-                Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}")
-            )
+            faults.append(Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}"))
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
         codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
     if faults:
         raise InputError(faults)
     return Data(
-        raw[keep], Layout(levels, codes), tuple(factors), block, np.flatnonzero(keep),
-        int((~keep).sum()), tuple(warnings),
+        raw[keep],
+        Layout(levels, codes),
+        tuple(factors),
+        block,
+        np.flatnonzero(keep),
+        int((~keep).sum()),
+        tuple(warnings),
     )
 
 
@@ -266,8 +272,11 @@ def _labels(column: pd.Series, name: str) -> Any:
         first = seen.setdefault(label.strip(), value)
         if isinstance(first, str) != isinstance(value, str) or _label(first) != label:
             raise InputError(
-                Fault(f"column {name!r}", f"the levels {first!r} and {value!r} look the same",
-                      "write both the same way")
+                Fault(
+                    f"column {name!r}",
+                    f"the levels {first!r} and {value!r} look the same",
+                    "write both the same way",
+                )
             )
     return np.array(text, dtype=object)
 

@@ -37,8 +37,11 @@ def _scale_rule(df: float) -> tuple[Array, Array]:
     nodes, weights = _legendre(128)
     s = low + (high - low) * (nodes + 1) / 2
     log_density = (
-        math.log(2) + df / 2 * math.log(df / 2) - float(gammaln(df / 2))
-        + (df - 1) * np.log(s) - df * s**2 / 2
+        math.log(2)
+        + df / 2 * math.log(df / 2)
+        - float(gammaln(df / 2))
+        + (df - 1) * np.log(s)
+        - df * s**2 / 2
     )
     return s, np.asarray(weights * (high - low) / 2 * np.exp(log_density))
 

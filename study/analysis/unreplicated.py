@@ -112,11 +112,15 @@ def lenth(
     else:
         p = np.where(values == 0, 1.0, 1 / (single.size + 1))
     return LenthResult(
-        labels, tuple(values.tolist()), pse,
+        labels,
+        tuple(values.tolist()),
+        pse,
         pse * float(np.quantile(single, 1 - alpha)),
         pse * float(np.quantile(largest, 1 - alpha)),
-        tuple(np.asarray(p).tolist()), tuple(half_normal_scores(values).tolist()),
-        simulations, seed,
+        tuple(np.asarray(p).tolist()),
+        tuple(half_normal_scores(values).tolist()),
+        simulations,
+        seed,
     )
 
 

@@ -205,9 +205,7 @@ def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
     means = np.stack([d.mean(axis=-1) for d in deviations], axis=-1)
     grand = (means * n).sum(axis=-1) / n.sum()
     between = (n * (means - grand[..., None]) ** 2).sum(axis=-1)
-    within = sum(
-        ((d - d.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1) for d in deviations
-    )
+    within = sum(((d - d.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1) for d in deviations)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (n.sum() - n.size) / (n.size - 1) * between / within
     return np.asarray(ratio)

@@ -252,9 +252,7 @@ def _analyses(
     found = []
     for response in design.responses:
         limit = threshold(response.practical)
-        known = [
-            r.u_num for r in numerical if r.response == response.name and r.u_num is not None
-        ]
+        known = [r.u_num for r in numerical if r.response == response.name and r.u_num is not None]
         u_num = max(known, default=None)
         result, refused = None, ""
         try:
@@ -341,6 +339,4 @@ def demo(
         raise RuntimeError("the embedded design names no measurement file")
     if not (folder / spec.file).is_file():
         write_virtual(design, folder)
-    return run(
-        design, data=folder, jobs=jobs, results=results, reports=reports, progress=progress
-    )
+    return run(design, data=folder, jobs=jobs, results=results, reports=reports, progress=progress)

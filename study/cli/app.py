@@ -35,16 +35,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the program; errors that a user can mend are printed, bugs raise."""
+    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
     try:
         code = app(list(arguments) if arguments is not None else None, standalone_mode=False)
     except StudyError as error:
         complain(error)
         return error.exit_code
     except (KeyboardInterrupt, typer.Abort):
-        # a second Ctrl-C while leaving must not undo the orderly end
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print("interrupted: what is finished is kept, run again to resume", file=sys.stderr)
-        return INTERRUPTED
+        code = INTERRUPTED
     except BrokenPipeError:
         # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -54,7 +52,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
             raise
         error.show()  # type: ignore[attr-defined]
         return 2
+    if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
+        # a second Ctrl-C while leaving must not undo the orderly end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print("interrupted: what is finished is kept, run again to resume", file=sys.stderr)
     return code if isinstance(code, int) else 0
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _is_usage(error: Exception) -> bool:

@@ -65,11 +65,13 @@ def seconds(value: float) -> str:
     >>> seconds(4.2), seconds(75), seconds(7300)
     ('4 s', '1 min 15 s', '2 h 2 min')
     """
-    if value < 60:
-        return f"{value:.0f} s"
-    if value < 3600:
-        return f"{value // 60:.0f} min {value % 60:.0f} s"
-    return f"{value // 3600:.0f} h {value % 3600 // 60:.0f} min"
+    whole = round(value)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    minutes = round(value / 60)
+    return f"{minutes // 60} h {minutes % 60} min"
 
 
 def number(value: float | None, digits: int = 4) -> str:

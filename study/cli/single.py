@@ -91,9 +91,7 @@ def _print_calibration(found: dict[str, Any]) -> None:
 
 
 def converge(
-    file: Annotated[
-        Path | None, typer.Argument(help="Problem file, or a finished study.")
-    ] = None,
+    file: Annotated[Path | None, typer.Argument(help="Problem file, or a finished study.")] = None,
     values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",
     sizes: Annotated[str, typer.Option(help="Mesh sizes of these values, with commas.")] = "",
     formal_order: Annotated[float | None, typer.Option(help="Order that elements promise.")] = None,

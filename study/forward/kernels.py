@@ -19,191 +19,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from study.forward.law import add_pressure, cofactor, polynomial_stress
+
 Array = NDArray[np.float64]
 
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
-
-
-@njit(cache=True, inline="always")
-def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
-    """x^n and its first two derivatives, exact at x = 0."""
-    value = x**n if n > 0 else 1.0
-    first = n * x ** (n - 1) if n > 1 else (1.0 if n == 1 else 0.0)
-    second = n * (n - 1) * x ** (n - 2) if n > 2 else (2.0 if n == 2 else 0.0)
-    return value, first, second
-
-
-@njit(cache=True)
-def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
-    """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
-
-    ``out`` receives W_a, W_b, W_aa, W_ab, W_bb.
-    """
-    out[:] = 0.0
-    for i in range(table.shape[0]):
-        ai, ai1, ai2 = _power_derivatives(a, i)
-        for j in range(table.shape[1]):
-            c = table[i, j]
-            if c != 0.0:
-                bj, bj1, bj2 = _power_derivatives(b, j)
-                out[0] += c * ai1 * bj
-                out[1] += c * ai * bj1
-                out[2] += c * ai2 * bj
-                out[3] += c * ai1 * bj1
-                out[4] += c * ai * bj2
-
-
-@njit(cache=True)
-def cofactor(f: Array, g: Array) -> float:
-    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
-    g[0] = f[4] * f[8] - f[5] * f[7]
-    g[1] = f[5] * f[6] - f[3] * f[8]
-    g[2] = f[3] * f[7] - f[4] * f[6]
-    g[3] = f[2] * f[7] - f[1] * f[8]
-    g[4] = f[0] * f[8] - f[2] * f[6]
-    g[5] = f[1] * f[6] - f[0] * f[7]
-    g[6] = f[1] * f[5] - f[2] * f[4]
-    g[7] = f[2] * f[3] - f[0] * f[5]
-    g[8] = f[0] * f[4] - f[1] * f[3]
-    return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
-
-
-@njit(cache=True, fastmath=_FAST)
-def polynomial_stress(
-    f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
-) -> float:
-    """Isochoric nominal stress and its tangent for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
-
-    Parameters
-    ----------
-    f : ndarray, shape (9,)
-        Deformation gradient.
-    table : ndarray, shape (n, m)
-        Constants C_ij.
-    work : ndarray, shape (6, 9)
-        Scratch; row 0 receives F^-T on return.
-    stress : ndarray, shape (9,)
-        dW/dF, overwritten.
-    tangent : ndarray, shape (9, 9)
-        d2W/dF2, overwritten where ``want_tangent``.
-
-    Returns
-    -------
-    J : float
-        Determinant of F.
-    """
-    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
-    J = cofactor(f, g)
-    if not J > 0.0:
-        return J
-    for i in range(9):
-        g[i] /= J
-    I1 = 0.0
-    for i in range(9):
-        I1 += f[i] * f[i]
-    s1 = J ** (-2.0 / 3.0)
-    second = table.shape[1] > 1
-    s2, I2 = s1 * s1, 0.0
-    if second:
-        trace = 0.0
-        for i in range(3):
-            for j in range(3):
-                c = 0.0
-                b = 0.0
-                for k in range(3):
-                    c += f[3 * k + i] * f[3 * k + j]
-                    b += f[3 * i + k] * f[3 * j + k]
-                right[3 * i + j] = c
-                left[3 * i + j] = b
-                trace += c * c
-        I2 = 0.5 * (I1 * I1 - trace)
-    polynomial_derivatives(table, s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0, w)
-    for i in range(9):
-        d1[i] = s1 * (2.0 * f[i] - 2.0 / 3.0 * I1 * g[i])
-        stress[i] = w[0] * d1[i]
-    if second:
-        for i in range(3):
-            for j in range(3):
-                fc = 0.0
-                for k in range(3):
-                    fc += f[3 * i + k] * right[3 * k + j]
-                n = 3 * i + j
-                d2[n] = s2 * (2.0 * (I1 * f[n] - fc) - 4.0 / 3.0 * I2 * g[n])
-                stress[n] += w[1] * d2[n]
-    if want_tangent:
-        _polynomial_tangent(f, I1, I2, s1, s2, work, second, tangent)
-    return J
-
-
-@njit(cache=True, fastmath=_FAST)
-def _polynomial_tangent(
-    f: Array,
-    I1: float,
-    I2: float,
-    s1: float,
-    s2: float,
-    work: Array,
-    second: bool,
-    tangent: Array,
-) -> None:
-    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
-    for i in range(3):
-        for j in range(3):
-            n = 3 * i + j
-            for k in range(3):
-                for m in range(3):
-                    o = 3 * k + m
-                    if o < n:
-                        continue
-                    gg = g[n] * g[o]
-                    gx = g[3 * i + m] * g[3 * k + j]
-                    same = 2.0 if n == o else 0.0
-                    a1 = same - 4.0 / 3.0 * (f[n] * g[o] + g[n] * f[o])
-                    a1 += I1 * (4.0 / 9.0 * gg + 2.0 / 3.0 * gx)
-                    value = w[0] * s1 * a1 + w[2] * d1[n] * d1[o]
-                    if second:
-                        # dI2/dF without its volumetric part: d2 / s2 + 4/3 I2 G
-                        hn = d2[n] / s2 + 4.0 / 3.0 * I2 * g[n]
-                        ho = d2[o] / s2 + 4.0 / 3.0 * I2 * g[o]
-                        a2 = 2.0 * f[n] * f[o] - f[3 * i + m] * f[3 * k + j]
-                        if i == k:
-                            a2 -= right[3 * m + j]
-                        if j == m:
-                            a2 -= left[3 * i + k]
-                        if n == o:
-                            a2 += I1
-                        a2 = 2.0 * a2 - 4.0 / 3.0 * (hn * g[o] + g[n] * ho)
-                        a2 += I2 * (16.0 / 9.0 * gg + 4.0 / 3.0 * gx)
-                        value += w[1] * s2 * a2 + w[4] * d2[n] * d2[o]
-                        value += w[3] * (d1[n] * d2[o] + d2[n] * d1[o])
-                    tangent[n, o] = value
-                    tangent[o, n] = value
-
-
-@njit(cache=True, fastmath=_FAST)
-def _add_pressure(
-    J: float,
-    g: Array,
-    p: float,
-    stiffening: float,
-    stress: Array,
-    tangent: Array,
-    want_tangent: bool,
-) -> None:
-    """Add p dJ/dF to the stress and its tangent; ``stiffening`` is dp/dJ (displacement form)."""
-    for n in range(9):
-        stress[n] += p * J * g[n]
-    if want_tangent:
-        for i in range(3):
-            for j in range(3):
-                n = 3 * i + j
-                for k in range(3):
-                    for m in range(3):
-                        o = 3 * k + m
-                        gx = g[3 * i + m] * g[3 * k + j]
-                        tangent[n, o] += p * J * (g[n] * g[o] - gx)
-                        tangent[n, o] += stiffening * J * J * g[n] * g[o]
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -361,7 +182,7 @@ def element_residuals(
                 pressure, stiffening = 0.0, 0.0
                 for b in range(n_p):
                     pressure += N[b] * p[e, b]
-            _add_pressure(J, g, pressure, stiffening, stress, tangent, want_tangent)
+            add_pressure(J, g, pressure, stiffening, stress, tangent, want_tangent)
             for a in range(na):
                 for i in range(dim):
                     r = 0.0

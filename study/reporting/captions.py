@@ -139,5 +139,3 @@ def curves(found: CurvePanels, data: ReportData) -> str:
     if found.left_out:
         text += f"; {count(found.left_out, 'more block')} not shown"
     return sentence(text)
-
-

@@ -49,7 +49,9 @@ def _normality(facts: Facts, alpha: float) -> Check:
         return Check(name, "not applicable", finding)
     if assumptions.rejects_normality(facts, alpha):
         return Check(
-            name, "caution", finding,
+            name,
+            "caution",
+            finding,
             "Small p-values are approximate; the verdicts rest on the size of the effect "
             "against what matters. A log transform often helps a positive response.",
         )
@@ -66,7 +68,9 @@ def _spread(facts: Facts, alpha: float) -> Check:
         return Check(name, "not applicable", finding)
     if any(assumptions.rejects(test, alpha) for test in applicable.values()):
         return Check(
-            name, "caution", finding,
+            name,
+            "caution",
+            finding,
             "Intervals are too short for the cells that scatter most and too long for the others.",
         )
     return Check(name, "pass", finding)
@@ -83,8 +87,14 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
         if row.get("p_gg") is not None and row["p"] < data.alpha <= row["p_gg"]
     ]
     if changed:
-        return [Check(name, "caution", finding,
-                      f"The correction decides for {listing(changed)}: read the corrected p.")]
+        return [
+            Check(
+                name,
+                "caution",
+                finding,
+                f"The correction decides for {listing(changed)}: read the corrected p.",
+            )
+        ]
     return [Check(name, "pass", finding, "No decision depends on the correction.")]
 
 
@@ -96,8 +106,14 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     name = f"Additive blocks, {facts.title}"
     finding = assumptions.additivity(found, data)
     if p < data.alpha:
-        return [Check(name, "caution", finding,
-                      "Effects grow or shrink with the level of the block: consider the log.")]
+        return [
+            Check(
+                name,
+                "caution",
+                finding,
+                "Effects grow or shrink with the level of the block: consider the log.",
+            )
+        ]
     return [Check(name, "pass", finding)]
 
 
@@ -105,15 +121,20 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
     name = f"Effects resolved by the mesh, {facts.title}"
     known = [effect for effect in facts.effects if effect.over_u_num is not None]
     if not known:
-        return Check(name, "not applicable", "No numerical uncertainty is known.",
-                     "Refine the mesh of one block before trusting small differences.")
+        return Check(
+            name,
+            "not applicable",
+            "No numerical uncertainty is known.",
+            "Refine the mesh of one block before trusting small differences.",
+        )
     weak = [e for e in known if (e.over_u_num or 0) < 3]
     named = listing([term_name(effect.term, data.labels) for effect in weak])
     if any(effect.verdict == MATTERS for effect in weak):
         return Check(name, "fail", f"Within 3 u_num: {named}.", "Refine before believing these.")
     if weak:
         return Check(
-            name, "pass",
+            name,
+            "pass",
             f"{count(len(known) - len(weak), 'effect')} of {len(known)} exceed 3 u_num; "
             f"{named} {'is' if len(weak) == 1 else 'are'} within it.",
             "What lies within 3 u_num may be the mesh; none of it is called a difference.",

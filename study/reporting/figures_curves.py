@@ -66,9 +66,7 @@ def curve_panels(data: ReportData) -> CurvePanels:
     order = sorted(data.factors, key=lambda name: -_spread(pairs, name))
     line = order[0]
     panel = order[1] if len(order) > 1 and len(data.factors[order[1]]) <= 4 else ""
-    fixed = {
-        name: data.factors[name][0] for name in data.factors if name not in (line, panel)
-    }
+    fixed = {name: data.factors[name][0] for name in data.factors if name not in (line, panel)}
     chosen = [p for p in pairs if all(p.levels.get(k) == v for k, v in fixed.items())]
     levels = data.factors[panel] if panel else ("",)
     blocks = list(dict.fromkeys(pair.block for pair in pairs))
@@ -76,10 +74,18 @@ def curve_panels(data: ReportData) -> CurvePanels:
     kept = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
     panels = tuple((block, level) for block in kept for level in levels)
     rows = [row for pair in chosen if pair.block in kept for row in _samples(pair, line, panel)]
-    columns = ["block", "panel", "line", "displacement_mm", "measured_N", "predicted_N",
-               "scatter_N"]
-    return CurvePanels(line, panel, fixed, panels, len(blocks) - len(kept),
-                       pd.DataFrame(rows, columns=columns))
+    columns = [
+        "block",
+        "panel",
+        "line",
+        "displacement_mm",
+        "measured_N",
+        "predicted_N",
+        "scatter_N",
+    ]
+    return CurvePanels(
+        line, panel, fixed, panels, len(blocks) - len(kept), pd.DataFrame(rows, columns=columns)
+    )
 
 
 def _spread(pairs: Sequence[CurvePair], factor: str) -> float:
@@ -140,9 +146,7 @@ def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     return figure
 
 
-def _panel(
-    force: Axes, residual: Axes, found: CurvePanels, place: int, data: ReportData
-) -> None:
+def _panel(force: Axes, residual: Axes, found: CurvePanels, place: int, data: ReportData) -> None:
     block, level = found.panels[place]
     rows = found.frame[(found.frame["block"] == block) & (found.frame["panel"] == level)]
     title = " \N{MIDDLE DOT} ".join(clean(part, 16) for part in (block, level) if part)
@@ -168,8 +172,9 @@ def _panel(
 def _measured(force: Axes, residual: Axes, one: pd.DataFrame) -> None:
     if one["scatter_N"].notna().all():
         d, s = one["displacement_mm"], one["scatter_N"]
-        force.fill_between(d, one["measured_N"] - s, one["measured_N"] + s, color="#c4cad1",
-                           linewidth=0)
+        force.fill_between(
+            d, one["measured_N"] - s, one["measured_N"] + s, color="#c4cad1", linewidth=0
+        )
         residual.fill_between(d, -s, s, color="#e3e7eb", linewidth=0)
     thin = one.iloc[::3]
     force.plot(thin["displacement_mm"], thin["measured_N"], "o", color=INK, markersize=1.9)
@@ -178,15 +183,30 @@ def _measured(force: Axes, residual: Axes, one: pd.DataFrame) -> None:
 def _curve_legend(figure: Canvas, found: CurvePanels, data: ReportData) -> None:
     from matplotlib.lines import Line2D
 
-    handles = [Line2D([], [], color=INK, marker="o", markersize=3, linestyle="none",
-                      label="measured (band: sd of repeats)"
-                      if found.frame["scatter_N"].notna().any() else "measured")]
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=INK,
+            marker="o",
+            markersize=3,
+            linestyle="none",
+            label="measured (band: sd of repeats)"
+            if found.frame["scatter_N"].notna().any()
+            else "measured",
+        )
+    ]
     handles += [
         Line2D([], [], color=color_of(i), linestyle=DASHES[i % 4], label=clean(level, 24))
         for i, level in enumerate(data.factors[found.line])
     ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=min(len(handles), 6),
-                  handlelength=2.6, columnspacing=1.4)
+    figure.legend(
+        handles=handles,
+        loc="outside upper left",
+        ncols=min(len(handles), 6),
+        handlelength=2.6,
+        columnspacing=1.4,
+    )
 
 
 def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
@@ -195,9 +215,17 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     ax = figure.subplots()
     color_by, shape_by = _styling(frame, data)
     for row in frame.to_dict("records"):
-        ax.plot(row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
-                color=color_of(color_by[1].get(row["cell"], 0)), markersize=6.5, alpha=0.85,
-                markeredgecolor="white", markeredgewidth=0.5, linestyle="none")
+        ax.plot(
+            row["seconds"],
+            row["mean"],
+            marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
+            color=color_of(color_by[1].get(row["cell"], 0)),
+            markersize=6.5,
+            alpha=0.85,
+            markeredgecolor="white",
+            markeredgewidth=0.5,
+            linestyle="none",
+        )
     ax.set_xscale("log")
     front = frame[frame["front"]]
     ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
@@ -205,8 +233,16 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
         ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
-        ax.text(1.0, best + sign * practical, "as good as the best ", ha="right", va="bottom",
-                transform=ax.get_yaxis_transform(), fontsize=7.5, color=MUTED)
+        ax.text(
+            1.0,
+            best + sign * practical,
+            "as good as the best ",
+            ha="right",
+            va="bottom",
+            transform=ax.get_yaxis_transform(),
+            fontsize=7.5,
+            color=MUTED,
+        )
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
     _front_legend(ax, color_by[0], shape_by[0], data)
@@ -250,30 +286,59 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
     for row in named[:6]:
         text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
         right = row["seconds"] > middle
-        ax.annotate(text, (row["seconds"], row["mean"]), fontsize=7.5, va="top",
-                    ha="right" if right else "left", xytext=(-7 if right else 7, -5),
-                    textcoords="offset points")
+        ax.annotate(
+            text,
+            (row["seconds"], row["mean"]),
+            fontsize=7.5,
+            va="top",
+            ha="right" if right else "left",
+            xytext=(-7 if right else 7, -5),
+            textcoords="offset points",
+        )
 
 
 def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> None:
     from matplotlib.lines import Line2D
 
     handles = [
-        Line2D([], [], color=color_of(i), marker="o", linestyle="none", markersize=5,
-               label=clean(level, 22))
+        Line2D(
+            [],
+            [],
+            color=color_of(i),
+            marker="o",
+            linestyle="none",
+            markersize=5,
+            label=clean(level, 22),
+        )
         for i, level in enumerate(data.factors[color_by])
     ]
     if shape_by != color_by:
         handles += [
-            Line2D([], [], color=MUTED, marker=MARKERS[i % 7], linestyle="none", markersize=5,
-                   label=clean(level, 22))
+            Line2D(
+                [],
+                [],
+                color=MUTED,
+                marker=MARKERS[i % 7],
+                linestyle="none",
+                markersize=5,
+                label=clean(level, 22),
+            )
             for i, level in enumerate(data.factors[shape_by])
         ]
     title = clean(name_of(color_by, data.labels), 30)
     if shape_by != color_by:
         title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
-    ax.legend(handles=handles, title=title, title_fontsize=7.5, fontsize=7.5, ncols=len(handles),
-              loc="lower left", bbox_to_anchor=(0, 1.0), alignment="left", borderpad=0)
+    ax.legend(
+        handles=handles,
+        title=title,
+        title_fontsize=7.5,
+        fontsize=7.5,
+        ncols=len(handles),
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        alignment="left",
+        borderpad=0,
+    )
 
 
 def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
@@ -293,10 +358,15 @@ def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
-        ax.plot([columns.index(b) for b in some["block"]], [rows.index(c) for c in some["cell"]],
-                linestyle="none", marker="." if good else MARKERS[(index + 1) % 7],
-                color="#c4cad1" if good else color_of(index), markersize=4 if good else 7,
-                label=clean(status, 24))
+        ax.plot(
+            [columns.index(b) for b in some["block"]],
+            [rows.index(c) for c in some["cell"]],
+            linestyle="none",
+            marker="." if good else MARKERS[(index + 1) % 7],
+            color="#c4cad1" if good else color_of(index),
+            markersize=4 if good else 7,
+            label=clean(status, 24),
+        )
     ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
     ax.set_yticks(range(len(rows)), [wrap(r, 80, 70) for r in rows], fontsize=7.5)
     ax.set_ylim(len(rows) - 0.5, -0.5)

@@ -80,8 +80,14 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
         below = 1 / limit if facts.ratio else -limit
         ax.axvspan(below, limit, color=BAND, zorder=0)
         ax.text(
-            zero, 1.0, "no practical difference", transform=ax.get_xaxis_transform(),
-            ha="center", va="bottom", color=MUTED, fontsize=7.5,
+            zero,
+            1.0,
+            "no practical difference",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            color=MUTED,
+            fontsize=7.5,
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
     columns = (frame[name] for name in ("verdict", "difference", "low", "high"))
@@ -93,8 +99,13 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
         ends = interval(low, high, "", ratio_digits(value) if facts.ratio else 3)
         ax.annotate(
             f"{size}   [{ends}]",
-            (1.0, place), xycoords=ax.get_yaxis_transform(), xytext=(6, 0),
-            textcoords="offset points", va="center", fontsize=8, annotation_clip=False,
+            (1.0, place),
+            xycoords=ax.get_yaxis_transform(),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            annotation_clip=False,
         )
     ax.set_yticks(range(len(frame)), [wrap(name, 34) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.5, -0.6)
@@ -138,9 +149,15 @@ def draw_level_means(
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     ax.annotate(
-        f"grand mean {quantity(center, facts.unit)}", (1.0, center), xytext=(4, 0),
-        xycoords=ax.get_yaxis_transform(), textcoords="offset points",
-        va="center", fontsize=7.5, color=MUTED, annotation_clip=False,
+        f"grand mean {quantity(center, facts.unit)}",
+        (1.0, center),
+        xytext=(4, 0),
+        xycoords=ax.get_yaxis_transform(),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color=MUTED,
+        annotation_clip=False,
     )
     ticks, names, start = [], [], 0.0
     for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
@@ -148,18 +165,35 @@ def draw_level_means(
         ax.plot(places, group["mean"], "o-", color=color_of(index), markersize=5.5)
         means = group["mean"].tolist()
         for place, mean, side in zip(places, means, _sides(means), strict=True):
-            ax.annotate(significant(mean), (place, mean), xytext=(0, 6 * side),
-                        textcoords="offset points", ha="center", fontsize=7.5,
-                        va="bottom" if side > 0 else "top")
-        ax.text(float(places.mean()), 1.02, clean(name_of(str(factor), data.labels), 30),
-                transform=ax.get_xaxis_transform(), ha="center", fontweight="bold",
-                color=color_of(index))
+            ax.annotate(
+                significant(mean),
+                (place, mean),
+                xytext=(0, 6 * side),
+                textcoords="offset points",
+                ha="center",
+                fontsize=7.5,
+                va="bottom" if side > 0 else "top",
+            )
+        ax.text(
+            float(places.mean()),
+            1.02,
+            clean(name_of(str(factor), data.labels), 30),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            fontweight="bold",
+            color=color_of(index),
+        )
         ticks += list(places)
         names += [wrap(level, 12, 40) for level in group["level"]]
         start = float(places[-1]) + 1.5
     many = len(names) > 13
-    ax.set_xticks(ticks, names, rotation=45 if many else 0, ha="right" if many else "center",
-                  fontsize=7.5 if len(names) < 9 else 7)
+    ax.set_xticks(
+        ticks,
+        names,
+        rotation=45 if many else 0,
+        ha="right" if many else "center",
+        fontsize=7.5 if len(names) < 9 else 7,
+    )
     ax.set_xlim(-0.7, start - 0.8)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
@@ -236,8 +270,14 @@ def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
     ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
     for index, level in enumerate(shown):
         y = top - step * (index + 1.2)
-        ax.plot([0.03, 0.17], [y, y], color=color_of(index), linestyle=_dash(index),
-                marker=MARKERS[index % 7], markersize=3.5)
+        ax.plot(
+            [0.03, 0.17],
+            [y, y],
+            color=color_of(index),
+            linestyle=_dash(index),
+            marker=MARKERS[index % 7],
+            markersize=3.5,
+        )
         ax.text(0.22, y, clean(level, 24), va="center", fontsize=7.5)
 
 
@@ -246,14 +286,22 @@ def _dash(index: int) -> Any:
 
 
 def _lines(
-    ax: Axes, lookup: Mapping[Any, float], first: tuple[str, Sequence[str]],
+    ax: Axes,
+    lookup: Mapping[Any, float],
+    first: tuple[str, Sequence[str]],
     second: tuple[str, Sequence[str]],
 ) -> None:
     x = np.arange(len(second[1]))
     for index, level in enumerate(first[1]):
         y = [lookup.get((first[0], level, second[0], other), np.nan) for other in second[1]]
-        ax.plot(x, y, color=color_of(index), linestyle=_dash(index),
-                marker=MARKERS[index % 7], markersize=4)
+        ax.plot(
+            x,
+            y,
+            color=color_of(index),
+            linestyle=_dash(index),
+            marker=MARKERS[index % 7],
+            markersize=4,
+        )
     ax.set_xlim(-0.35, x[-1] + 0.35)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
 
@@ -274,8 +322,12 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
 
 
 def _numbers(
-    ax: Axes, lookup: Mapping[Any, float], column: tuple[str, Sequence[str]],
-    row: tuple[str, Sequence[str]], low: float, high: float,
+    ax: Axes,
+    lookup: Mapping[Any, float],
+    column: tuple[str, Sequence[str]],
+    row: tuple[str, Sequence[str]],
+    low: float,
+    high: float,
 ) -> None:
     ax.set_xlim(-0.5, len(column[1]) - 0.5)
     ax.set_ylim(len(row[1]) - 0.5, -0.5)
@@ -287,8 +339,9 @@ def _numbers(
             if mean is None:
                 continue
             depth = 0.04 + 0.30 * (mean - low) / ((high - low) or 1.0)
-            ax.fill_between([a - 0.48, a + 0.48], b - 0.46, b + 0.46, color="#0072B2",
-                            alpha=depth, linewidth=0)
+            ax.fill_between(
+                [a - 0.48, a + 0.48], b - 0.46, b + 0.46, color="#0072B2", alpha=depth, linewidth=0
+            )
             size = 7.5 if len(column[1]) < 5 else 6.5
             ax.text(a, b, significant(mean), ha="center", va="center", fontsize=size)
     ax.set_yticks(range(len(row[1])), [wrap(v, 12, 24) for v in row[1]], fontsize=7)
@@ -332,20 +385,41 @@ def draw_cells(
     if facts.response.better and practical > 0:
         sign = -1 if facts.response.better == "higher" else 1
         ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
-        ax.text(best + sign * practical / 2, 1.0, "as good as the best",
-                transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=7.5,
-                color=MUTED)
+        ax.text(
+            best + sign * practical / 2,
+            1.0,
+            "as good as the best",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=MUTED,
+        )
     if "block" in frame and frame["block"].nunique() <= 40:
         for _, group in frame.groupby("block", sort=False):
             ax.plot(group["value"], group["rank"], color=MUTED, alpha=0.28, linewidth=0.5)
-    ax.plot(frame["value"], frame["rank"], "o", color="#56B4E9", markersize=3, alpha=0.8,
-            markeredgewidth=0)
+    ax.plot(
+        frame["value"],
+        frame["rank"],
+        "o",
+        color="#56B4E9",
+        markersize=3,
+        alpha=0.8,
+        markeredgewidth=0,
+    )
     means = frame.drop_duplicates("rank")
     ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
-        ax.annotate(significant(float(mean)), (1.0, float(place)), fontsize=7.5,
-                    xycoords=ax.get_yaxis_transform(), xytext=(4, 0), va="center",
-                    textcoords="offset points", annotation_clip=False)
+        ax.annotate(
+            significant(float(mean)),
+            (1.0, float(place)),
+            fontsize=7.5,
+            xycoords=ax.get_yaxis_transform(),
+            xytext=(4, 0),
+            va="center",
+            textcoords="offset points",
+            annotation_clip=False,
+        )
     names = [
         " \N{MIDDLE DOT} ".join(clean(value, 28) for value in row)
         for row in means[list(factors)].to_numpy()

@@ -59,12 +59,24 @@ def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canva
     label = f"residual ({unit})" if unit else "residual"
     _normal_plot(normal, frame, facts, data.seed, label)
     fitted.axhline(0, color=MUTED, linewidth=0.7)
-    fitted.plot(frame["fitted"], frame["residual"], "o", markersize=3.2, alpha=0.7,
-                color=color_of(0), markeredgewidth=0)
+    fitted.plot(
+        frame["fitted"],
+        frame["residual"],
+        "o",
+        markersize=3.2,
+        alpha=0.7,
+        color=color_of(0),
+        markeredgewidth=0,
+    )
     where = f"log of {facts.unit}" if facts.ratio else facts.unit
     fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
-    histogram.hist(frame["residual"], bins="fd" if len(frame) > 12 else 6, color=color_of(5),
-                   edgecolor="white", linewidth=0.6)
+    histogram.hist(
+        frame["residual"],
+        bins="fd" if len(frame) > 12 else 6,
+        color=color_of(5),
+        edgecolor="white",
+        linewidth=0.6,
+    )
     histogram.set(title="histogram", xlabel=label, ylabel="count")
     _against_factors(factors, frame, data, label)
     for ax in (normal, fitted, histogram):
@@ -74,17 +86,16 @@ def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canva
     return figure
 
 
-def _normal_plot(
-    ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: str
-) -> None:
+def _normal_plot(ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: str) -> None:
     values = frame["residual"].to_numpy(float)
     spread = float(values.std(ddof=1))
     low, high = envelope(values.size, spread, seed)
     ax.fill_between(frame["score"], low, high, color=BAND, linewidth=0)
     ends = np.array([frame["score"].min(), frame["score"].max()])
     ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
-    ax.plot(frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0),
-            markeredgewidth=0)
+    ax.plot(
+        frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0), markeredgewidth=0
+    )
     found = facts.normality
     if found and found.get("rj") is not None:
         text = f"RJ = {found['rj']:.4f}"
@@ -111,14 +122,29 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
         for level in levels:
             values = frame.loc[frame[factor].astype(str) == level, "residual"]
             jitter = start + rng.uniform(-0.18, 0.18, len(values))
-            ax.plot(jitter, values, "o", markersize=2.6, alpha=0.7, color=color_of(index),
-                    markeredgewidth=0)
+            ax.plot(
+                jitter,
+                values,
+                "o",
+                markersize=2.6,
+                alpha=0.7,
+                color=color_of(index),
+                markeredgewidth=0,
+            )
             ticks.append(start)
             names.append(clean(level, 20))
             start += 1
-        ax.text((first + start - 1) / 2, 1.0, wrap(name_of(factor, data.labels), 16, 24),
-                transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=7.5,
-                color=color_of(index), fontweight="bold")
+        ax.text(
+            (first + start - 1) / 2,
+            1.0,
+            wrap(name_of(factor, data.labels), 16, 24),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=color_of(index),
+            fontweight="bold",
+        )
         start += 0.7
     ax.set_xticks(ticks, names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7)
     ax.set_ylabel(label)

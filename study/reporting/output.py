@@ -18,9 +18,7 @@ from study.reporting.tables import Table
 FORMATS = ("html", "csv", "tex", "pdf")
 
 
-def write(
-    report_data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)
-) -> Path:
+def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)) -> Path:
     """Write a report into a folder and return its main file.
 
     The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and

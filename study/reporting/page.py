@@ -146,9 +146,7 @@ def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
 
 
 def _warnings(contents: Contents) -> tuple[str, ...]:
-    found = [
-        f"{item.title}: {warning}" for item in contents.found for warning in item.warnings
-    ]
+    found = [f"{item.title}: {warning}" for item in contents.found for warning in item.warnings]
     return tuple(dict.fromkeys((*contents.data.warnings, *found)))
 
 

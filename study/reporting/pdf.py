@@ -48,9 +48,16 @@ def print_page(page: Path, out: Path) -> None:
     program = browser()
     with tempfile.TemporaryDirectory() as profile:
         command = [
-            program, "--headless", "--disable-gpu", "--no-first-run",
-            "--disable-background-networking", "--disable-component-update", "--disable-sync",
-            "--no-pdf-header-footer", f"--user-data-dir={profile}", f"--print-to-pdf={out}",
+            program,
+            "--headless",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={profile}",
+            f"--print-to-pdf={out}",
         ]
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium's sandbox refuses to run as root

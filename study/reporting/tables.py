@@ -63,14 +63,28 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
             )
             raw.append(
                 {
-                    "response": facts.name, "factor": effect.term, "verdict": effect.verdict,
-                    "effect": effect.difference, "low": effect.low, "high": effect.high,
-                    "practical": effect.practical, "u_num": effect.u_num, "p": effect.p,
+                    "response": facts.name,
+                    "factor": effect.term,
+                    "verdict": effect.verdict,
+                    "effect": effect.difference,
+                    "low": effect.low,
+                    "high": effect.high,
+                    "practical": effect.practical,
+                    "u_num": effect.u_num,
+                    "p": effect.p,
                     "scale": "ratio" if effect.ratio else "difference",
                 }
             )
-    columns = ("response", "factor", "verdict", "largest difference", "95 % interval",
-               "matters from", "u_num", "p")
+    columns = (
+        "response",
+        "factor",
+        "verdict",
+        "largest difference",
+        "95 % interval",
+        "matters from",
+        "u_num",
+        "p",
+    )
     return Table("verdicts", columns, tuple(rows), 3, raw=tuple(raw))
 
 
@@ -156,11 +170,21 @@ def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
         shown = [quantity(v, f.unit) for v, f in zip(values, known, strict=True)]
         status = f"{done} of {len(group)}"
         rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
-        raw.append({**dict(zip(factors, labels, strict=True)), "converged": done,
-                    "cases": len(group), **dict(zip(means, values, strict=True)),
-                    "seconds": seconds})
-    columns = (*(name_of(f, data.labels) for f in factors), "cases",
-               *(facts.title for facts in known), "mean time")
+        raw.append(
+            {
+                **dict(zip(factors, labels, strict=True)),
+                "converged": done,
+                "cases": len(group),
+                **dict(zip(means, values, strict=True)),
+                "seconds": seconds,
+            }
+        )
+    columns = (
+        *(name_of(f, data.labels) for f in factors),
+        "cases",
+        *(facts.title for facts in known),
+        "mean time",
+    )
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
 
 
@@ -192,20 +216,36 @@ def fits(data: ReportData) -> Table:
                 *key,
                 quantity(float(np.median(values)), items[0].unit) if values.size else MISSING,
                 interval(float(values.min()), float(values.max()), items[0].unit)
-                if values.size else MISSING,
+                if values.size
+                else MISSING,
                 percent(float(np.median(relative)), 2) if relative else MISSING,
                 f"{known} of {len(items)}" + (f": {clean(reason, 160)}" if reason else ""),
             )
         )
     raw = tuple(
-        {**{name: fit.levels.get(name) for name in names}, "block": fit.block,
-         "specimen": fit.specimen, "constant": fit.constant, "value": fit.value, "unit": fit.unit,
-         "standard_error": fit.standard_error, "low": fit.low, "high": fit.high,
-         "identifiable": fit.identifiable, "reason": fit.reason}
+        {
+            **{name: fit.levels.get(name) for name in names},
+            "block": fit.block,
+            "specimen": fit.specimen,
+            "constant": fit.constant,
+            "value": fit.value,
+            "unit": fit.unit,
+            "standard_error": fit.standard_error,
+            "low": fit.low,
+            "high": fit.high,
+            "identifiable": fit.identifiable,
+            "reason": fit.reason,
+        }
         for fit in data.fits
     )
-    columns = (*(name_of(name, data.labels) for name in names), "constant", "median",
-               "range over fits", "standard error", "identifiable")
+    columns = (
+        *(name_of(name, data.labels) for name in names),
+        "constant",
+        "median",
+        "range over fits",
+        "standard error",
+        "identifiable",
+    )
     return Table("fits", columns, tuple(rows), len(names) + 1, 1, raw=raw)
 
 
@@ -215,14 +255,24 @@ def every_fit(data: ReportData) -> Table:
     rows = tuple(
         (
             *(clean(fit.levels.get(name, MISSING)) for name in names),
-            clean(fit.block), clean(fit.specimen), clean(fit.constant),
-            quantity(fit.value, fit.unit), interval(fit.low, fit.high, fit.unit),
+            clean(fit.block),
+            clean(fit.specimen),
+            clean(fit.constant),
+            quantity(fit.value, fit.unit),
+            interval(fit.low, fit.high, fit.unit),
             "yes" if fit.identifiable else "no",
         )
         for fit in data.fits
     )
-    columns = (*(name_of(name, data.labels) for name in names), data.block or "block", "specimen",
-               "constant", "value", "95 % interval", "identifiable")
+    columns = (
+        *(name_of(name, data.labels) for name in names),
+        data.block or "block",
+        "specimen",
+        "constant",
+        "value",
+        "95 % interval",
+        "identifiable",
+    )
     return Table("every-fit", columns, rows, len(names) + 3)
 
 
@@ -241,13 +291,25 @@ def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:
         for item in items
     )
     raw = tuple(
-        {**{name: item.levels.get(name) for name in names}, "response": item.response,
-         "value": item.value, "u_num": item.u_num, "unit": item.unit,
-         "behaviour": item.behaviour, "note": item.note}
+        {
+            **{name: item.levels.get(name) for name in names},
+            "response": item.response,
+            "value": item.value,
+            "u_num": item.u_num,
+            "unit": item.unit,
+            "behaviour": item.behaviour,
+            "note": item.note,
+        }
         for item in items
     )
-    columns = (*(name_of(name, data.labels) for name in names), "response", "value", "u_num",
-               "behavior", "how")
+    columns = (
+        *(name_of(name, data.labels) for name in names),
+        "response",
+        "value",
+        "u_num",
+        "behavior",
+        "how",
+    )
     return Table("numerical", columns, rows, len(names) + 1, 2, raw=raw)
 
 

@@ -8,11 +8,27 @@ from study.reporting.tables import Table
 from study.reporting.text import MINUS, MISSING, THIN, TIMES, clean
 
 _SPECIAL = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
-    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
-    "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}",
-    MINUS: r"$-$", TIMES: r"$\times$", MISSING: "--", THIN: "~",
-    "\N{MIDDLE DOT}": r"\textperiodcentered{}", "\n": " ", "\t": " ",
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"\textquotedbl{}",
+    MINUS: r"$-$",
+    TIMES: r"$\times$",
+    MISSING: "--",
+    THIN: "~",
+    "\N{MIDDLE DOT}": r"\textperiodcentered{}",
+    "\n": " ",
+    "\t": " ",
 }
 
 
@@ -34,9 +50,17 @@ def table(found: Table, caption: str) -> str:
         "l" if i < words[0] or i >= words[1] else "r" for i in range(len(found.columns))
     )
     lines = [
-        r"\begin{table}", r"\centering", rf"\caption{{{escape(caption)}}}",
-        rf"\begin{{tabular}}{{{columns}}}", r"\hline", _row(found.columns), r"\hline",
-        *(_row(row) for row in found.rows), r"\hline", r"\end{tabular}", r"\end{table}",
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{escape(caption)}}}",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\hline",
+        _row(found.columns),
+        r"\hline",
+        *(_row(row) for row in found.rows),
+        r"\hline",
+        r"\end{tabular}",
+        r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
 

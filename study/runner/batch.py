@@ -20,7 +20,7 @@ from study.runner import fits
 from study.runner.costs import Costs
 from study.runner.execute import blank
 from study.runner.expand import CaseJob, FitJob, Work, for_workers
-from study.runner.pool import WORKER_COMMAND, Outcome, Task, run_tasks
+from study.runner.pool import Outcome, Task, run_tasks
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
@@ -80,7 +80,7 @@ def run_batch(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
-    command: Sequence[str] = WORKER_COMMAND,
+    command: Sequence[str] | None = None,
 ) -> Summary:
     """Compute every case of ``work`` that the store does not hold yet.
 
@@ -150,7 +150,9 @@ class _Batch:
         self.failed = 0
         self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(self, workers: int, timeout_s: float | None, command: Sequence[str]) -> Summary:
+    def execute(
+        self, workers: int, timeout_s: float | None, command: Sequence[str] | None
+    ) -> Summary:
         began = time.monotonic()
         tasks, costs = self._tasks(), Costs()
         prices = {task.key: self._price(costs, task.key) for task in tasks}

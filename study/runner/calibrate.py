@@ -204,5 +204,3 @@ def _result(
     return CalibrationResult(
         config["material"]["model"], found, bool(judged.stable), judged.sentence, curves
     )
-
-

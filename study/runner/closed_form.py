@@ -70,7 +70,10 @@ def neo_hookean_start(
     scale = float(model @ force_N / (model @ model))
     if not np.isfinite(scale) or scale <= 0:
         raise InputError(
-            Fault("measurements", "the measured force does not resist (wrong sign?)",
-                  "check measurements.sign and the force column")
+            Fault(
+                "measurements",
+                "the measured force does not resist (wrong sign?)",
+                "check measurements.sign and the force column",
+            )
         )
     return {"C10": 1e-2 * scale}

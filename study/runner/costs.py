@@ -63,9 +63,7 @@ class Costs:
         """Peak memory of one worker at this configuration."""
         return self._estimate(config, None)[1]
 
-    def _estimate(
-        self, config: Mapping[str, Any], depth_mm: float | None
-    ) -> tuple[float, float]:
+    def _estimate(self, config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
         key = digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)

@@ -229,7 +229,8 @@ def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | No
     )  # fmt: skip
     found = {
         d["fit_label"] or "all": {
-            "key": d["fit_key"], **{k: d["fit"][k] for k in keep if k in d["fit"]}
+            "key": d["fit_key"],
+            **{k: d["fit"][k] for k in keep if k in d["fit"]},
         }
         for d in directions
         if d["fit"] is not None

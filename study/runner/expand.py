@@ -169,9 +169,7 @@ def _directions(
     sides = [(scored.fit, scored.score or scored.fit)]
     if scored.swap:
         sides.append((sides[0][1], sides[0][0]))
-    for (fit, score), (fit_where, score_where) in zip(
-        scored.pairs(case.block), sides, strict=True
-    ):
+    for (fit, score), (fit_where, score_where) in zip(scored.pairs(case.block), sides, strict=True):
         key = _add_fit(problem, (fit.curve,), fits, case)
         role = "fit" if fit_where == score_where else "score"
         out.append(_direction(score, score_where, key, fit_where, role))

@@ -67,11 +67,17 @@ def fit_problem(config: Config) -> FitProblem:
     scored = {k: config[k] for k in ("specimen", "test", "material", "model") if k in config}
     merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
     shared = merged == scored
+    merged["material"] = _written(merged["material"])
     method = _method(section.get("method") or "auto", merged)
     if method == "closed-form":
         merged.pop("model", None)
         merged["test"] = {"kind": "compression", "interface": "frictionless"}
     return FitProblem(method, merged, shared)
+
+
+def _written(material: Config) -> dict[str, Any]:
+    """Material without keys that say nothing, so that equal materials have equal names."""
+    return {k: v for k, v in material.items() if v not in (None, {}, False)}
 
 
 def _method(asked: str, config: Config) -> str:
@@ -110,7 +116,7 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     if section["model"] in ("neo-hookean", "linear-elastic"):
         return None
     kept = {k: v for k, v in section.items() if k not in ("order", "constants")}
-    material = {**kept, "model": "neo-hookean"}
+    material = _written({**kept, "model": "neo-hookean"})
     return FitProblem(
         problem.method, {**problem.config, "material": material}, problem.shares_scored_problem
     )
@@ -198,9 +204,7 @@ def start_values(
     return names, np.array([values.get(n, 0.0) for n in names])
 
 
-def closed_form_model(
-    config: Config, measured: Sequence[Curve], names: Sequence[str]
-) -> Predict:
+def closed_form_model(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of compression between frictionless plates, for the optimizer."""
     from study.calibration import EvaluationFailed
 

@@ -66,7 +66,7 @@ def run_tasks(
     jobs: int,
     finished: Mapping[str, dict[str, Any]] | None = None,
     timeout_s: float | None = None,
-    command: Sequence[str] = WORKER_COMMAND,
+    command: Sequence[str] | None = None,
 ) -> Generator[Outcome, None, None]:
     """Run tasks in dependency order on ``jobs`` workers; yield each outcome as it comes.
 
@@ -79,8 +79,10 @@ def run_tasks(
         Results that exist already, by key; tasks may need them.
     timeout_s : float, optional
         Wall-clock limit of one task in seconds.
+    command : sequence of str, optional
+        Program of a worker; gets the number of its pipe as last argument.
     """
-    run = _Run(list(tasks), dict(finished or {}), jobs, timeout_s, tuple(command))
+    run = _Run(list(tasks), dict(finished or {}), jobs, timeout_s, tuple(command or WORKER_COMMAND))
     try:
         yield from run.outcomes()
     finally:
@@ -180,9 +182,7 @@ class _Run:
         if self.deaths[task.key] < 2:
             self.waiting.insert(0, task)
             return None
-        return Outcome(
-            task.key, {"status": "crashed", "message": _cause_of_death(code)}, seconds
-        )
+        return Outcome(task.key, {"status": "crashed", "message": _cause_of_death(code)}, seconds)
 
     def _drop(self, worker: _Worker) -> None:
         _kill(worker)

@@ -123,9 +123,7 @@ def numerical(
     return found
 
 
-def _one(
-    work: Work, base: CaseJob, series: Sequence[Record | None], name: str
-) -> Numerical:
+def _one(work: Work, base: CaseJob, series: Sequence[Record | None], name: str) -> Numerical:
     good = [(k, r) for k, r in enumerate(series) if r is not None and r.converged]
     values = [(k, r.responses.get(name, {}).get("value")) for k, r in good]
     known = [(k, float(v)) for k, v in values if v is not None]

@@ -199,9 +199,7 @@ def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
     chosen: list[dict[str, str]] = []
     for where in (spec.fit, spec.score):
         if where:
-            labels = {
-                k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()
-            }
+            labels = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
             if {**base, **labels} not in chosen:
                 chosen.append({**base, **labels})
     return chosen or [base]
@@ -213,9 +211,7 @@ def _repeats(
     if not spec.average:
         return [dict(groups)]
     first, rest = spec.average[0], spec.average[1:]
-    return [
-        {**groups, first: str(k), **dict.fromkeys(rest, "1")} for k in range(1, repeats + 1)
-    ]
+    return [{**groups, first: str(k), **dict.fromkeys(rest, "1")} for k in range(1, repeats + 1)]
 
 
 def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str]:

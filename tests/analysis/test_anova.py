@@ -98,8 +98,15 @@ def test_records_take_own_interactions_and_group_copies() -> None:
                 for s, d in [("axi", 0.0), ("3d", 1e-9)]
             ]
     table = pd.DataFrame(rows)
-    result = analyze(table, "y", ["material", "space"], block="mix", records=True,
-                     practical="0.5 pp", exact=False)
+    result = analyze(
+        table,
+        "y",
+        ["material", "space"],
+        block="mix",
+        records=True,
+        practical="0.5 pp",
+        exact=False,
+    )
     assert result.error_term.source == "E1"
     assert result.distinct == 4
     assert result.representatives == ("A axi", "B axi", "C axi", "D axi")
@@ -242,8 +249,12 @@ def test_log_reports_ratios() -> None:
 
 @pytest.mark.parametrize(
     ("gap", "u_num", "verdict"),
-    [(1.0, None, "matters"), (0.0, None, "no practical difference"), (0.3, None, "cannot tell"),
-     (1.0, 0.4, "cannot tell")],
+    [
+        (1.0, None, "matters"),
+        (0.0, None, "no practical difference"),
+        (0.3, None, "cannot tell"),
+        (1.0, 0.4, "cannot tell"),
+    ],
 )
 def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:
     noise = np.tile([-0.1, 0.1, -0.1, 0.1], 2)
@@ -259,8 +270,19 @@ def test_json_keys_are_the_contract() -> None:
     assert {"error_term", "anova", "normality", "variance", "effects", "warnings"} <= set(document)
     assert {"source", "question", "df"} <= set(document["error_term"])
     assert set(document["anova"]["rows"][0]) >= {
-        "term", "df", "ss", "ms", "f", "p", "error", "df_error", "epsilon_gg", "p_gg",
-        "omega_sq", "partial_eta_sq", "share",
+        "term",
+        "df",
+        "ss",
+        "ms",
+        "f",
+        "p",
+        "error",
+        "df_error",
+        "epsilon_gg",
+        "p_gg",
+        "omega_sq",
+        "partial_eta_sq",
+        "share",
     }
     assert document["anova"]["rows"][-1]["term"] == "residual"
     assert set(document["normality"]) >= {"rj", "n", "p_minitab", "p_exact"}

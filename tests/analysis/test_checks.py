@@ -60,8 +60,10 @@ def test_exact_p_holds_its_size(design: str) -> None:
     )
     # the critical value that exact_p implies: its own null quantile from another seed
     null = np.concatenate(
-        [simulated_rj(np.random.default_rng(s).standard_normal((2500, n)), basis)
-         for s in range(24)]
+        [
+            simulated_rj(np.random.default_rng(s).standard_normal((2500, n)), basis)
+            for s in range(24)
+        ]
     )
     cut = float(np.quantile(null, 0.05))
     assert exact_p(cut, basis, 60_000, 2011) == pytest.approx(0.05, abs=0.003)
@@ -91,7 +93,7 @@ def test_orthonormal_contrasts_of_mixed_levels() -> None:
     assert contrasts.T @ contrasts == pytest.approx(np.eye(23), abs=1e-12)
     assert contrasts.sum(axis=0) == pytest.approx(np.zeros(23), abs=1e-12)
     # numeric levels give polynomial contrasts: the first is linear in 1, 2, 4
-    linear = contrasts[:4 * 3 : 4, names.index("b[1]")]
+    linear = contrasts[: 4 * 3 : 4, names.index("b[1]")]
     assert np.ptp(np.diff(linear) / [1, 2]) == pytest.approx(0, abs=1e-12)
 
 
@@ -182,8 +184,15 @@ def test_own_interaction_holds_its_size_among_copies() -> None:
     for _ in range(studies):
         y = rng.normal(size=9)[block] + 0.3 * rng.normal(size=(9, 4))[block, level]
         y = y + 1e-4 * rng.normal(size=y.size)
-        result = analyze(base.assign(y=y), "y", ["m", "pl", "sp", "or"], block="mix",
-                         records=True, model=["m"], exact=False)
+        result = analyze(
+            base.assign(y=y),
+            "y",
+            ["m", "pl", "sp", "or"],
+            block="mix",
+            records=True,
+            model=["m"],
+            exact=False,
+        )
         rejected += (result.anova.row("m").p_gg or 1.0) < 0.05
     # binomial sd at 400 studies is 1.1 %
     assert rejected / studies == pytest.approx(0.05, abs=0.033)

@@ -51,8 +51,12 @@ def test_oscillation_over_four_meshes_gives_a_range() -> None:
 
 
 @given(
-    st.floats(0.6, 4.0), st.floats(1.3, 3.0), st.floats(1.3, 3.0),
-    st.floats(-5, 5), st.sampled_from([-1.0, 0.3]), st.integers(3, 5),
+    st.floats(0.6, 4.0),
+    st.floats(1.3, 3.0),
+    st.floats(1.3, 3.0),
+    st.floats(-5, 5),
+    st.sampled_from([-1.0, 0.3]),
+    st.integers(3, 5),
 )
 def test_known_orders_are_recovered(p, r1, r2, limit, slope, meshes) -> None:
     h = np.cumprod([1.0, r1, r2, r1, r2])[:meshes]

@@ -17,8 +17,16 @@ from study.analysis.tidy import prepare
 from study.analysis.unreplicated import two_level_effects
 
 # digits of F asked for: lower sets 12, average ones 10, higher ones 4 (the stored doubles)
-DIGITS = {"SiRstv": 12, "SmLs01": 12, "SmLs03": 12, "AtmWtAg": 10, "SmLs04": 10, "SmLs06": 10,
-          "SmLs07": 4, "SmLs09": 4}
+DIGITS = {
+    "SiRstv": 12,
+    "SmLs01": 12,
+    "SmLs03": 12,
+    "AtmWtAg": 10,
+    "SmLs04": 10,
+    "SmLs06": 10,
+    "SmLs07": 4,
+    "SmLs09": 4,
+}
 
 
 def log_relative_error(got: float, certified: float) -> float:
@@ -59,12 +67,19 @@ def test_kidney_types_ii_and_iii() -> None:
         assert balanced.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
     dropped = kidney.drop([0, 1, 2])
     two = analyze(dropped, "y", ["Duration", "Weight"], type="II", exact=False)
-    for term, ss in {"Duration": 3.067066, "Weight": 13.27205, "Duration:Weight": 0.1905093,
-                     "residual": 27.60181}.items():
+    for term, ss in {
+        "Duration": 3.067066,
+        "Weight": 13.27205,
+        "Duration:Weight": 0.1905093,
+        "residual": 27.60181,
+    }.items():
         assert two.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
     three = analyze(dropped, "y", ["Duration", "Weight"], type="III", exact=False)
-    for term, ss, f in [("Duration", 2.904723, 5.367071), ("Weight", 13.45718, 12.43245),
-                        ("Duration:Weight", 0.1905093, 0.1760025)]:
+    for term, ss, f in [
+        ("Duration", 2.904723, 5.367071),
+        ("Weight", 13.45718, 12.43245),
+        ("Duration:Weight", 0.1905093, 0.1760025),
+    ]:
         assert three.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
         assert three.anova.row(term).f == pytest.approx(f, rel=1e-6)
 
@@ -73,8 +88,12 @@ def test_box_poison(data_dir: Path) -> None:
     """Box, Hunter and Hunter (1978), table of the 3 x 4 survival experiment."""
     table = pd.read_csv(data_dir / "nist_handbook" / "box_poison_3x4x4.csv")
     result = analyze(table, "survival", ["poison", "antidote"], exact=False)
-    for term, ss, df in [("poison", 10330.125, 2), ("antidote", 9212.0625, 3),
-                         ("poison:antidote", 2501.375, 6), ("residual", 8007.25, 36)]:
+    for term, ss, df in [
+        ("poison", 10330.125, 2),
+        ("antidote", 9212.0625, 3),
+        ("poison:antidote", 2501.375, 6),
+        ("residual", 8007.25, 36),
+    ]:
         row = result.anova.row(term)
         assert row.ss == pytest.approx(ss, rel=1e-12)
         assert row.df == df
@@ -87,8 +106,14 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
     factors = ["X1", "X2", "X3", "X4", "X5"]
     data = prepare(table, "Y", factors)
     effects = two_level_effects(data.layout, data.y, terms_of(factors))
-    for name, value in {"X4": -198.473, "X5": -64.859, "X3": -39.787, "X1:X2:X4": 27.147,
-                        "X1:X2": 24.679, "X2": 20.908}.items():
+    for name, value in {
+        "X4": -198.473,
+        "X5": -64.859,
+        "X3": -39.787,
+        "X1:X2:X4": 27.147,
+        "X1:X2": 24.679,
+        "X2": 20.908,
+    }.items():
         assert effects[name] == pytest.approx(value, abs=6e-4)
     result = analyze(table, "Y", factors)
     assert result.error_term.source == "E6"
@@ -168,7 +193,11 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert result.bartlett.df == expected["bartlett_df"]
     assert result.normality is not None
     nested = analyze(
-        table, "F_at_6mm_N", ["family", "thinner_pct"], unit="specimen", transform="log",
+        table,
+        "F_at_6mm_N",
+        ["family", "thinner_pct"],
+        unit="specimen",
+        transform="log",
         exact=False,
     )
     # two specimens in each of 15 cells: 15 residual df instead of 135

@@ -18,8 +18,10 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("text", [GOOD, "\ufeff" + GOOD.replace("\n", "\r\n"),
-                                  GOOD.replace(",", ";"), GOOD.replace(",", "\t")])
+@pytest.mark.parametrize(
+    "text",
+    [GOOD, "\ufeff" + GOOD.replace("\n", "\r\n"), GOOD.replace(",", ";"), GOOD.replace(",", "\t")],
+)
 def test_reads_common_shapes(tmp_path: Path, text: str) -> None:
     table = read_csv(write(tmp_path, text), "y", ["a"], "b")
     assert table["b"].tolist() == ["1", "2", "1", "2"]

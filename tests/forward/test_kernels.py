@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.forward.kernels import cofactor, polynomial_derivatives, polynomial_stress
+from study.forward.law import cofactor, polynomial_derivatives, polynomial_stress
 from tests.forward.problems import MOONEY, NEO_HOOKEAN, RP2, YEOH
 
 MATERIALS = [NEO_HOOKEAN, MOONEY, RP2, YEOH]

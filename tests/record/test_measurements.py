@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -318,11 +317,8 @@ ECOFLEX = Spec(
 )
 
 
-def test_ecoflex_is_read_whole_and_fast(data_dir):
-    start = time.perf_counter()
+def test_ecoflex_is_read_whole(data_dir):
     found = read_measurements(ECOFLEX, data_dir, 30.0)
-    seconds = time.perf_counter() - start
-    assert seconds < 3  # 0.6 s on an idle core; the room is for a busy machine
     assert len(found.blocks) == 9
     assert len(found.tests) == 90
     assert all(len(found.pairs(block)) == 2 for block in found.blocks)

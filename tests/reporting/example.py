@@ -28,10 +28,18 @@ FACTORS = {
     "model.element_order": ("linear", "quadratic"),
 }
 BLOCKS = tuple(f"EF10_{i}" for i in range(1, 10))
-BASE_ERROR = {"neo-hookean": 6.9, "mooney-rivlin": 5.2, "reduced-polynomial-2": 5.3,
-              "reduced-polynomial-3": 5.0}
-CURL = {"neo-hookean": -0.09, "mooney-rivlin": 0.03, "reduced-polynomial-2": 0.02,
-        "reduced-polynomial-3": -0.01}
+BASE_ERROR = {
+    "neo-hookean": 6.9,
+    "mooney-rivlin": 5.2,
+    "reduced-polynomial-2": 5.3,
+    "reduced-polynomial-3": 5.0,
+}
+CURL = {
+    "neo-hookean": -0.09,
+    "mooney-rivlin": 0.03,
+    "reduced-polynomial-2": 0.02,
+    "reduced-polynomial-3": -0.01,
+}
 
 
 def example(**changes: Any) -> ReportData:
@@ -41,52 +49,101 @@ def example(**changes: Any) -> ReportData:
     names = list(FACTORS)
     kinds = (
         ResponseAnalysis(
-            "relative_rms_force_error", "%",
-            analyze(table, "relative_rms_force_error", names, practical="0.5 pp", u_num=0.04,
-                    **options),
-            practical=0.5, u_num=0.04, better="lower",
+            "relative_rms_force_error",
+            "%",
+            analyze(
+                table, "relative_rms_force_error", names, practical="0.5 pp", u_num=0.04, **options
+            ),
+            practical=0.5,
+            u_num=0.04,
+            better="lower",
         ),
         ResponseAnalysis(
-            "mu0", "kPa",
-            analyze(table, "mu0", names, practical="10 % of mean", transform="log", u_num=0.12,
-                    **options),
-            practical=0.1, relative=True, transform="log", u_num=0.12,
+            "mu0",
+            "kPa",
+            analyze(
+                table,
+                "mu0",
+                names,
+                practical="10 % of mean",
+                transform="log",
+                u_num=0.12,
+                **options,
+            ),
+            practical=0.1,
+            relative=True,
+            transform="log",
+            u_num=0.12,
         ),
     )
     data = ReportData(
         name="ecoflex-compression",
         question="Do energy, plate condition, modelling space or element order change the "
         "predicted force, or the identified modulus?",
-        factors=FACTORS, table=table, responses=kinds, block="phantom", blocks=BLOCKS,
-        inputs={"specimen": "cylinder, radius 25 mm, height 30 mm", "test": "compression to 20 %",
-                "poisson ratio": "0.4995", "mesh": "coarse", "scored range": "1 % to 20 %"},
+        factors=FACTORS,
+        table=table,
+        responses=kinds,
+        block="phantom",
+        blocks=BLOCKS,
+        inputs={
+            "specimen": "cylinder, radius 25 mm, height 30 mm",
+            "test": "compression to 20 %",
+            "poisson ratio": "0.4995",
+            "mesh": "coarse",
+            "scored range": "1 % to 20 %",
+        },
         assumed={"test.interface": "bonded or frictionless: the plates were not described"},
         citation="Dawood et al. 2026, CC BY 4.0",
-        curves=make_curves(), fits=make_fits(), numerical=make_numerical(),
+        curves=make_curves(),
+        fits=make_fits(),
+        numerical=make_numerical(),
         checks=(
             Check("Cases finished", "pass", "144 of 144 cases converged."),
-            Check("Calibration and score are apart", "pass",
-                  "Constants come from specimen A, scores from specimen B, and the other way "
-                  "round; the two are averaged."),
-            Check("Material stability", "caution",
-                  "Mooney-Rivlin is unstable beyond a stretch of 1.9 for 2 of 9 phantoms.",
-                  "Do not use these constants in tension."),
+            Check(
+                "Calibration and score are apart",
+                "pass",
+                "Constants come from specimen A, scores from specimen B, and the other way "
+                "round; the two are averaged.",
+            ),
+            Check(
+                "Material stability",
+                "caution",
+                "Mooney-Rivlin is unstable beyond a stretch of 1.9 for 2 of 9 phantoms.",
+                "Do not use these constants in tension.",
+            ),
         ),
         controls=(
-            Check("3D equals axisymmetric", "pass",
-                  "Under bonded plates the mean error differs by 0.031 pp between the spaces.",
-                  "A larger difference would be a meshing error."),
-            Check("Space and order cannot matter under frictionless plates", "pass",
-                  "4 distinct answers in 16 cells, as planned."),
+            Check(
+                "3D equals axisymmetric",
+                "pass",
+                "Under bonded plates the mean error differs by 0.031 pp between the spaces.",
+                "A larger difference would be a meshing error.",
+            ),
+            Check(
+                "Space and order cannot matter under frictionless plates",
+                "pass",
+                "4 distinct answers in 16 cells, as planned.",
+            ),
         ),
         timings={"plan": 1.2, "calibrate": 1830.0, "solve": 660.0, "analyze": 8.0, "report": 11.0},
-        provenance={"study": "0.1.0", "Python": "3.11.2", "numpy": "2.4.6", "seed": "2011",
-                    "threads per worker": "1", "workers": "2",
-                    "measurements sha256": "9f" * 32, "design sha256": "0a" * 32},
-        commands=("study run designs/ecoflex-compression.toml --data measurements --jobs 2",
-                  "study verify reports/ecoflex-compression.html"),
-        data_notes=("EF10_3: 2 rows with equal displacement averaged.",
-                    "90 repeats read, 18 averaged curves used."),
+        provenance={
+            "study": "0.1.0",
+            "Python": "3.11.2",
+            "numpy": "2.4.6",
+            "seed": "2011",
+            "threads per worker": "1",
+            "workers": "2",
+            "measurements sha256": "9f" * 32,
+            "design sha256": "0a" * 32,
+        },
+        commands=(
+            "study run designs/ecoflex-compression.toml --data measurements --jobs 2",
+            "study verify reports/ecoflex-compression.html",
+        ),
+        data_notes=(
+            "EF10_3: 2 rows with equal displacement averaged.",
+            "90 repeats read, 18 averaged curves used.",
+        ),
         design_text='schema = 1\n\n[study]\nname = "ecoflex-compression"\nseed = 2011\n',
     )
     return replace(data, **changes)
@@ -100,24 +157,41 @@ def make_table() -> pd.DataFrame:
     rng = np.random.default_rng(5)
     shift = {block: rng.normal(0, 1.1) for block in BLOCKS}
     stiff = {block: float(np.exp(rng.normal(0, 0.22))) for block in BLOCKS}
-    own = {(b, m, p): rng.normal(0, 0.45) for b in BLOCKS for m in FACTORS["material"]
-           for p in FACTORS["plates"]}
+    own = {
+        (b, m, p): rng.normal(0, 0.45)
+        for b in BLOCKS
+        for m in FACTORS["material"]
+        for p in FACTORS["plates"]
+    }
     rows = []
     for cell, block in product(cells(), BLOCKS):
         bonded = cell["plates"] == "bonded"
-        mesh = bonded * rng.normal(1, 0.6) * (0.03 * (cell["model.space"] == "3d")
-                         + 0.05 * (cell["model.element_order"] == "linear"))
+        mesh = (
+            bonded
+            * rng.normal(1, 0.6)
+            * (
+                0.03 * (cell["model.space"] == "3d")
+                + 0.05 * (cell["model.element_order"] == "linear")
+            )
+        )
         noise = own[block, cell["material"], cell["plates"]]
         error = BASE_ERROR[cell["material"]] + 0.25 * bonded + mesh + shift[block] + noise
         mu0 = 21.0 * stiff[block] * (0.73 if bonded else 1.0) * np.exp(0.03 * noise)
         mu0 *= 1 + 0.9 * CURL[cell["material"]] + 0.02 * mesh
         seconds = 0.02 if not bonded else 4.0 * (9 if cell["model.space"] == "3d" else 1)
         seconds *= 3.1 if bonded and cell["model.element_order"] == "quadratic" else 1
-        rows.append({
-            "case_id": f"{len(rows):016x}", "block": block, **cell, "status": "converged",
-            "relative_rms_force_error": abs(error), "mu0": mu0,
-            "seconds": seconds * float(np.exp(rng.normal(0, 0.2))), "dofs": 900,
-        })
+        rows.append(
+            {
+                "case_id": f"{len(rows):016x}",
+                "block": block,
+                **cell,
+                "status": "converged",
+                "relative_rms_force_error": abs(error),
+                "mu0": mu0,
+                "seconds": seconds * float(np.exp(rng.normal(0, 0.2))),
+                "dofs": 900,
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -133,15 +207,19 @@ def make_curves() -> tuple[CurvePair, ...]:
             bend = 1 + CURL[cell["material"]] * (d / 3 - 1) + 0.02 * rng.normal()
             wiggle = 1 + 0.01 * (cell["plates"] == "bonded")
             predicted = Curve(d[::20], (force * bend * wiggle)[::20])
-            pairs.append(CurvePair(cell, block, measured, predicted, label="B",
-                                   scatter_N=0.02 * force))
+            pairs.append(
+                CurvePair(cell, block, measured, predicted, label="B", scatter_N=0.02 * force)
+            )
     return tuple(pairs)
 
 
 def make_fits() -> tuple[FittedConstant, ...]:
-    constants = {"neo-hookean": ("C10",), "mooney-rivlin": ("C10", "C01"),
-                 "reduced-polynomial-2": ("C10", "C20"),
-                 "reduced-polynomial-3": ("C10", "C20", "C30")}
+    constants = {
+        "neo-hookean": ("C10",),
+        "mooney-rivlin": ("C10", "C01"),
+        "reduced-polynomial-2": ("C10", "C20"),
+        "reduced-polynomial-3": ("C10", "C20", "C30"),
+    }
     rng = np.random.default_rng(9)
     rows = []
     for material, plates, block in product(constants, FACTORS["plates"], BLOCKS):
@@ -149,10 +227,21 @@ def make_fits() -> tuple[FittedConstant, ...]:
             value = [10.0, 1.2, 0.3][i] * float(np.exp(rng.normal(0, 0.2)))
             error = value * [0.004, 0.05, 0.4][i]
             fine = material != "mooney-rivlin"
-            rows.append(FittedConstant(
-                {"material": material, "plates": plates}, block, constant, value, "kPa", error,
-                value - 1.96 * error, value + 1.96 * error, fine,
-                "" if fine else "C10 and C01 are correlated at -0.9996", specimen="A"))
+            rows.append(
+                FittedConstant(
+                    {"material": material, "plates": plates},
+                    block,
+                    constant,
+                    value,
+                    "kPa",
+                    error,
+                    value - 1.96 * error,
+                    value + 1.96 * error,
+                    fine,
+                    "" if fine else "C10 and C01 are correlated at -0.9996",
+                    specimen="A",
+                )
+            )
     return tuple(rows)
 
 
@@ -161,10 +250,22 @@ def make_numerical() -> tuple[NumericalRow, ...]:
     for space, order in product(FACTORS["model.space"], FACTORS["model.element_order"]):
         levels = {"model.space": space, "model.element_order": order}
         u = 0.04 if order == "linear" else 0.004
-        rows.append(NumericalRow(levels, "relative_rms_force_error", 5.31, u, "%", "two meshes",
-                                 "EF10_4, mesh refined by 1.5"))
-        rows.append(NumericalRow(levels, "mu0", 20.4, 3 * u, "kPa", "two meshes",
-                                 "EF10_4, mesh refined by 1.5"))
+        rows.append(
+            NumericalRow(
+                levels,
+                "relative_rms_force_error",
+                5.31,
+                u,
+                "%",
+                "two meshes",
+                "EF10_4, mesh refined by 1.5",
+            )
+        )
+        rows.append(
+            NumericalRow(
+                levels, "mu0", 20.4, 3 * u, "kPa", "two meshes", "EF10_4, mesh refined by 1.5"
+            )
+        )
     return tuple(rows)
 
 
@@ -176,8 +277,13 @@ def with_failures() -> ReportData:
     table.loc[failed, "status"] = ["not-converged", "timeout", "timeout"]
     table.loc[failed, ["relative_rms_force_error", "mu0"]] = np.nan
     failures = tuple(
-        Failure(row.case_id, {f: str(table.loc[row.Index, f]) for f in FACTORS}, row.block,
-                row.status, "stopped at 4.2 mm: the step could not be halved further")
+        Failure(
+            row.case_id,
+            {f: str(table.loc[row.Index, f]) for f in FACTORS},
+            row.block,
+            row.status,
+            "stopped at 4.2 mm: the step could not be halved further",
+        )
         for row in table.loc[failed].itertuples()
     )
     return replace(data, table=table, failures=failures)

@@ -77,9 +77,7 @@ def test_curves_split_by_what_differs_most(data: ReportData):
 
 
 def test_many_blocks_are_thinned_and_counted(data: ReportData):
-    pairs = tuple(
-        replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8]
-    )
+    pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
     found = figures_curves.curve_panels(replace(data, curves=pairs))
     assert len(found.panels) <= 24
     assert found.left_out > 0

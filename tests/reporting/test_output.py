@@ -93,8 +93,11 @@ def test_tex_has_no_command_of_a_user():
 def test_terminal_rows_have_one_width(data: ReportData):
     for rows in (terminal.verdict_rows(data), terminal.anova_rows(data, "mu0")):
         assert len({len(row) for row in rows}) == 1
-        assert all(isinstance(cell, str) and "\N{NO-BREAK SPACE}" not in cell
-                   for row in rows for cell in row)
+        assert all(
+            isinstance(cell, str) and "\N{NO-BREAK SPACE}" not in cell
+            for row in rows
+            for cell in row
+        )
     assert terminal.verdict_rows(data)[0][2] == "verdict"
     with pytest.raises(KeyError):
         terminal.anova_rows(data, "nothing")

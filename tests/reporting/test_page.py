@@ -15,14 +15,38 @@ from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
 from study.reporting.page import Contents, build, missing, prepare, render
 from tests.reporting.example import FACTORS, with_failures
 
-SECTIONS = ["answer", "study", "checks", "numerics", "error", "r-relative-rms-force-error",
-            "r-mu0", "assumptions", "curves", "constants", "failures", "recommendation",
-            "methods", "provenance"]
+SECTIONS = [
+    "answer",
+    "study",
+    "checks",
+    "numerics",
+    "error",
+    "r-relative-rms-force-error",
+    "r-mu0",
+    "assumptions",
+    "curves",
+    "constants",
+    "failures",
+    "recommendation",
+    "methods",
+    "provenance",
+]
 
 CORPUS = [
-    "<script>alert(1)</script>", '"><img src=x onerror=alert(1)>', "=cmd|' /C calc'!A0",
-    "'); import os", "../../x", r"$\frac{a}{b}$", "\u202egnp.exe", "a\x00b", "x" * 10_000,
-    "{{ 7 * 7 }}", "</style><b>", "]]>", "&lt;b&gt;", "javascript:alert(1)",
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    "=cmd|' /C calc'!A0",
+    "'); import os",
+    "../../x",
+    r"$\frac{a}{b}$",
+    "\u202egnp.exe",
+    "a\x00b",
+    "x" * 10_000,
+    "{{ 7 * 7 }}",
+    "</style><b>",
+    "]]>",
+    "&lt;b&gt;",
+    "javascript:alert(1)",
 ]
 
 
@@ -80,8 +104,9 @@ def test_ids_are_unique_and_links_lead_somewhere(html: str):
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
-    body = re.sub(r"<svg.*?</svg>|<style>.*?</style>|<dl class=\"facts mono\">.*?</dl>", "", html,
-                  flags=re.S)
+    body = re.sub(
+        r"<svg.*?</svg>|<style>.*?</style>|<dl class=\"facts mono\">.*?</dl>", "", html, flags=re.S
+    )
     text = " ".join(parsed(body).text)
     digits = [re.sub(r"[.]", "", n).lstrip("0") for n in re.findall(r"\d+\.\d+", text)]
     assert max(map(len, digits)) <= 5
@@ -138,18 +163,26 @@ def test_refused_analysis_still_makes_a_report(data: ReportData):
 
 
 def test_smallest_possible_report():
-    table = pd.DataFrame({"case_id": ["a", "b"], "f": ["x", "y"], "status": "converged",
-                          "y": [1.0, 2.0]})
+    table = pd.DataFrame(
+        {"case_id": ["a", "b"], "f": ["x", "y"], "status": "converged", "y": [1.0, 2.0]}
+    )
     data = ReportData("tiny", "", {"f": ("x", "y")}, table, (ResponseAnalysis("y", "N"),))
     assert "tiny" in build(data)
 
 
 def test_all_cases_failed():
-    table = pd.DataFrame({"case_id": ["a", "b"], "f": ["x", "y"], "status": "timeout",
-                          "y": [np.nan, np.nan]})
+    table = pd.DataFrame(
+        {"case_id": ["a", "b"], "f": ["x", "y"], "status": "timeout", "y": [np.nan, np.nan]}
+    )
     failed = tuple(Failure(i, {"f": v}, "", "timeout") for i, v in (("a", "x"), ("b", "y")))
-    data = ReportData("none", "", {"f": ("x", "y")}, table,
-                      (ResponseAnalysis("y", "N", refused="nothing to analyze"),), failures=failed)
+    data = ReportData(
+        "none",
+        "",
+        {"f": ("x", "y")},
+        table,
+        (ResponseAnalysis("y", "N", refused="nothing to analyze"),),
+        failures=failed,
+    )
     page = build(data)
     assert "2 cases of 2" in page
     assert "nothing to analyze" in page
@@ -162,13 +195,23 @@ def hostile(data: ReportData, evil: str) -> ReportData:
     keep = data.table["material"].isin(FACTORS["material"][:2])
     keep &= data.table["model.space"] == "axisymmetric"
     table = data.table[keep].rename(columns={"plates": evil})
-    table = table.assign(material=table["material"].replace("neo-hookean", evil),
-                         block=table["block"].replace("EF10_1", evil + "1"))
+    table = table.assign(
+        material=table["material"].replace("neo-hookean", evil),
+        block=table["block"].replace("EF10_1", evil + "1"),
+    )
     factors = {"material": (evil, "mooney-rivlin"), evil: FACTORS["plates"]}
     result = None
     try:
-        result = analyze(table, "mu0", list(factors), block="block", records=True, exact=False,
-                         tolerance=1e-7, practical="1 kPa")
+        result = analyze(
+            table,
+            "mu0",
+            list(factors),
+            block="block",
+            records=True,
+            exact=False,
+            tolerance=1e-7,
+            practical="1 kPa",
+        )
     except Exception:  # whatever the analysis makes of such names, the page must be safe
         result = None
     curves = tuple(
@@ -176,12 +219,28 @@ def hostile(data: ReportData, evil: str) -> ReportData:
         for pair in data.curves[:4]
     )
     return replace(
-        data, name=evil, question=evil, factors=factors, table=table, curves=curves,
+        data,
+        name=evil,
+        question=evil,
+        factors=factors,
+        table=table,
+        curves=curves,
         responses=(ResponseAnalysis("mu0", evil, result, 1.0, title=evil, better="lower"),),
-        block=evil, blocks=(evil,), inputs={evil: evil}, assumed={evil: evil}, citation=evil,
-        exclusions=((evil, evil),), checks=(Check(evil, "fail", evil, evil),), controls=(),
-        failures=(Failure(evil, {"material": evil}, evil, evil, evil),), fits=(), numerical=(),
-        provenance={evil: evil}, commands=(evil,), data_notes=(evil,), warnings=(evil,),
+        block=evil,
+        blocks=(evil,),
+        inputs={evil: evil},
+        assumed={evil: evil},
+        citation=evil,
+        exclusions=((evil, evil),),
+        checks=(Check(evil, "fail", evil, evil),),
+        controls=(),
+        failures=(Failure(evil, {"material": evil}, evil, evil, evil),),
+        fits=(),
+        numerical=(),
+        provenance={evil: evil},
+        commands=(evil,),
+        data_notes=(evil,),
+        warnings=(evil,),
         design_text=evil,
     )
 

@@ -18,15 +18,28 @@ def flat(text: str) -> str:
 
 def effect(verdict: str, **changes) -> Effect:
     return replace(
-        Effect("plates", ("frictionless", "bonded"), (5.0, 6.2), 1.2, 0.9, 1.5, 0.5, verdict,
-               p=0.001, pair=("bonded", "frictionless")),
+        Effect(
+            "plates",
+            ("frictionless", "bonded"),
+            (5.0, 6.2),
+            1.2,
+            0.9,
+            1.5,
+            0.5,
+            verdict,
+            p=0.001,
+            pair=("bonded", "frictionless"),
+        ),
         **changes,
     )
 
 
 def error() -> Facts:
-    return Facts(ResponseAnalysis("relative_rms_force_error", "%", better="lower"),
-                 "relative RMS force error", "%")
+    return Facts(
+        ResponseAnalysis("relative_rms_force_error", "%", better="lower"),
+        "relative RMS force error",
+        "%",
+    )
 
 
 def modulus() -> Facts:

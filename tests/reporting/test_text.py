@@ -31,10 +31,20 @@ def flat(text: str) -> str:
 @pytest.mark.parametrize(
     ("value", "text"),
     [
-        (1.23456, "1.23"), (0.00123456, "0.00123"), (123456.0, "123,000"), (9.999, "10.0"),
-        (0.9996, "1.00"), (-4.567, MINUS + "4.57"), (0.0, "0"), (math.nan, MISSING),
-        (math.inf, MISSING), (None, MISSING), (1.5e-7, f"1.50e{MINUS}7"), (2.5e9, "2.50e9"),
-        (100.0, "100"), (99.95, "100"),
+        (1.23456, "1.23"),
+        (0.00123456, "0.00123"),
+        (123456.0, "123,000"),
+        (9.999, "10.0"),
+        (0.9996, "1.00"),
+        (-4.567, MINUS + "4.57"),
+        (0.0, "0"),
+        (math.nan, MISSING),
+        (math.inf, MISSING),
+        (None, MISSING),
+        (1.5e-7, f"1.50e{MINUS}7"),
+        (2.5e9, "2.50e9"),
+        (100.0, "100"),
+        (99.95, "100"),
     ],
 )
 def test_three_significant_digits(value, text):
@@ -44,9 +54,17 @@ def test_three_significant_digits(value, text):
 @pytest.mark.parametrize(
     ("p", "text"),
     [
-        (0.0321, ".032"), (0.5, ".500"), (0.0004999, "< .001"), (0.0005, ".001"),
-        (1e-300, "< .001"), (0.9995, "> .999"), (1.0, "> .999"), (0.99949, ".999"), (None, MISSING),
-        (math.nan, MISSING), (0.0, "< .001"),
+        (0.0321, ".032"),
+        (0.5, ".500"),
+        (0.0004999, "< .001"),
+        (0.0005, ".001"),
+        (1e-300, "< .001"),
+        (0.9995, "> .999"),
+        (1.0, "> .999"),
+        (0.99949, ".999"),
+        (None, MISSING),
+        (math.nan, MISSING),
+        (0.0, "< .001"),
     ],
 )
 def test_p_has_no_leading_zero(p, text):
@@ -80,7 +98,10 @@ def test_small_words():
     assert flat(percent(0.12345)) == "12.3 %"
     assert flat(percent(1e-9)) == "< 0.1 %"
     assert [flat(duration(s)) for s in (0.1, 59.9, 130.0, 7200.0)] == [
-        "100 ms", "60 s", "2.2 min", "2 h",
+        "100 ms",
+        "60 s",
+        "2.2 min",
+        "2 h",
     ]
     assert listing(["a", "b", "c"]) == "a, b and c"
     assert sentence("ends here") == "Ends here."

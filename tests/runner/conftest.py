@@ -1,0 +1,104 @@
+"""A small study with a fake solver: seconds, not minutes."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.design import Design, loads
+from study.material import Material
+from study.runner import closed_form
+
+FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
+SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+
+DESIGN = """
+schema = 1
+[study]
+name = "small"
+question = "Does anything matter?"
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+steps = 10
+[material]
+poisson_ratio = 0.4995
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.mooney-rivlin]
+model = "mooney-rivlin"
+[presets.plates.frictionless]
+test.interface = "frictionless"
+[presets.plates.bonded]
+test.interface = "bonded"
+[model]
+space = "axisymmetric"
+mesh = "coarse"
+[measurements]
+file = "tests.csv"
+columns = { displacement = "d_mm", force = "f_N" }
+units = { displacement = "mm", force = "N" }
+block = "mix"
+average = ["repeat"]
+range = ["1 %", "20 %"]
+points = 50
+fit = { specimen = "A" }
+score = { specimen = "B" }
+swap = true
+[factors]
+material = ["neo-hookean", "mooney-rivlin"]
+plates = ["frictionless", "bonded"]
+[[response]]
+name = "relative_rms_force_error"
+practical = "0.5 pp"
+[[response]]
+name = "mu0"
+transform = "log"
+practical = "10 % of mean"
+"""
+
+#: C10 and C01 in MPa of the two specimens of each mix
+TRUTH = {
+    ("M1", "A"): (8.0e-3, 0.5e-3),
+    ("M1", "B"): (8.4e-3, 0.4e-3),
+    ("M2", "A"): (5.0e-3, 0.2e-3),
+    ("M2", "B"): (5.1e-3, 0.3e-3),
+    ("M3", "A"): (6.0e-3, 0.3e-3),
+    ("M3", "B"): (5.8e-3, 0.3e-3),
+}
+
+
+def material(c10: float, c01: float) -> Material:
+    return Material("mooney-rivlin", {"C10": c10, "C01": c01}, poisson_ratio=0.4995)
+
+
+@pytest.fixture
+def design() -> Design:
+    return loads(DESIGN, "small.toml")
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    return make_data(tmp_path)
+
+
+def make_data(home: Path) -> Path:
+    """Exact Mooney-Rivlin tests between frictionless plates, two equal repeats each."""
+    folder = home / "data"
+    folder.mkdir()
+    d = np.linspace(0.0, 6.5, 131)
+    lines = ["mix,specimen,repeat,d_mm,f_N"]
+    for (mix, specimen), constants in TRUTH.items():
+        force = closed_form.compression(SPECIMEN, material(*constants), d).force_N
+        for repeat in (1, 2):
+            lines += [
+                f"{mix},{specimen},{repeat},{x:.4f},{f:.10f}" for x, f in zip(d, force, strict=True)
+            ]
+    (folder / "tests.csv").write_text("\n".join(lines) + "\n")
+    return folder

@@ -1,0 +1,59 @@
+"""A worker whose solver is a formula: the closed form, stiffer between bonded plates.
+
+The study around it is the real one. A file named in the environment makes it misbehave.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from study.curve import Curve
+from study.forward.mesh import mesh_size
+from study.forward.problem import Cylinder, Problem
+from study.runner import closed_form, fits, worker
+
+BONDED = 1.4
+
+
+def solve(problem: Problem, **options: Any) -> SimpleNamespace:
+    """Closed form times a factor for bonded plates and an error that falls with the mesh."""
+    wish = Path(os.environ.get("FAKE_WISH", "/nonexistent"))
+    if wish.exists() and problem.material.model in wish.read_text():
+        if "die" in wish.read_text():
+            os.kill(os.getpid(), signal.SIGKILL)
+        if "bug" in wish.read_text():
+            raise ZeroDivisionError("a bug in the solver")
+        return outcome(problem, "not-converged", "stopped at 1 mm of 6 mm: no step was found")
+    return outcome(problem, "converged", "every step converged")
+
+
+def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
+    assert isinstance(problem.specimen, Cylinder)
+    size, test = mesh_size(problem), problem.test
+    d = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
+    section = {"shape": "cylinder", "radius_mm": problem.specimen.radius_mm,
+               "height_mm": problem.specimen.height_mm}  # fmt: skip
+    exact = closed_form.compression(section, problem.material, d)
+    factor = BONDED * (1 + 1e-3 * size) if test.interface == "bonded" else 1.0
+    gradient = {n: factor * g for n, g in exact.force_gradient.items()}
+    above, below = (
+        closed_form.compression(section, problem.material, d + h).force_N for h in (1e-4, -1e-4)
+    )
+    curve = Curve(d, factor * exact.force_N, factor * (above - below) / 2e-4, gradient)
+    return SimpleNamespace(
+        status=status, message=message, curve=curve, newton_iterations=(3,) * test.steps,
+        dofs=100, elements=10, mesh_hash="fake", mesh_size_mm=size, solver="fake", min_j=0.9,
+        reached_mm=float(d[-1]),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    fits.solve = solve
+    worker.main(int(sys.argv[1]))
