@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from study.reporting import captions, style
 from study.reporting import figures_curves as curves
 from study.reporting import figures_effects as effects
+from study.reporting import figures_interactions as interactions
 from study.reporting import figures_residuals as residuals
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
@@ -114,10 +115,10 @@ def _means(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _interactions(data: ReportData, facts: Facts) -> Drawn:
-    frame = effects.pair_means(data, facts)
+    frame = interactions.pair_means(data, facts)
     return (
         frame,
-        lambda: effects.draw_interactions(frame, facts, data.factors, data),
+        lambda: interactions.draw_interactions(frame, facts, data.factors, data),
         captions.interactions(facts, data),
     )
 

@@ -16,7 +16,14 @@ import study
 
 #: rooms whose code decides a number; reports and statistics may change without a new run
 _NUMERIC_ROOMS = ("curve.py", "units.py", "material", "forward", "calibration")
-_NUMERIC_RUNNER = ("build.py", "closed_form.py", "fits.py", "execute.py", "scoring.py")
+_NUMERIC_RUNNER = (
+    "build.py",
+    "closed_form.py",
+    "described.py",
+    "fits.py",
+    "execute.py",
+    "scoring.py",
+)
 _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
 
 

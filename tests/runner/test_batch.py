@@ -159,9 +159,7 @@ def test_a_crash_is_tried_again_by_the_next_run_and_a_verdict_is_not(
     assert {r.status for r in records} == {"converged"}
 
 
-def test_records_of_other_code_are_not_used(
-    clean: Clean, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("expand", "fits"):
         monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
