@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting import figures_effects
+from study.reporting import figures_interactions
 from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
 from study.reporting.page import Contents, build, missing, prepare, render
 from tests.reporting.example import FACTORS, with_failures
@@ -131,7 +131,7 @@ def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: Repor
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
 
-    monkeypatch.setattr(figures_effects, "draw_interactions", broken)
+    monkeypatch.setattr(figures_interactions, "draw_interactions", broken)
     small = replace(data, responses=data.responses[:1], curves=())
     page = build(small)
     assert page.count("Figure missing.") == 1

@@ -1,0 +1,72 @@
+"""The generator of virtual specimens: its scatter is what it says, and its seed decides it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from study.curve import Curve
+from study.design import MeasurementSpec
+from study.runner.virtual import Generator, VirtualTest, _csv, _files, generate
+
+D = np.linspace(0.1, 6.2, 62)
+REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})
+SPEC = MeasurementSpec(
+    file="v.csv", columns={"displacement": "x", "force": "f"},
+    units={"displacement": "mm", "force": "N"}, block="batch", average=("repeat",),
+    fit={"specimen": "A"}, score={"specimen": "B"},
+)  # fmt: skip
+
+
+def drawn(**changes: float) -> list[VirtualTest]:
+    return list(generate(REFERENCE, Generator(**changes), SPEC))  # type: ignore[arg-type]
+
+
+def test_groups_are_those_that_the_design_reads() -> None:
+    found = drawn(batches=2, repeats=3)
+    assert len(found) == 2 * 2 * 3
+    assert found[0].groups == {"batch": "1", "specimen": "A", "repeat": "1"}
+    assert found[-1].groups == {"batch": "2", "specimen": "B", "repeat": "3"}
+
+
+def test_the_seed_decides_everything() -> None:
+    same, other = drawn(seed=1), drawn(seed=2)
+    assert np.array_equal(same[0].force_N, drawn(seed=1)[0].force_N)
+    assert not np.array_equal(same[0].force_N, other[0].force_N)
+
+
+def test_without_scatter_every_specimen_is_the_reference() -> None:
+    quiet = drawn(batch_sd=0.0, specimen_sd=0.0, shape_sd=0.0, noise_N=0.0)
+    for test in quiet:
+        assert test.force_N == pytest.approx(4 * test.displacement_mm, abs=1e-12)
+
+
+def test_stiffness_scatters_as_declared() -> None:
+    found = drawn(batches=400, repeats=1, specimen_sd=0.0, shape_sd=0.0, noise_N=0.0)
+    factors = np.log([t.force_N[-1] / (4 * t.displacement_mm[-1]) for t in found[::2]])
+    # standard error of a standard deviation of 400 values: 3.5 %
+    assert factors.std(ddof=1) == pytest.approx(0.06, rel=0.12)
+    assert factors.mean() == pytest.approx(0.0, abs=0.01)
+
+
+def test_shape_scatter_follows_the_gradient() -> None:
+    found = drawn(batches=1, repeats=1, batch_sd=0.0, specimen_sd=0.0, noise_N=0.0)
+    d, extra = found[0].displacement_mm, found[0].force_N - 4 * found[0].displacement_mm
+    columns = np.column_stack([d**3, d**5])
+    rest = extra - columns @ np.linalg.lstsq(columns, extra, rcond=None)[0]
+    assert np.abs(rest).max() < 1e-6 * np.abs(extra).max()  # spline through 62 points
+
+
+def test_files_follow_a_pattern_and_units_and_sign() -> None:
+    spec = MeasurementSpec(
+        files="c-{batch}-{specimen}.csv", columns=SPEC.columns, block="batch", fit=SPEC.fit,
+        score=SPEC.score, units={"displacement": "m", "force": "kN"}, sign="negative",
+    )  # fmt: skip
+    quiet = Generator(batches=2, batch_sd=0, specimen_sd=0, shape_sd=0, noise_N=0)
+    written = _files(spec, list(generate(REFERENCE, quiet, spec)))
+    assert set(written) == {f"c-{b}-{s}.csv" for b in "12" for s in "AB"}
+    header, *rows = written["c-1-A.csv"].splitlines()
+    assert header == "x,f"
+    d, f = map(float, rows[-1].split(","))
+    assert (d, f) == (pytest.approx(6.15e-3, abs=1e-5), pytest.approx(-4 * 6.15e-3, abs=1e-4))
+    assert _csv(SPEC, drawn(batches=1), ["batch"]).startswith("batch,x,f\n1,0.00000,")
