@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from study.forward import kernels
 from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, ContactState, Plate
 from study.forward.elements import Discretization, discretize
+from study.forward.internal import Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -64,6 +65,7 @@ class System:
 
     mesh: Mesh
     space: Discretization
+    internal: Internal
     constraints: Constraints
     contact: tuple[ContactPoints, ...]
     force_scale: float
@@ -74,8 +76,6 @@ class System:
     solver: LinearSolver
     data: Array
     seconds: dict[str, float] = field(default_factory=dict)
-    _element_R: Array = field(default_factory=lambda: np.empty(0))
-    _element_K: Array = field(default_factory=lambda: np.empty(0))
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
 
     @classmethod
@@ -90,10 +90,10 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, constraints.dofs)
         sector = 1.0 if problem.model.space == "axisymmetric" else 4.0
         bottom = height / 2 if mesh.half_height else 0.0
-        m = space.dofs.shape[1]
         system = cls(
             mesh=mesh,
             space=space,
+            internal=Internal.on(space),
             constraints=constraints,
             contact=side_contact(problem, space, mesh, height) if folding else (),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
@@ -104,8 +104,6 @@ class System:
             solver=make_solver(pattern, solver),
             data=np.zeros(pattern.indices.size),
         )
-        system._element_R = np.zeros((space.n_elements, m))
-        system._element_K = np.zeros((space.n_elements, m * (m + 1) // 2))
         system._place_contact()
         system.seconds["setup"] = time.perf_counter() - start
         return system
@@ -113,6 +111,11 @@ class System:
     def with_material(self, material: Material) -> System:
         """Return the same discretization for other constants; solver and arrays are shared."""
         return replace(self, material=material)
+
+    @property
+    def small_strain(self) -> bool:
+        """Whether the material is linear: contact then belongs to the reference state."""
+        return self.material.family == "linear-elastic"
 
     @property
     def dofs(self) -> int:
@@ -130,9 +133,7 @@ class System:
 
     def volume_ratios(self, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature)."""
-        J = np.empty(self.space.weights.shape)
-        kernels.volume_ratios(self.space.gradients, self.space.hoop, self._local_u(x), J)
-        return J
+        return self.internal.volume_ratios(self.material, x)
 
     def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
         """Residual at a state; the tangent stays in the system's own arrays.
@@ -140,10 +141,10 @@ class System:
         Where an element is inverted ``min_j`` is not positive and nothing else is valid.
         """
         began = time.perf_counter()
-        min_j = self._elements(state.x, self.material.coefficient_table(), tangent)
-        internal = self._gathered()
+        min_j = self.internal.evaluate(self.material, state.x, tangent=tangent)
+        internal = self.internal.gathered()
         if tangent and min_j > 0:
-            kernels.scatter(self.pattern.positions, self._element_K.ravel(), self.data)
+            self.internal.scatter(self.pattern.positions, self.data)
         residual, contacts = internal.copy(), []
         u = self.displacements(state.x)
         for points, multiplier, (dofs, positions, blocks) in zip(
@@ -174,8 +175,7 @@ class System:
 
     def tangent_product(self, v: Array, *, contact: bool = True) -> Array:
         """K v of the last assembled tangent, constrained rows and columns included."""
-        out = np.empty(self.space.n)
-        kernels.packed_product(self.space.dofs, self._element_K, v, out)
+        out = self.internal.product(v)
         if contact:
             for dofs, _, blocks in self._contact_blocks:
                 product = np.zeros(self.space.n)
@@ -185,69 +185,11 @@ class System:
 
     def constant_derivative(self, state: State, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included."""
-        material = self.material
-        unit = np.zeros_like(material.coefficient_table())
-        unit[material.table_index(name)] = 1.0
-        without_pressure = state.x.copy()
-        without_pressure[self.space.n_displacement :] = 0.0
-        self._elements(without_pressure, unit, False, bulk=0.0, compliance=0.0)
-        out = self._gathered()
-        out[self.space.n_displacement :] = 0.0
-        bulk_rate = material.bulk_gradient()[name]
-        return out + bulk_rate * self._bulk_derivative(state) if bulk_rate else out
+        return self.internal.constant_derivative(self.material, state.x, name)
 
     def displacements(self, x: Array) -> Array:
         """Nodal displacements, shape (n_nodes, dim)."""
         return x[: self.space.n_displacement].reshape(-1, self.space.dim)
-
-    def _bulk_derivative(self, state: State) -> Array:
-        """dR/dK at fixed unknowns: p/K^2 N in the mixed form, (J - 1) dJ/dF in the other."""
-        material, n_p = self.material, self.space.pressure_shape.shape[2]
-        zero = np.zeros((1, 1))
-        if n_p == 0:
-            self._elements(state.x, zero, False, bulk=1.0, compliance=0.0)
-            return self._gathered()
-        rates = []
-        for compliance in (0.0, 1.0):
-            self._elements(state.x, zero, False, bulk=0.0, compliance=compliance)
-            rates.append(self._gathered())
-        return (rates[0] - rates[1]) / material.bulk**2
-
-    def _gathered(self) -> Array:
-        """Sum of the element residuals, shape (n,)."""
-        dofs, values = self.space.dofs.ravel(), self._element_R.ravel()
-        return np.bincount(dofs, values, minlength=self.space.n).astype(float)
-
-    def _elements(
-        self,
-        x: Array,
-        table: Array,
-        tangent: bool,
-        bulk: float | None = None,
-        compliance: float | None = None,
-    ) -> float:
-        space, K = self.space, self.material.bulk
-        pressure = x[space.dofs[:, space.dim * space.element_nodes.shape[1] :]]
-        finite = K if np.isfinite(K) else 0.0
-        return float(
-            kernels.element_residuals(
-                space.gradients,
-                space.hoop,
-                space.pressure_shape,
-                space.weights,
-                self._local_u(x),
-                pressure,
-                table,
-                finite if bulk is None else bulk,
-                (1 / K) if compliance is None else compliance,
-                tangent,
-                self._element_R,
-                self._element_K,
-            )
-        )
-
-    def _local_u(self, x: Array) -> Array:
-        return np.ascontiguousarray(self.displacements(x)[self.space.element_nodes])
 
     def _place_contact(self) -> None:
         for points in self.contact:
