@@ -7,19 +7,21 @@ Eca and Hoekstra (2014), J. Comput. Phys. 262, 104-130 (least squares for four o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from study.analysis.convergence_order import OrderFit, classify, fitted_order, observed_order
 from study.analysis.matrix import Array
 from study.analysis.results import plain
 from study.errors import Fault, InputError
 
+__all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
+
 _SAFE, _CAUTIOUS = 1.25, 3.0
-_MIN_ORDER, _MAX_ORDER = 0.5, 20.0
+_MIN_ORDER = 0.5
 _MIN_RATIO = 1.3
 
 
@@ -29,7 +31,9 @@ class ConvergenceResult:
 
     ``gci_fine`` is a fraction of the finest value; ``u_num`` is the same half-width in the
     unit of the value (``gci_fine * abs(value[0])``), the solver tolerance at the noise floor,
-    or half the range of four or more oscillating values.
+    or half the range of four or more oscillating values. ``observed_order`` is None where the
+    stated tolerance leaves the order open by more than 0.05; ``order_interval`` holds the
+    orders that are possible then, and the uncertainty is that of the lowest of them.
     """
 
     qoi: str
@@ -47,20 +51,12 @@ class ConvergenceResult:
     verdict: str
     order_used: float | None = None
     gci_coarse: float | None = None
+    order_interval: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """JSON document."""
         return dict(plain(self))
-
-
-@dataclass(frozen=True)
-class _Fit:
-    order: float
-    extrapolated: float
-    scatter: float
-    misfit: float
-    consistent: bool
 
 
 def grid_convergence(
@@ -152,67 +148,24 @@ def _ratio_warnings(h: Array) -> list[str]:
     ]
 
 
-def classify(h: Array, f: Array, tolerance: float = 0.0) -> str:
-    """Behaviour of the finest three meshes (all of them for the noise floor).
-
-    Examples
-    --------
-    >>> classify(np.array([1, 2, 2.6]), np.array([1.0, 2.0, 2.6]))
-    'monotone'
-    >>> classify(np.array([1, 2, 4.0]), np.array([4.0, 2.0, 1.0]))
-    'divergent'
-    """
-    floor = max(10 * tolerance, 4 * float(np.spacing(np.abs(f).max())))
-    if float(np.abs(np.diff(f)).max()) <= floor:
-        return "noise-floor"
-    e21, e32 = f[1] - f[0], f[2] - f[1]
-    if min(abs(e21), abs(e32)) <= floor:
-        return "inconclusive"
-    ratio, limit = e21 / e32, math.log(h[1] / h[0]) / math.log(h[2] / h[1])
-    if 0 < ratio < limit * (1 - 1e-12):
-        return "monotone"
-    return "oscillatory" if -1 <= ratio < 0 else "divergent"
-
-
-def observed_order(h: Sequence[float] | Array, f: Sequence[float] | Array) -> float:
-    """Order p of f = f0 + C h^p through three meshes, fine to coarse.
-
-    The root of (r21^p - 1) / (r21^p (r32^p - 1)) = e21 / e32, which is where the fixed point
-    of Celik et al. (2008) ends; a bracketed root also converges for ratios near 1.
-    """
-    from scipy.optimize import brentq
-
-    a, b = math.log(h[1] / h[0]), math.log(h[2] / h[1])
-    target = math.log((f[1] - f[0]) / (f[2] - f[1]))
-
-    def mismatch(p: float) -> float:
-        # logarithm of the ratio, without overflow for a large p
-        return math.log(-math.expm1(-p * a)) - math.log(-math.expm1(-p * b)) - p * b - target
-
-    low, high = 1e-8, 1.0
-    while mismatch(high) > 0 and high < 1e3:
-        high *= 2
-    if mismatch(low) <= 0:
-        return low
-    return float(brentq(mismatch, low, high, xtol=1e-14, rtol=1e-14))
-
-
 def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dict[str, Any]:
-    fit = _three(h, f) if h.size == 3 else _least_squares(h, f)
-    used, limited = _limited(fit.order, formal)
+    fit = fitted_order(h, f, tolerance)
+    used, limited = _limited(fit, formal)
     factor = _factor(fit, formal, limited, h.size)
     a21, a32 = (h[1] / h[0]) ** used - 1, (h[2] / h[1]) ** used - 1
     by_pair = float(f[0] + (f[0] - f[1]) / a21)
-    extrapolated = by_pair if h.size == 3 or limited else fit.extrapolated
-    u = factor * abs(f[0] - extrapolated) + fit.scatter + fit.misfit
-    u = max(float(u), tolerance)
+    extrapolated = by_pair if limited else fit.extrapolated
+    error = max(abs(f[0] - extrapolated), abs(f[0] - by_pair))
+    u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
     u32 = _SAFE * abs(f[2] - f[1]) / a32
     u21 = _SAFE * abs(f[1] - f[0]) / a21
     ratio = None
     if f[0] != 0 and f[1] != 0:
         ratio = float((u32 / abs(f[1])) / ((h[1] / h[0]) ** used * u21 / abs(f[0])))
+    low, high = fit.interval
     return {
-        "observed_order": fit.order,
+        "observed_order": fit.order if fit.carried else None,
+        "order_interval": (low, high) if math.isfinite(high) and high > low else None,
         "order_used": used,
         "extrapolated": extrapolated,
         "gci_fine": u / abs(float(f[0])) if f[0] != 0 else None,
@@ -224,57 +177,20 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
     }
 
 
-def _three(h: Array, f: Array) -> _Fit:
-    p = observed_order(h, f)
-    limit = f[0] + (f[0] - f[1]) / ((h[1] / h[0]) ** p - 1)
-    return _Fit(p, float(limit), 0.0, 0.0, consistent=True)
-
-
-def _least_squares(h: Array, f: Array) -> _Fit:
-    """Fit f0 + a h^p, plain and weighted by 1/h; the one with less scatter is kept."""
-    candidates = [_weighted_fit(h, f, np.ones_like(h)), _weighted_fit(h, f, 1 / h)]
-    p, limit, slope, scatter = min(candidates, key=lambda item: item[3])
-    misfit = float(abs(f[0] - limit - slope * h[0] ** p))
-    agree = False
-    if classify(h[1:], f[1:]) == "monotone":
-        agree = abs(observed_order(h[:3], f[:3]) - observed_order(h[1:4], f[1:4])) <= 0.3
-    return _Fit(p, limit, scatter, misfit, agree)
-
-
-def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, float, float]:
-    from scipy.optimize import minimize_scalar
-
-    root = np.sqrt(weight / weight.sum())
-    x, y = h / h[-1], f - f[0]
-
-    def solve(p: float) -> tuple[Array, float]:
-        columns = np.column_stack([root, root * x**p])
-        coefficients, *_ = np.linalg.lstsq(columns, root * y, rcond=None)
-        rest = root * y - columns @ coefficients
-        return coefficients, float(rest @ rest)
-
-    orders = np.geomspace(0.05, _MAX_ORDER, 120)
-    best = int(np.argmin([solve(p)[1] for p in orders]))
-    low, high = orders[max(best - 1, 0)], orders[min(best + 1, orders.size - 1)]
-    found = minimize_scalar(
-        lambda p: solve(p)[1], bounds=(low, high), method="bounded", options={"xatol": 1e-13}
-    )
-    p = float(found.x)
-    (limit, slope), rss = solve(p)
-    scatter = math.sqrt(rss * h.size / (h.size - 3))
-    return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter
-
-
-def _limited(order: float, formal: float | None) -> tuple[float, bool]:
+def _limited(fit: OrderFit, formal: float | None) -> tuple[float, bool]:
     """Order for the GCI, and whether it had to be limited."""
+    order = fit.order if fit.carried else min(fit.order, fit.interval[0])
     if order < _MIN_ORDER:
         return _MIN_ORDER, True
     if formal is not None and order > formal + 0.5:
         return formal, True
-    return order, False
+    # an order a little above the formal one is believed for the limit, not for the interval
+    # (Roache 1998, Verification and Validation in Computational Science and Engineering)
+    used = order if formal is None else min(order, formal)
+    return used, not fit.carried
 
 
-def _factor(fit: _Fit, formal: float | None, limited: bool, meshes: int) -> float:
+def _factor(fit: OrderFit, formal: float | None, limited: bool, meshes: int) -> float:
     if limited:
         return _CAUTIOUS
     if meshes >= 4:
@@ -282,9 +198,16 @@ def _factor(fit: _Fit, formal: float | None, limited: bool, meshes: int) -> floa
     return _SAFE if formal is None or abs(fit.order - formal) <= 0.5 else _CAUTIOUS
 
 
-def _monotone_verdict(fit: _Fit, formal: float | None, factor: float, limited: bool) -> str:
+def _monotone_verdict(fit: OrderFit, formal: float | None, factor: float, limited: bool) -> str:
+    beside = "" if formal is None else f" (formal {formal:.3g})"
+    if not fit.carried:
+        low, high = fit.interval
+        between = f"between {low:.2g} and {high:.2g}" if math.isfinite(high) else f"over {low:.2g}"
+        return (
+            f"monotone, but the values do not carry an order: {between} at this "
+            f"tolerance{beside}; uncertainty indicative (factor {factor:g})"
+        )
     order = f"monotone with observed order {fit.order:.3g}"
-    beside = "" if formal is None else f" (formal {formal:g})"
     if limited:
         return f"{order}{beside}: order limited, uncertainty indicative (factor {factor:g})"
     if factor == _SAFE:
