@@ -87,6 +87,8 @@ class Fit:
         Prediction of every measured curve at the fitted constants.
     history : tuple of Iteration
         Accepted points of the search.
+    failure : str
+        Why the model last had no answer; empty if it always had one.
     """
 
     names: tuple[str, ...]
@@ -107,11 +109,18 @@ class Fit:
     residuals: Array
     curves: tuple[Curve, ...]
     history: tuple[Iteration, ...] = ()
+    failure: str = ""
 
     @property
     def converged(self) -> bool:
         """Whether a minimum was reached."""
         return self.status.converged
+
+    @property
+    def message(self) -> str:
+        """How the search ended and, where the model failed it, why."""
+        told = self.failure if not self.converged else ""
+        return f"{self.status.sentence} ({told})" if told else self.status.sentence
 
     @property
     def reduced_chi_square(self) -> float:
@@ -135,6 +144,7 @@ def fit(
     xtol: float = 1e-12,
     gtol: float = 1e-10,
     callback: Progress | None = None,
+    resume: Iteration | None = None,
 ) -> Fit:
     """Fit constants to the measured curves whose role is ``fit``.
 
@@ -156,6 +166,8 @@ def fit(
         As for :func:`study.calibration.levenberg_marquardt`.
     callback : callable, optional
         Gets every accepted iteration; returning True stops the fit.
+    resume : Iteration, optional
+        Last accepted iteration of an interrupted fit, to go on from instead of ``start``.
 
     Returns
     -------
@@ -172,7 +184,7 @@ def fit(
     model = _Model(predict, measured, tuple(names))
     result = levenberg_marquardt(
         model, start, bounds=bounds, max_evaluations=max_evaluations,
-        ftol=ftol, xtol=xtol, gtol=gtol, callback=model.watch(callback),
+        ftol=ftol, xtol=xtol, gtol=gtol, callback=model.watch(callback), resume=resume,
     )  # fmt: skip
     return _report(result, model)
 
@@ -192,8 +204,16 @@ class _Model:
     ) -> None:
         self.predict, self.measured, self.names = predict, tuple(measured), names
         self.known: dict[bytes, tuple[Curve, ...]] = {}
+        self.failure = ""
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
+        try:
+            return self._evaluated(values)
+        except EvaluationFailed as error:
+            self.failure = str(error)
+            raise
+
+    def _evaluated(self, values: Array) -> tuple[Array, Array]:
         curves = tuple(self.predict(values))
         if len(curves) != len(self.measured):
             raise ValueError(f"predict gave {len(curves)} curves for {len(self.measured)} measured")
@@ -260,6 +280,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
         result.residual,
         model.known.get(result.x.tobytes(), ()),
         result.history,
+        model.failure,
     )
 
 

@@ -23,7 +23,7 @@ def described(
     good = bool(getattr(found.status, "converged", found.status.name.startswith("converged")))
     result: dict[str, Any] = {
         "status": "converged" if good else "not-converged",
-        "message": str(found.status.value),
+        "message": str(found.message),
         "names": list(names),  # JSON sorts keys; the matrices need their order
         "values": constants,
         "standard_error": _numbers(names, found.standard_error),
