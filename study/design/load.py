@@ -14,12 +14,14 @@ from typing import Any
 from study.design import document, keys, physics, settings
 from study.design.check import check_cells
 from study.design.factors import Presets, read_exclusions, read_factors, read_presets
+from study.design.fitting import read_fitting
 from study.design.measured import read_measurements_table
 from study.design.reader import Bad, Faults, Section, choice, number, shown
 from study.design.resolve import calibration_spec, resolve_problem
 from study.design.sections import CONSTANT
 from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec
 from study.errors import Fault, InputError
+from study.material import constant_names
 
 SCHEMA = 1
 _COMMON = ("schema", "study", "specimen", "test", "material", "model", "converge", "report")
@@ -30,7 +32,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
         *("presets", "factors", "exclude", "measurements", "calibration", "response"),
         *("analysis", "uncertainty"),
     ),
-    "calibration": ("schema", "study", "specimen", "material", "model", "tests"),
+    "calibration": ("schema", "study", "specimen", "material", "model", "tests", "calibration"),
 }
 MAX_TESTS = 1000
 
@@ -108,7 +110,8 @@ def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     Returns
     -------
     dict
-        ``specimen``, ``model``, ``material`` and ``tests``: a list of ``role``, ``test``,
+        ``name``, ``specimen``, ``model``, ``material``, ``calibration`` (see
+        :func:`study.design.fitting.read_fitting`) and ``tests``: a list of ``role``, ``test``,
         ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
 
     Raises
@@ -126,10 +129,17 @@ def loads_calibration(
     text = document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     with _Reading(source, tables, "calibration") as faults:
-        settings.read_study(tables.get("study"), faults, default_name(source))
+        study = settings.read_study(tables.get("study"), faults, default_name(source))
         tests = _tests(tables, faults)
+        names = _fitted_names(tests[0]["material"]) if tests and not faults else ()
+        fitting = read_fitting(tables.get("calibration"), names, faults)
     first: Config = tests[0]
-    return {**{k: first[k] for k in ("specimen", "model", "material")}, "tests": tests}
+    shared = {k: first[k] for k in ("specimen", "model", "material")}
+    return {"name": study["name"], **shared, "calibration": fitting, "tests": tests}
+
+
+def _fitted_names(material: Config) -> tuple[str, ...]:
+    return tuple(material["constants"] or constant_names(material["model"], material.get("order")))
 
 
 def file_kind(path: str | Path) -> str:
