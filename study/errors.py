@@ -4,6 +4,7 @@
 
     StudyError                 anything a user can mend; carries the exit code of the command line
     |-- InputError             bad input (exit 2): one or many Faults, nothing was written
+    |   |-- MissingDataError   a measurement file that is not there
     |   `-- UnitError          a value without its unit, or with one of the wrong dimension
     |-- RefusedError           the answer would be meaningless (exit 3)
     `-- StoreError             records that cannot be read, written or locked (exit 2)
@@ -55,6 +56,10 @@ class InputError(StudyError):
             faults = Fault("input", faults)
         self.faults: tuple[Fault, ...] = (faults,) if isinstance(faults, Fault) else tuple(faults)
         super().__init__("\n".join(str(fault) for fault in self.faults))
+
+
+class MissingDataError(InputError):
+    """A measurement file that is not there: a plan can do without, a run cannot."""
 
 
 class UnitError(InputError):

@@ -27,7 +27,8 @@ def data_root(source: str | Path, data: str | Path | None = None) -> Path:
     if data is not None:
         folder = Path(data)
         if not folder.is_dir():
-            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}"))
+            mend = "name the folder that holds the measurement files"
+            raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
         return folder
     home = Path(source).resolve().parent
     beside = home.parent / "measurements"

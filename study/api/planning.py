@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.api.places import RESULTS, data_root, results_folder
 from study.design import Design, describe, load
-from study.errors import Fault, InputError, nearest
+from study.errors import Fault, InputError, MissingDataError, nearest
 from study.record import Record, Store
 
 if TYPE_CHECKING:
@@ -31,9 +31,9 @@ class Plan:
         Cases.
     fits : int
         Calibrations still to be made.
-    predicted_seconds : float
-        Wall time of what is missing.
-    memory_MB : float
+    predicted_seconds : float or None
+        Wall time of what is missing; None where the data are not there yet.
+    memory_MB : float or None
         Predicted peak of all workers together.
     """
 
@@ -45,8 +45,8 @@ class Plan:
     failed: int
     missing: int
     fits: int
-    predicted_seconds: float
-    memory_MB: float  # noqa: N815
+    predicted_seconds: float | None
+    memory_MB: float | None  # noqa: N815
     jobs: int
     warnings: tuple[str, ...]
 
@@ -81,12 +81,12 @@ def plan(
 ) -> Plan:
     """Say what a design computes, what is done already and what the rest will cost.
 
-    Data that cannot be read do not stop a plan: it then counts cells, not cases.
+    Data that are not there yet do not stop a plan: it then counts cells, not cases.
 
     Raises
     ------
     InputError
-        For a faulty design.
+        For a faulty design or faulty data.
     """
     from study.runner.batch import default_jobs
     from study.runner.expand import expand
@@ -95,13 +95,14 @@ def plan(
     description = describe(loaded)
     warnings = list(description["warnings"])
     workers = jobs or default_jobs()
+    root = data_root(loaded.source, data)
     try:
-        work = expand(loaded, data_root(loaded.source, data))
-    except InputError as error:
-        warnings.append(f"the measurements cannot be read, so blocks are not counted: {error}")
+        work = expand(loaded, root)
+    except MissingDataError as error:
+        warnings.append(f"no blocks and no time, for the measurements are missing: {error}")
         total = int(description["cells"])
         return Plan(
-            loaded, description, (), total, 0, 0, total, 0, 0.0, 0.0, workers, tuple(warnings)
+            loaded, description, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
         )
     return _counted(work, description, Store(results / loaded.name, warn=warnings.append),
                     workers, warnings)  # fmt: skip
@@ -113,6 +114,7 @@ def _counted(
     from study.runner.batch import missing, needed_fits
     from study.runner.costs import Costs
 
+    warnings += work.cautions
     found = store.survey(work.input_hashes)
     todo = missing(work, store)
     fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]

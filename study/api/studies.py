@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from study.api.places import REPORTS, RESULTS, data_root, results_folder
 from study.design import Design, dump, load, loads
 from study.errors import InputError, RefusedError, StudyError
-from study.record import Record, Store, table
+from study.record import SORTED, Record, Store, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -231,6 +231,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     rows = store.read_json("numerical") or []
     numerical = tuple(Numerical(**row) for row in rows)
     missing = len(manifest["cases"]) - len(records)
+    warnings += [note for note in manifest["notes"] if SORTED in note]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)

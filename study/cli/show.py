@@ -9,13 +9,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from study.errors import InputError, StudyError
+from study.errors import Fault, InputError, StudyError
 
 if TYPE_CHECKING:
     from study.runner.batch import Progress
 
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
+#: places that are listed of faults with the same rule and mend
+SAME = 4
 
 
 def print_json(document: Any) -> None:
@@ -28,14 +30,29 @@ def complain(error: StudyError) -> None:
     faults = error.faults if isinstance(error, InputError) else (str(error),)
     head = "error" if len(faults) == 1 else f"{len(faults)} errors"
     print(f"{head}:", file=sys.stderr)
+    for text in _folded(faults):
+        print("  " + text.replace("\n", "\n  "), file=sys.stderr)
+
+
+def _folded(faults: Sequence[Fault | str]) -> Iterator[str]:
+    """Write each fault once, and places with the same fault after its first ones."""
+    places: dict[tuple[str, str], list[str]] = {}
     for fault in faults:
-        print("  " + str(fault).replace("\n", "\n  "), file=sys.stderr)
+        if isinstance(fault, str):
+            yield fault
+        else:
+            places.setdefault((fault.rule, fault.mend), []).append(fault.where)
+    for (rule, mend), where in places.items():
+        more = f" and {len(where) - SAME} more" if len(where) > SAME else ""
+        also = f"    the same at: {'; '.join(where[1:SAME])}{more}" if len(where) > 1 else ""
+        lines = (str(Fault(where[0], rule)), also, f"    {mend}" if mend else "")
+        yield "\n".join(line for line in lines if line)
 
 
 def warn(messages: Sequence[str]) -> None:
     """Print warnings on stderr, each once."""
     for message in dict.fromkeys(messages):
-        print(f"warning: {message}", file=sys.stderr)
+        print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -62,10 +79,12 @@ def seconds(value: float) -> str:
 
     Examples
     --------
-    >>> seconds(4.2), seconds(75), seconds(7300)
-    ('4 s', '1 min 15 s', '2 h 2 min')
+    >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
+    ('under 1 s', '4 s', '1 min 15 s', '2 h 2 min')
     """
     whole = round(value)
+    if whole < 1:
+        return "under 1 s"
     if whole < 60:
         return f"{whole} s"
     if whole < 3600:

@@ -65,6 +65,7 @@ def calibrate(
     from study import api
 
     found = api.calibrate(file, data=data, overrides=settings or ()).to_json()
+    show.warn(found["warnings"])
     if as_json:
         show.print_json(found)
     else:

@@ -244,8 +244,9 @@ def _print_plan(found: Plan) -> None:
     print(show.counts(cases))
     if found.missing and found.fits:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
-    time = show.seconds(found.predicted_seconds)
-    print(f"predicted: about {time} on {found.jobs} workers, {found.memory_MB:.0f} MB")
+    if found.predicted_seconds is not None:
+        time = show.seconds(found.predicted_seconds)
+        print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
     show.warn(found.warnings)
 
 

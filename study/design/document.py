@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, nearest
 
 Table = dict[str, Any]
 
@@ -36,10 +36,16 @@ def read_text(path: str | Path) -> str:
         with Path(path).open("rb") as file:
             raw = file.read(MAX_BYTES + 1)
     except FileNotFoundError as error:
-        raise InputError(Fault(source, "there is no such file")) from error
+        raise InputError(Fault(source, "there is no such file", _beside(Path(path)))) from error
     except (OSError, ValueError) as error:
         raise InputError(Fault(repr(source), f"cannot be read: {error}")) from error
     return decode(raw, source)
+
+
+def _beside(path: Path) -> str:
+    """Name the files in the same folder that could have been meant."""
+    names = sorted(p.name for p in path.parent.glob(f"*{path.suffix}") if p.is_file())[:20]
+    return nearest(path.name, names) if names else "study new FILE writes a design to start from"
 
 
 def decode(raw: bytes, source: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from study.record.conditioning import SORTED
 from study.record.measurements import read_measurements
 from study.record.record import STATUSES, Record
 from study.record.selection import MeasuredTest, Measurements
@@ -9,6 +10,7 @@ from study.record.store import Store, Survey
 from study.record.table import table, write_csv
 
 __all__ = [
+    "SORTED",
     "STATUSES",
     "MeasuredTest",
     "Measurements",

@@ -28,6 +28,8 @@ SIGNS = ("positive", "negative")
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
 EQUAL_MM = 1e-9
+#: the one rule that a user is warned of: it may mean that the file holds something else
+SORTED = "rows out of order sorted by displacement"
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,7 @@ def _zero(d: Array, f: Array, rule: str) -> float:
 def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Array]:
     out_of_order = int(np.count_nonzero(np.diff(d) < 0))
     if out_of_order:
-        counts["rows out of order sorted by displacement"] += out_of_order
+        counts[SORTED] += out_of_order
         order = np.argsort(d, kind="stable")
         d, f = d[order], f[order]
     places, inverse, repeats = np.unique(

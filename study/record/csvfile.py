@@ -161,7 +161,9 @@ def parse_csv(
     _check_header(header, required, source)
     _check_widths(rows, numbers, len(header), delimiter, decimal, source)
     if len(rows) == 1:
-        raise InputError(Fault(source, "there is a header line but no row of data"))
+        raise InputError(
+            Fault(source, "there is a header line but no row of data", "give one row a sample")
+        )
     cells = list(zip(*rows[1:], strict=True))
     if decimal == ".":
         _check_decimal_comma(header, cells, required, source)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from study.errors import Fault, InputError, nearest
+from study.errors import Fault, InputError, MissingDataError, nearest
 from study.record.conditioning import (
     SIGNS,
     ZERO_RULES,
@@ -159,6 +159,8 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
         try:
             path = locate(name, root, citation=citation)
             table = read_csv(path, required=required, decimal=spec.decimal or ".", source=name)
+        except MissingDataError:
+            raise
         except InputError as error:
             faults.extend(error.faults)
             continue

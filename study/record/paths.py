@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, MissingDataError
 
 MAX_FILES = 10_000
 _FIELD = re.compile(r"\{([^{}]*)\}")
@@ -40,9 +40,10 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
 
     Raises
     ------
+    MissingDataError
+        If there is no such file; the message says where it was looked for.
     InputError
-        If the file is missing (the message says where it was looked for) or a link leads
-        outside the root.
+        If a link leads outside the root.
     """
     check_relative(name, where)
     path = root / name
@@ -61,7 +62,7 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
             )
         )
     if not found:
-        raise InputError(_missing(f"no file {name!r}", root, citation, where))
+        raise MissingDataError(_missing(f"no file {name!r}", root, citation, where))
     return resolved
 
 
@@ -77,8 +78,10 @@ def locate_pattern(
 
     Raises
     ------
+    MissingDataError
+        If nothing matches.
     InputError
-        If nothing matches or the pattern is malformed.
+        If the pattern is malformed.
     """
     check_relative(pattern, where)
     names = _FIELD.findall(pattern)
@@ -94,7 +97,7 @@ def locate_pattern(
         )
     matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
     if not matches:
-        raise InputError(_missing(f"no file matches {pattern!r}", root, citation, where))
+        raise MissingDataError(_missing(f"no file matches {pattern!r}", root, citation, where))
     if len(matches) > MAX_FILES:
         raise InputError(Fault(where, f"{len(matches)} files match, at most {MAX_FILES} are read"))
     return [(name, dict(groups)) for name, groups in matches]

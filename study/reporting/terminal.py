@@ -34,7 +34,8 @@ def answer_lines(data: ReportData) -> list[str]:
     from study.reporting import sentences
 
     found = facts(data)
-    return [*sentences.answer(data, found), sentences.would_change(data, found)]
+    change = f"What would change this? {sentences.would_change(data, found)}"
+    return [*sentences.answer(data, found), change]
 
 
 def _rows(table: Table) -> Rows:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from study.curve import Curve
 from study.errors import Fault, InputError
-from study.record import MeasuredTest, read_measurements
+from study.record import SORTED, MeasuredTest, read_measurements
 from study.runner import build, fits, scoring
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class CalibrationResult:
         The same in words.
     curves : tuple of dict
         ``file``, ``role``, ``rms_force_error`` (N), ``relative_rms_force_error`` (%).
+    warnings : tuple of str
+        What was done to the measurements that may mean that they are not what they seem.
     """
 
     model: str
@@ -45,6 +47,7 @@ class CalibrationResult:
     stable: bool
     stability: str
     curves: tuple[dict[str, Any], ...]
+    warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``study calibrate --json``."""
@@ -67,6 +70,7 @@ class CalibrationResult:
             "stability": self.stability,
             "evaluations": found.evaluations,
             "curves": list(self.curves),
+            "warnings": list(self.warnings),
         }
         made: dict[str, Any] = plain(content, "calibration", {})
         return made
@@ -201,6 +205,7 @@ def _result(
         if strains
         else stability(material)
     )
+    notes = tuple(note for m in measured for note in m.notes if SORTED in note)
     return CalibrationResult(
-        config["material"]["model"], found, bool(judged.stable), judged.sentence, curves
+        config["material"]["model"], found, bool(judged.stable), judged.sentence, curves, notes
     )

@@ -10,7 +10,7 @@ from typing import Any
 from study.curve import Curve
 from study.design import Case, Design, MeasurementSpec, case_id, cases, plain, treatments
 from study.errors import Fault, InputError
-from study.record import MeasuredTest, Measurements, read_measurements
+from study.record import SORTED, MeasuredTest, Measurements, read_measurements
 from study.runner import build
 from study.runner.execute import Direction
 from study.runner.fits import FitProblem, fit_key, fit_problem, start_problem
@@ -80,6 +80,11 @@ class Work:
     def notes(self) -> tuple[str, ...]:
         """What was done to the measurements."""
         return self.data.notes()
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What was done to the measurements that may mean that they are not what they seem."""
+        return tuple(note for note in self.notes if SORTED in note)
 
     @property
     def files(self) -> dict[str, str]:

@@ -104,7 +104,8 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
         If the design has no measurements or the reference problem cannot be solved.
     """
     generator = generator or Generator(seed=design.seed)
-    config = treatments(design)[0].config
+    # the deepest test: every treatment reads its own range from the same files
+    config = max((t.config for t in treatments(design)), key=_depth)
     spec = design.measurements
     if spec is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
@@ -120,6 +121,10 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
         write_atomic(note, json.dumps(truth, indent=2, default=dict).encode())
         written += [path, note]
     return written
+
+
+def _depth(config: Mapping[str, Any]) -> float:
+    return float(config["test"]["displacement_mm"])
 
 
 def reference_curve(config: Mapping[str, Any], generator: Generator) -> Curve:
