@@ -99,13 +99,12 @@ def discretize(mesh: Mesh, model: Model) -> Discretization:
         [np.broadcast_to(b[0].grad, (mesh.points.shape[1], ne, nq)) for b in basis.basis]
     )
     values = np.stack([np.broadcast_to(np.asarray(b[0]), (ne, nq)) for b in basis.basis])
-    weights, hoop = np.array(basis.dx), np.zeros((1, 1, 1))
+    # one memory layout in both spaces: another would be compiled a second time
+    weights, hoop = np.array(basis.dx), np.zeros((ne, nq, 1))
     if axisymmetric:
         radius = np.asarray(basis.global_coordinates())[0]
         weights = weights * 2 * np.pi * radius
         hoop = np.ascontiguousarray((values / radius).transpose(1, 2, 0))
-    else:
-        hoop = np.broadcast_to(hoop, (ne, nq, 1))
     element_nodes = basis.element_dofs.T.astype(np.int64)
     nodes = _node_positions(basis, mesh)
     pressure_shape, pressure_dofs = _pressure(fem_mesh, basis, model)

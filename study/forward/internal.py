@@ -18,6 +18,48 @@ from study.material import Material
 Array = NDArray[np.float64]
 
 
+#: stands for a volume measure that is not positive, where that means nothing
+_SMALLEST = 1e-6
+
+
+@dataclass(frozen=True)
+class Law:
+    """What the compiled loop is told of an energy: a family and its array of constants."""
+
+    family: int
+    constants: Array
+
+
+def law_of(material: Material) -> Law:
+    """Constants of a material as the compiled loop takes them."""
+    if material.family == "polynomial":
+        return Law(kernels.POLYNOMIAL, material.coefficient_table())
+    if material.family == "ogden":
+        return Law(kernels.OGDEN, np.column_stack(material.ogden_terms()))
+    return Law(kernels.LINEAR, np.array([[material.mu0]]))
+
+
+def law_rate(material: Material, name: str) -> Law:
+    """Law whose stress is the derivative of the isochoric stress by one constant."""
+    if material.family == "polynomial":
+        unit = np.zeros_like(material.coefficient_table())
+        unit[material.table_index(name)] = 1.0
+        return Law(kernels.POLYNOMIAL, unit)
+    if material.family == "linear-elastic":
+        return Law(kernels.LINEAR, np.array([[material.mu0_gradient()[name]]]))
+    term = name.lstrip("mualph")
+    mu, alpha = material.constants[f"mu{term}"], material.constants[f"alpha{term}"]
+    if name.startswith("mu"):
+        return Law(kernels.OGDEN, np.array([[1.0, alpha]]))
+    return Law(kernels.OGDEN_BY_EXPONENT, np.array([[mu, alpha]]))
+
+
+def without_shear(material: Material) -> Law:
+    """Law of the same family whose isochoric stress vanishes."""
+    law = law_of(material)
+    return Law(law.family, np.zeros_like(law.constants))
+
+
 @dataclass
 class Internal:
     """Element residuals and tangents on one discretization, overwritten by each evaluation.
@@ -47,11 +89,14 @@ class Internal:
     def evaluate(self, material: Material, x: Array, *, tangent: bool) -> float:
         """Fill the element arrays at unknowns ``x``, shape (n,); return the smallest J.
 
-        Where it is not positive nothing else is valid.
+        Where it is not positive nothing else is valid. For small strain it is the smallest
+        1 + tr(eps), kept above zero: a linear body cannot be inverted.
         """
         K = material.bulk
         finite = K if np.isfinite(K) else 0.0
-        return self._elements(x, material.coefficient_table(), tangent, finite, 1 / K)
+        law = law_of(material)
+        min_j = self._elements(x, law, tangent, finite, 1 / K)
+        return max(min_j, _SMALLEST) if law.family == kernels.LINEAR else min_j
 
     def gathered(self) -> Array:
         """Sum of the element residuals, shape (n,)."""
@@ -69,19 +114,22 @@ class Internal:
         return out
 
     def volume_ratios(self, material: Material, x: Array) -> Array:
-        """J at every quadrature point, shape (n_elements, n_quadrature)."""
-        del material
-        J = np.empty(self.space.weights.shape)
+        """J at every quadrature point, shape (n_elements, n_quadrature); 1 for small strain.
+
+        What it is compared with is whether elements are about to be inverted, of which a
+        linear body knows nothing.
+        """
+        J = np.ones(self.space.weights.shape)
+        if material.family == "linear-elastic":
+            return J
         kernels.volume_ratios(self.space.gradients, self.space.hoop, self._local_u(x), J)
         return J
 
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included; tangents are kept."""
-        unit = np.zeros_like(material.coefficient_table())
-        unit[material.table_index(name)] = 1.0
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
-        self._elements(without_pressure, unit, False, 0.0, 0.0)
+        self._elements(without_pressure, law_rate(material, name), False, 0.0, 0.0)
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
         bulk_rate = material.bulk_gradient()[name]
@@ -89,7 +137,7 @@ class Internal:
 
     def _bulk_derivative(self, material: Material, x: Array) -> Array:
         """dR/dK at fixed unknowns: p/K^2 N in the mixed form, (J - 1) dJ/dF in the other."""
-        zero = np.zeros((1, 1))
+        zero = without_shear(material)
         if self.space.pressure_shape.shape[2] == 0:
             self._elements(x, zero, False, 1.0, 0.0)
             return self.gathered()
@@ -99,9 +147,7 @@ class Internal:
             rates.append(self.gathered())
         return (rates[0] - rates[1]) / material.bulk**2
 
-    def _elements(
-        self, x: Array, table: Array, tangent: bool, bulk: float, compliance: float
-    ) -> float:
+    def _elements(self, x: Array, law: Law, tangent: bool, bulk: float, compliance: float) -> float:
         space = self.space
         return float(
             kernels.element_residuals(
@@ -111,7 +157,8 @@ class Internal:
                 space.weights,
                 self._local_u(x),
                 x[space.dofs[:, space.dim * space.element_nodes.shape[1] :]],
-                table,
+                law.family,
+                law.constants,
                 bulk,
                 compliance,
                 tangent,

@@ -7,7 +7,8 @@ The weak form is the stationarity of
 in the reference configuration (total Lagrangian), with the isochoric invariants of
 Penn's split ``I1bar = J^(-2/3) I1`` and ``I2bar = J^(-4/3) I2``. ``1/K = 0`` is the
 incompressible limit. With no pressure unknowns (``n_pressure == 0``) the pressure is
-``K (J - 1)`` at each quadrature point: the plain displacement formulation.
+``K (J - 1)`` at each quadrature point: the plain displacement formulation. For the
+linear-elastic family W_iso is ``mu dev(eps):dev(eps)`` and J is ``1 + tr(eps)``.
 
 The deformation gradient is stored as nine numbers ``f[3 i + j] = F_ij``; in axisymmetric
 space the axes are (r, z, hoop) and only five of them are ever different from zero.
@@ -19,12 +20,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from study.forward.law import add_pressure, cofactor, polynomial_stress
+from study.forward.law import add_pressure, cofactor, linear_stress, polynomial_stress
+from study.forward.ogden import BY_EXPONENT, STRESS, ogden_stress
 
 Array = NDArray[np.float64]
 
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
+
+#: what the rows of an energy's constants mean: C_ij; (mu, alpha); the same, for the sum of
+#: d(stress)/dalpha; a single shear modulus of small strain
+POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
 
 
 @njit(cache=True, fastmath=_FAST)
@@ -87,6 +93,33 @@ def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Arra
 
 
 @njit(cache=True)
+def _isochoric(
+    family: int,
+    f: Array,
+    constants: Array,
+    work: Array,
+    stress: Array,
+    tangent: Array,
+    want_tangent: bool,
+) -> float:
+    """Isochoric stress and tangent by family; J is returned, row 0 of ``work`` is dJ/dF / J.
+
+    For small strain J is linear and row 0 is dJ/dF itself.
+    """
+    if family == POLYNOMIAL:
+        return float(polynomial_stress(f, constants, work, stress, tangent, want_tangent))
+    if family == LINEAR:
+        return float(linear_stress(f, constants[0, 0], work, stress, tangent, want_tangent))
+    J = cofactor(f, work[0])
+    if J > 0.0:
+        for i in range(9):
+            work[0, i] /= J
+        what = BY_EXPONENT if family == OGDEN_BY_EXPONENT else STRESS
+        ogden_stress(f, constants, what, work, stress, tangent, want_tangent)
+    return float(J)
+
+
+@njit(cache=True)
 def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     """J = det F at every quadrature point; returns the smallest.
 
@@ -116,7 +149,8 @@ def element_residuals(
     weights: Array,
     u: Array,
     p: Array,
-    table: Array,
+    family: int,
+    constants: Array,
     bulk: float,
     compliance: float,
     want_tangent: bool,
@@ -139,8 +173,10 @@ def element_residuals(
         Nodal displacements.
     p : ndarray, shape (n_elements, n_pressure)
         Pressure unknowns.
-    table : ndarray, shape (n, m)
-        Constants C_ij.
+    family : int
+        ``POLYNOMIAL``, ``OGDEN``, ``OGDEN_BY_EXPONENT`` or ``LINEAR``.
+    constants : ndarray, shape (n, k)
+        What the family says.
     bulk, compliance : float
         K (displacement form) and 1/K (mixed form; 0 when incompressible).
     want_tangent : bool
@@ -153,16 +189,18 @@ def element_residuals(
     Returns
     -------
     float
-        The smallest J; nothing is to be trusted when it is not positive.
+        The smallest J; nothing is to be trusted when it is not positive, but for small
+        strain, where it is the smallest 1 + tr(eps) and may have any sign.
     """
     ne, nq, na, dim = gradients.shape
     n_p = pressure_shape.shape[2]
     nu = dim * na
     m = nu + n_p
     f, stress = np.empty(9), np.empty(9)
-    work, tangent = np.zeros((6, 9)), np.empty((9, 9))
+    work, tangent = np.zeros((12, 9)), np.empty((9, 9))
     Kl, Rl = np.empty((m, m)), np.empty(m)
     shared = pressure_shape.shape[0] == 1
+    curvature = 0.0 if family == LINEAR else 1.0
     smallest = np.inf
     for e in range(ne):
         Kl[:] = 0.0
@@ -172,17 +210,17 @@ def element_residuals(
             N = pressure_shape[0 if shared else e, q]
             w = weights[e, q]
             _deformation_gradient(dN, H, u[e], f)
-            J = polynomial_stress(f, table, work, stress, tangent, want_tangent)
-            if not J > 0.0 or (dim == 2 and not f[8] > 0.0):
+            J = _isochoric(family, f, constants, work, stress, tangent, want_tangent)
+            if curvature > 0.0 and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
             smallest = min(smallest, J)
-            g = work[0]
+            g, growth = work[0], J if curvature > 0.0 else 1.0
             pressure, stiffening = bulk * (J - 1.0), bulk
             if n_p > 0:
                 pressure, stiffening = 0.0, 0.0
                 for b in range(n_p):
                     pressure += N[b] * p[e, b]
-            add_pressure(J, g, pressure, stiffening, stress, tangent, want_tangent)
+            add_pressure(growth, g, pressure, stiffening, curvature, stress, tangent, want_tangent)
             for a in range(na):
                 for i in range(dim):
                     r = 0.0
@@ -196,7 +234,7 @@ def element_residuals(
                     row = dim * a + i
                     Rl[row] += w * r
                     for b in range(n_p):
-                        Kl[row, nu + b] += w * J * gn * N[b]
+                        Kl[row, nu + b] += w * growth * gn * N[b]
             if want_tangent:
                 if dim == 3:
                     _add_stiffness_3d(dN, tangent, w, Kl)

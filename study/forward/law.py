@@ -1,4 +1,4 @@
-"""Compiled constitutive law at one point: isochoric polynomial energies and the pressure.
+"""Compiled constitutive law at one point: polynomial and linear energies, and the pressure.
 
 With Penn's split ``I1bar = J^(-2/3) I1``, ``I2bar = J^(-4/3) I2`` the energy is
 ``sum C_ij (I1bar - 3)^i (I2bar - 3)^j``. Nine numbers ``f[3 i + j] = F_ij`` hold a tensor.
@@ -173,18 +173,54 @@ def _polynomial_tangent(
 
 
 @njit(cache=True, fastmath=_FAST)
+def linear_stress(
+    f: Array, mu: float, work: Array, stress: Array, tangent: Array, want_tangent: bool
+) -> float:
+    """Deviatoric small-strain stress ``2 mu dev(eps)`` and its tangent.
+
+    Parameters are those of :func:`polynomial_stress`; row 0 of ``work`` receives dJ/dF = 1.
+
+    Returns
+    -------
+    J : float
+        The linear measure of volume, 1 + tr(eps).
+    """
+    J = f[0] + f[4] + f[8] - 2.0
+    work[0, :] = 0.0
+    for i in range(3):
+        work[0, 4 * i] = 1.0
+        for j in range(3):
+            stress[3 * i + j] = mu * (f[3 * i + j] + f[3 * j + i])
+        stress[4 * i] -= 2.0 / 3.0 * mu * (J + 2.0)
+    if want_tangent:
+        tangent[:, :] = 0.0
+        for i in range(3):
+            for j in range(3):
+                tangent[3 * i + j, 3 * i + j] += mu
+                tangent[3 * i + j, 3 * j + i] += mu
+                tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
+    return J
+
+
+@njit(cache=True, fastmath=_FAST)
 def add_pressure(
     J: float,
     g: Array,
     p: float,
     stiffening: float,
+    curvature: float,
     stress: Array,
     tangent: Array,
     want_tangent: bool,
 ) -> None:
-    """Add p dJ/dF to the stress and its tangent; ``stiffening`` is dp/dJ (displacement form)."""
+    """Add p dJ/dF to the stress and its tangent; ``stiffening`` is dp/dJ (displacement form).
+
+    dJ/dF is ``J g``; its own derivative counts ``curvature`` times: once, or never where J
+    is linear.
+    """
     for n in range(9):
         stress[n] += p * J * g[n]
+    bend = curvature * p * J
     if want_tangent:
         for i in range(3):
             for j in range(3):
@@ -193,5 +229,5 @@ def add_pressure(
                     for m in range(3):
                         o = 3 * k + m
                         gx = g[3 * i + m] * g[3 * k + j]
-                        tangent[n, o] += p * J * (g[n] * g[o] - gx)
+                        tangent[n, o] += bend * (g[n] * g[o] - gx)
                         tangent[n, o] += stiffening * J * J * g[n] * g[o]

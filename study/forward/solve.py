@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.curve import Curve
-from study.errors import InputError
+from study.errors import Fault, InputError
 from study.forward.gradients import Rate, StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
@@ -169,8 +169,9 @@ def solve(
 def _check(problem: Problem) -> None:
     if problem.test.kind != "compression":
         raise InputError("only compression between plates is modelled so far")
-    if problem.material.family != "polynomial":
-        raise InputError(f"the solver has no {problem.material.model} energy yet")
+    if problem.material.incompressible and problem.model.formulation == "displacement":
+        mend = "use formulation = mixed, or a finite bulk_modulus or poisson_ratio"
+        raise InputError(Fault("model.formulation", "needs a finite bulk modulus", mend))
     if problem.test.displacement_mm >= problem.specimen.height_mm:  # type: ignore[union-attr]
         raise InputError("the displacement must be smaller than the specimen's height")
 
