@@ -27,6 +27,8 @@ EPS = float(np.finfo(float).eps)
 FIRST_RADIUS = 1.0
 #: cosine below which a point where no step helps is a minimum with a singular Jacobian
 STATIONARY = 1e-6
+#: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
+NEXT_DOOR = 0.01
 #: growth of a parameter over its start that counts as running to infinity
 FAR = 1e8
 
@@ -106,6 +108,7 @@ class _State:
     damping: float = 0.0
     evaluations: int = 1
     history: list[Iteration] = field(default_factory=list)
+    failed: list[Array] = field(default_factory=list)
 
     @property
     def cost(self) -> float:
@@ -253,6 +256,8 @@ def _advance(
         evaluated = evaluate(function, trial)
         state.evaluations += 1
         answered = answered or evaluated is not None
+        if evaluated is None:
+            state.failed.append(trial)
         gain = _gain(state, step, evaluated)
         state.radius, state.damping = updated_radius(state.radius, length, gain, damping), damping
         if evaluated is not None and gain > 1e-4:
@@ -273,8 +278,16 @@ def _no_step(
         return Status.converged_cost
     if _steepest(state, held) <= STATIONARY:
         return Status.converged_gradient
-    near = linear.full_length <= 1e-9 * _size(state, held)
-    return Status.converged_step if near else Status.no_decrease
+    if linear.full_length <= 1e-9 * _size(state, held):
+        return Status.converged_step
+    return Status.at_edge if _beside_failure(state) else Status.no_decrease
+
+
+def _beside_failure(state: _State) -> bool:
+    """Whether the model had no answer at constants next to the best ones."""
+    size = float(np.linalg.norm(state.scale * state.x))
+    distances = [float(np.linalg.norm(state.scale * (x - state.x))) for x in state.failed]
+    return min(distances, default=np.inf) <= NEXT_DOOR * size
 
 
 def _steepest(state: _State, held: NDArray[np.bool_]) -> float:

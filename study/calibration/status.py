@@ -18,6 +18,7 @@ class Status(Enum):
     converged_zero = "the model meets the data within rounding"
     max_evaluations = "the evaluations allowed were used up before a minimum was reached"
     no_decrease = "no step lowers the sum of squares although its gradient is not zero"
+    at_edge = "the sum of squares falls on towards constants at which the model has no answer"
     no_influence = "a parameter lost all influence on the model: this is no minimum to trust"
     running_away = "a parameter runs to infinity: no minimum lies within reach"
     start_failed = "the model has no answer at the start values"
@@ -28,6 +29,11 @@ class Status(Enum):
     def converged(self) -> bool:
         """Whether a local minimum was reached."""
         return self.name.startswith("converged")
+
+    @property
+    def usable(self) -> bool:
+        """Whether the constants describe the data as well as the model can."""
+        return self.converged or self is Status.at_edge
 
     @property
     def sentence(self) -> str:

@@ -20,7 +20,7 @@ def described(
     """Plain description of a fit for the store."""
     values = [float(v) for v in found.values]
     constants = dict(zip(names, values, strict=True))
-    good = bool(getattr(found.status, "converged", found.status.name.startswith("converged")))
+    good = bool(found.status.usable)
     result: dict[str, Any] = {
         "status": "converged" if good else "not-converged",
         "message": str(found.message),
@@ -34,8 +34,8 @@ def described(
         "r_squared": _number(found.r_squared),
         "aicc": _number(found.aicc),
         "n": int(found.n),
-        "identifiable": bool(found.identifiable),
-        "reason": str(found.reason),
+        "identifiable": bool(found.identifiable) and bool(found.status.converged),
+        "reason": str(found.reason) if found.status.converged else str(found.status.sentence),
         "evaluations": int(found.evaluations),
     }
     if good:
