@@ -193,7 +193,7 @@ def _caution(names: Sequence[str], first: int, second: int, worst: float, condit
     if abs(worst) > CAUTION_CORRELATION:
         return f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
     if condition > CAUTION_CONDITION:
-        return f"caution: the scaled condition number is {condition:.3g}"
+        return f"caution: the scaled condition number is {float(f'{condition:.3g}'):,.0f}"
     return ""
 
 
