@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from study.curve import Curve
@@ -136,12 +136,14 @@ def _shown(predicted: Curve, measured: Curve) -> Curve:
 def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstant]:
     """Every fit once, with the levels that enter it."""
     entering, seen = calibration_factors(design), set()
+    order = {f.name: f.labels for f in design.factors if f.name in entering}
+    shared = _levels_of_fits(order, records)
     for record in records:
         for specimen, fit in (record.fit or {}).items():
             if fit["key"] in seen:
                 continue
             seen.add(fit["key"])
-            levels = {name: record.levels[name] for name in entering}
+            levels = shared[fit["key"]]
             for name, value in fit["values"].items():
                 plain = name.startswith("alpha")
                 scale = 1.0 if plain else 1000.0
@@ -158,7 +160,36 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     bool(fit["identifiable"]),
                     str(fit.get("reason") or ""),
                     "" if specimen == "all" else specimen,
+                    _correlated(name, fit),
                 )
+
+
+def _levels_of_fits(
+    order: Mapping[str, Sequence[str]], records: tuple[Record, ...]
+) -> dict[str, dict[str, str]]:
+    """Levels of each fit by its key; a fit that several levels share names them all."""
+    found: dict[str, dict[str, set[str]]] = {}
+    for record in records:
+        for fit in (record.fit or {}).values():
+            levels = found.setdefault(fit["key"], {name: set() for name in order})
+            for name in order:
+                levels[name].add(record.levels[name])
+    return {
+        key: {
+            name: " or ".join(sorted(some, key=order[name].index)) for name, some in levels.items()
+        }
+        for key, levels in found.items()
+    }
+
+
+def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
+    """Correlation of a constant with the others of its fit, where it is known."""
+    names, matrix = fit.get("names") or (), fit.get("correlation")
+    if not matrix or name not in names:
+        return {}
+    row = matrix[list(names).index(name)]
+    pairs = zip(names, row, strict=True)
+    return {other: float(r) for other, r in pairs if other != name and r is not None}
 
 
 def _scaled(value: float | None, scale: float) -> float | None:
@@ -196,7 +227,8 @@ def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     if not vague:
         return Check("constants are identifiable", "pass", finding)
     consequence = (
-        "single constants of the others must not be interpreted; their forces and mu0 may be"
+        "in the others single constants have no meaning of their own; the force curves that they "
+        "draw together, and the initial shear modulus, have"
     )
     return Check("constants are identifiable", "caution", finding, consequence)
 
@@ -210,7 +242,7 @@ def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
         "constants are stable",
         "caution",
         f"{finding}; for example {bad[0]['stability']}",
-        "do not use the others beyond the test they were fitted to",
+        "do not use the unstable ones beyond the test they were fitted to",
     )
 
 
@@ -239,8 +271,12 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
     yield Check(
         "cells that must agree do agree",
         "pass" if good else "fail",
-        f"{sum(map(len, groups))} cells in {len(groups)} groups differ by at most "
-        f"{worst:.2g} of their error",
+        f"{sum(map(len, groups))} cells in {len(groups)} groups "
+        + (
+            "agree to rounding"
+            if worst < 1e-10
+            else f"differ by at most {worst:.1g} of their error"
+        ),
         "" if good else "something else than the factors differs between them",
     )
 
