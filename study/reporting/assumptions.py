@@ -67,11 +67,12 @@ def normality(facts: Facts, alpha: float = 0.05) -> str:
 
 def rejects(test: Mapping[str, Any], alpha: float = 0.05) -> bool:
     """Whether a test rejects; a Monte-Carlo p decides where there is one."""
-    p = _p_of(test)
+    p = p_of(test)
     return p is not None and p < alpha
 
 
-def _p_of(test: Mapping[str, Any]) -> float | None:
+def p_of(test: Mapping[str, Any]) -> float | None:
+    """Return the p of a test that decides: the Monte-Carlo one where there is one."""
     monte = test.get("p_monte_carlo")
     return monte if monte is not None else test.get("p")
 
@@ -88,7 +89,7 @@ def spread(test: str, found: Mapping[str, Any] | None, alpha: float = 0.05) -> s
     shown = " and ".join(f"{part:g}" for part in df) if isinstance(df, list | tuple) else f"{df:g}"
     return (
         f"{title}: equal spread is {decision} at {100 * alpha:g}{THIN}% "
-        f"(statistic {significant(found['statistic'])}, df {shown}, {p_phrase(_p_of(found))}"
+        f"(statistic {significant(found['statistic'])}, df {shown}, {p_phrase(p_of(found))}"
         f"{rough})."
     )
 
@@ -102,17 +103,26 @@ def additivity(found: Mapping[str, Any], data: ReportData) -> str:
     )
 
 
-def sphericity(facts: Facts, labels: Labels = None) -> str:
-    """Say how far the correlations between cells are from what an uncorrected F assumes."""
+def least_sphericity(facts: Facts) -> tuple[str, float] | None:
+    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
     known = {
         term: item["epsilon_gg"]
         for term, item in facts.sphericity.items()
         if item and item.get("epsilon_gg") is not None and item.get("df") != 0
     }
     if not known:
-        return ""
+        return None
     term = min(known, key=lambda t: float(known[t]))
+    return term, float(known[term])
+
+
+def sphericity(facts: Facts, labels: Labels = None) -> str:
+    """Say how far the correlations between cells are from what an uncorrected F assumes."""
+    least = least_sphericity(facts)
+    if least is None:
+        return ""
+    term, epsilon = least
     return (
-        f"The smallest Greenhouse-Geisser epsilon is {known[term]:.2f} "
+        f"The smallest Greenhouse-Geisser epsilon is {epsilon:.2f} "
         f"({term_name(term, labels)}; 1 would be sphericity); every p is corrected by its own."
     )

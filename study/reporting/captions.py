@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, deciding_p
-from study.reporting.sentences import practical, size, size_interval
 from study.reporting.text import (
     THIN,
     clean,
@@ -15,12 +14,13 @@ from study.reporting.text import (
     listing,
     name_of,
     p_phrase,
-    percent,
     quantity,
     sentence,
+    share,
     significant,
     term_name,
 )
+from study.reporting.verdicts import practical, size, size_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,7 +49,7 @@ def means(facts: Facts, data: ReportData) -> str:
         for row in facts.rows
         if row["term"] in data.factors and row.get("share") is not None
     ]
-    text = listing([f"{name} {percent(share)}" for share, name in sorted(shares, reverse=True)])
+    text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
     band = "two means inside the shaded band differ by less than what matters"
     shown = f"share of the total variation: {text}; " if shares else ""
     return sentence(f"level means on one shared axis; {shown}{band}")

@@ -3,11 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from study.reporting import assumptions, sentences
 from study.reporting.data import Check, ReportData
 from study.reporting.facts import MATTERS, Facts
-from study.reporting.text import count, listing, term_name
+from study.reporting.text import clean, count, listing, p_phrase, term_name
+
+_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
+
+
+@dataclass(frozen=True)
+class CheckGroup:
+    """One check for all responses; its outcome is the worst of them."""
+
+    name: str
+    items: tuple[Check, ...]
+
+    @property
+    def outcome(self) -> str:
+        """Worst outcome."""
+        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
+
+    @property
+    def agreed(self) -> bool:
+        """Whether every response has the same outcome."""
+        return len({check.outcome for check in self.items}) == 1
+
+
+def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
+    """Gather checks of the same name into one, the worst first."""
+    by_name: dict[str, list[Check]] = {}
+    for check in made:
+        by_name.setdefault(check.name, []).append(check)
+    found = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
+    return tuple(sorted(found, key=lambda group: _ORDER[group.outcome]))
 
 
 def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
@@ -26,8 +56,7 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
             ]
         else:
             made.append(_not_analyzed(facts))
-    order = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
-    return tuple(sorted(made, key=lambda check: order[check.outcome]))
+    return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
 
 
 def _of_cases(data: ReportData) -> list[Check]:
@@ -39,48 +68,60 @@ def _of_cases(data: ReportData) -> list[Check]:
 
 def _not_analyzed(facts: Facts) -> Check:
     why = facts.warnings[0] if facts.warnings else "no reason was recorded"
-    return Check(f"Analysis of {facts.title}", "fail", why, "No verdict for this response.")
+    return Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
 
 
 def _normality(facts: Facts, alpha: float) -> Check:
-    found, name = facts.normality, f"Normal residuals, {facts.title}"
-    finding = assumptions.normality(facts, alpha)
+    found, name = facts.normality, "Residuals as from a normal distribution"
     if not found or found.get("rj") is None:
-        return Check(name, "not applicable", finding)
-    if assumptions.rejects_normality(facts, alpha):
-        return Check(
-            name,
-            "caution",
-            finding,
-            "Small p-values are approximate; the verdicts rest on the size of the effect "
-            "against what matters. A log transform often helps a positive response.",
-        )
-    return Check(name, "pass", finding)
+        finding = assumptions.normality(facts, alpha)
+        return Check(name, "not applicable", finding, of=facts.title)
+    rejected = assumptions.rejects_normality(facts, alpha)
+    finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
+    if found.get("p_exact") is not None:
+        finding += f" ({p_phrase(found['p_exact'])})"
+    if not rejected:
+        return Check(name, "pass", finding, of=facts.title)
+    return Check(
+        name,
+        "caution",
+        finding,
+        "Small p-values are approximate; the verdicts rest on the size of the effect "
+        "against what matters. A log transform often helps a positive response.",
+        facts.title,
+    )
 
 
 def _spread(facts: Facts, alpha: float) -> Check:
-    name = f"Equal spread, {facts.title}"
+    name = "Equal spread of the cells"
     tests = {key: test for key, test in facts.variance.items() if test}
     applicable = {k: t for k, t in tests.items() if t.get("statistic") is not None}
-    both = ("bartlett", "levene")
-    finding = " ".join(assumptions.spread(key, tests.get(key), alpha) for key in both)
     if not applicable:
-        return Check(name, "not applicable", finding)
-    if any(assumptions.rejects(test, alpha) for test in applicable.values()):
-        return Check(
-            name,
-            "caution",
-            finding,
-            "Intervals are too short for the cells that scatter most and too long for the others.",
-        )
-    return Check(name, "pass", finding)
+        both = ("bartlett", "levene")
+        why = " ".join(assumptions.spread(key, tests.get(key), alpha) for key in both)
+        return Check(name, "not applicable", why, of=facts.title)
+    against = [k.capitalize() for k, t in applicable.items() if assumptions.rejects(t, alpha)]
+    said = listing(
+        [f"{k.capitalize()} {p_phrase(assumptions.p_of(t))}" for k, t in applicable.items()]
+    )
+    if not against:
+        return Check(name, "pass", f"not rejected ({said})", of=facts.title)
+    return Check(
+        name,
+        "caution",
+        f"rejected by {listing(against)} ({said})",
+        "Intervals are too short for the cells that scatter most and too long for the others.",
+        facts.title,
+    )
 
 
 def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
-    finding = assumptions.sphericity(facts, data.labels)
-    if not finding:
+    least = assumptions.least_sphericity(facts)
+    if least is None:
         return []
-    name = f"Sphericity, {facts.title}"
+    term, epsilon = least
+    name = "Sphericity"
+    finding = f"smallest epsilon {epsilon:.2f}, of {term_name(term, data.labels)}"
     changed = [
         term_name(str(row["term"]), data.labels)
         for row in facts.rows
@@ -93,9 +134,10 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
                 "caution",
                 finding,
                 f"The correction decides for {listing(changed)}: read the corrected p.",
+                facts.title,
             )
         ]
-    return [Check(name, "pass", finding, "No decision depends on the correction.")]
+    return [Check(name, "pass", f"{finding}; the correction changes no decision", of=facts.title)]
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:
@@ -103,22 +145,24 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     if not found or found.get("p") is None:
         return []
     p = float(found["p"])
-    name = f"Additive blocks, {facts.title}"
-    finding = assumptions.additivity(found, data)
-    if p < data.alpha:
-        return [
-            Check(
-                name,
-                "caution",
-                finding,
-                "Effects grow or shrink with the level of the block: consider the log.",
-            )
-        ]
-    return [Check(name, "pass", finding)]
+    name = f"Cells and {clean(data.block) or 'blocks'} add up"
+    if p >= data.alpha:
+        finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
+        return [Check(name, "pass", finding, of=facts.title)]
+    return [
+        Check(
+            name,
+            "caution",
+            f"rejected by Tukey's one-degree test ({p_phrase(p)})",
+            f"Effects grow or shrink with the level of the {clean(data.block) or 'block'}: "
+            "consider the log.",
+            facts.title,
+        )
+    ]
 
 
 def _resolution(facts: Facts, data: ReportData) -> Check:
-    name = f"Effects resolved by the mesh, {facts.title}"
+    name = "Effects resolved by the mesh"
     known = [effect for effect in facts.effects if effect.over_u_num is not None]
     if not known:
         return Check(
@@ -126,17 +170,21 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
             "not applicable",
             "No numerical uncertainty is known.",
             "Refine the mesh of one block before trusting small differences.",
+            facts.title,
         )
     weak = [e for e in known if (e.over_u_num or 0) < 3]
     named = listing([term_name(effect.term, data.labels) for effect in weak])
     if any(effect.verdict == MATTERS for effect in weak):
-        return Check(name, "fail", f"Within 3 u_num: {named}.", "Refine before believing these.")
+        return Check(
+            name, "fail", f"within 3 u_num: {named}", "Refine before believing these.", facts.title
+        )
     if weak:
         return Check(
             name,
             "pass",
-            f"{count(len(known) - len(weak), 'effect')} of {len(known)} exceed 3 u_num; "
-            f"{named} {'is' if len(weak) == 1 else 'are'} within it.",
-            "What lies within 3 u_num may be the mesh; none of it is called a difference.",
+            f"{len(known) - len(weak)} of {count(len(known), 'effect')} exceed 3 u_num; "
+            f"{named} {'does' if len(weak) == 1 else 'do'} not and "
+            f"{'is' if len(weak) == 1 else 'are'} not called a difference",
+            of=facts.title,
         )
-    return Check(name, "pass", f"All {count(len(known), 'effect')} exceed 3 u_num.")
+    return Check(name, "pass", f"all {count(len(known), 'effect')} exceed 3 u_num", of=facts.title)

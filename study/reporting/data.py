@@ -115,6 +115,8 @@ class FittedConstant:
         Whether the data determine it.
     reason : str
         Why not, or with what else it is correlated.
+    correlated : mapping of str to float
+        Correlation with the other constants of the same fit.
     """
 
     levels: Mapping[str, str]
@@ -128,6 +130,7 @@ class FittedConstant:
     identifiable: bool = True
     reason: str = ""
     specimen: str = ""
+    correlated: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -143,12 +146,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Check:
-    """One check: ``outcome`` is one of ``OUTCOMES``; the consequence says what follows."""
+    """One check: ``outcome`` is one of ``OUTCOMES``; the consequence says what follows.
+
+    ``of`` names the response where the same check is made for several of them.
+    """
 
     name: str
     outcome: str
     finding: str
     consequence: str = ""
+    of: str = ""
 
     def __post_init__(self) -> None:
         if self.outcome not in OUTCOMES:

@@ -138,7 +138,7 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
         response=response,
         title=title,
         unit=clean(response.unit),
-        terms=tuple(_effect(item) for item in found.get("effects") or ()),
+        terms=tuple(_effect(item, data.factors) for item in found.get("effects") or ()),
         rows=tuple(anova.get("rows") or ()),
         anova_type=str(anova.get("type") or ""),
         source=str(error.get("source") or ""),
@@ -165,13 +165,14 @@ def _whole(result: Any, name: str, fallback: Any) -> Any:
     return asdict(test) if is_dataclass(test) and not isinstance(test, type) else fallback
 
 
-def _effect(item: Mapping[str, Any]) -> Effect:
+def _effect(item: Mapping[str, Any], factors: Mapping[str, Sequence[str]]) -> Effect:
     low, high = item.get("ci95") or (None, None)
     pair = item.get("largest")
+    levels, means, ends = _as_designed(item, factors)
     return Effect(
         term=str(item["term"]),
-        levels=tuple(str(level) for level in item.get("levels") or ()),
-        means=tuple(item.get("mean") or ()),
+        levels=levels,
+        means=means,
         difference=item.get("range"),
         low=low,
         high=high,
@@ -184,7 +185,25 @@ def _effect(item: Mapping[str, Any]) -> Effect:
         why=str(item.get("why") or ""),
         ratio=item.get("scale") == "ratio",
         pair=None if not pair else (str(pair[0]), str(pair[1])),
-        mean_intervals=tuple((ends[0], ends[1]) for ends in item.get("mean_ci95") or ()),
+        mean_intervals=ends,
+    )
+
+
+def _as_designed(
+    item: Mapping[str, Any], factors: Mapping[str, Sequence[str]]
+) -> tuple[tuple[str, ...], tuple[float | None, ...], tuple[tuple[float, float], ...]]:
+    """Levels, means and intervals of a factor in the order of its design."""
+    levels = [str(level) for level in item.get("levels") or ()]
+    means = list(item.get("mean") or ())
+    ends = [(pair[0], pair[1]) for pair in item.get("mean_ci95") or ()]
+    wanted = [levels.index(v) for v in factors.get(str(item["term"]), ()) if v in levels]
+    if len(wanted) != len(levels):
+        wanted = list(range(len(levels)))
+    ordered = tuple(levels[i] for i in wanted)
+    return (
+        ordered,
+        tuple(means[i] for i in wanted if i < len(means)),
+        tuple(ends[i] for i in wanted if i < len(ends)),
     )
 
 

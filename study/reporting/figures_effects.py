@@ -25,14 +25,12 @@ from study.reporting.style import (
 )
 from study.reporting.text import (
     clean,
-    interval,
     name_of,
     quantity,
-    ratio,
-    ratio_digits,
     significant,
     term_name,
 )
+from study.reporting.verdicts import size, size_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,14 +87,14 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
     columns = (frame[name] for name in ("verdict", "difference", "low", "high"))
+    shown = {effect.term: effect for effect in facts.terms}
     for place, (verdict, value, low, high) in enumerate(zip(*columns, strict=True)):
         color = _VERDICT_COLOR.get(verdict, MUTED)
         ax.plot([low, high], [place, place], color=color, linewidth=2.2)
         ax.plot(value, place, "o", color=color, markersize=6)
-        size = ratio(value) if facts.ratio else quantity(value, facts.difference_unit)
-        ends = interval(low, high, "", ratio_digits(value) if facts.ratio else 3)
+        effect = shown[frame["term"].iloc[place]]
         ax.annotate(
-            f"{size}   [{ends}]",
+            f"{size(effect, facts)}   [{size_interval(effect, facts)}]",
             (1.0, place),
             xycoords=ax.get_yaxis_transform(),
             xytext=(6, 0),

@@ -5,8 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.reporting.data import ReportData
-from study.reporting.facts import Facts, cells
-from study.reporting.text import THIN, clean, duration, listing, quantity, sentence, significant
+from study.reporting.facts import NO_DIFFERENCE, Effect, Facts, cells
+from study.reporting.text import (
+    THIN,
+    clean,
+    duration,
+    listing,
+    name_of,
+    quantity,
+    sentence,
+    significant,
+)
+from study.reporting.verdicts import size
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,4 +80,33 @@ def recommendation(data: ReportData, facts: Facts) -> str:
         f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
         f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit} that matters, and takes "
         f"{times} times as long ({duration(best['seconds'])})"
+    )
+
+
+def cheaper(data: ReportData, facts: Facts) -> str:
+    """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
+
+    Only factors of the computation are compared: plates or specimens are no choice.
+    """
+    if not facts.response.better or "seconds" not in data.table:
+        return ""
+    said = [_cheaper_level(data, effect, facts) for effect in facts.effects]
+    return " ".join(text for text in said if text)
+
+
+def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
+    if not effect.term.startswith("model.") or effect.verdict != NO_DIFFERENCE:
+        return ""
+    known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
+    seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()
+    if len(seconds) < 2:
+        return ""
+    cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
+    gap = size(effect, facts)
+    gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
+    times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
+    return sentence(
+        f"{name_of(effect.term, data.labels)}: {clean(cheap)} is enough, for it differs from "
+        f"{clean(dear)} by {gap} in the {facts.title} and takes {duration(seconds.min())} a case "
+        f"instead of {duration(seconds.max())} ({times} times as long)"
     )

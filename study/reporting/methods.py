@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
-from study.reporting.sentences import practical
+from study.reporting.inputs import grouped_inputs
 from study.reporting.text import clean, count, listing, name_of, sentence
+from study.reporting.verdicts import practical
 
 
 def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
@@ -42,7 +43,7 @@ def _measurements(data: ReportData) -> str:
 
 
 def _inputs(data: ReportData) -> str:
-    fixed = listing([f"{clean(key)} {clean(value)}" for key, value in data.inputs.items()])
+    fixed = "; ".join(f"{part} {line}" for part, line in grouped_inputs(data.inputs).items())
     text = sentence(f"fixed inputs: {fixed}") if fixed else ""
     if data.assumed:
         named = listing([name_of(key, data.labels) for key in data.assumed])

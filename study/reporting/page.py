@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,8 +11,10 @@ from study.reporting import assumptions, checks, figures, front, methods, senten
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.facts import Facts, facts
 from study.reporting.figures import Figure
+from study.reporting.inputs import grouped_inputs
 from study.reporting.tables import Table
-from study.reporting.text import clean, duration, name_of
+from study.reporting.text import clean, duration, name_of, plural_of, sentence
+from study.reporting.verdicts import verdict
 
 _NO_FIGURE = "was not drawn"
 
@@ -22,14 +25,13 @@ class Section:
 
     facts: Facts
     anchor: str
-    error_term: str
-    distinct: str
     verdicts: tuple[str, ...]
     anova: Table | None
     strata: Table | None
     figures: Mapping[str, Figure]
     assumptions: tuple[str, ...]
     recommendation: str
+    cheaper: str
 
 
 @dataclass(frozen=True)
@@ -73,14 +75,13 @@ def _section(data: ReportData, item: Facts) -> Section:
     return Section(
         facts=item,
         anchor=f"r-{figures.slug(item.name)}",
-        error_term=sentences.error_term(item, data),
-        distinct=sentences.distinct(item, data),
-        verdicts=tuple(sentences.verdict(effect, item, data.labels) for effect in judged),
+        verdicts=tuple(verdict(effect, item, data.labels) for effect in judged),
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
         figures=figures.of_response(data, item),
         assumptions=_assumptions(data, item),
         recommendation=_recommendation(data, item),
+        cheaper=front.cheaper(data, item),
     )
 
 
@@ -125,7 +126,11 @@ def render(contents: Contents) -> str:
         data=data,
         answer=sentences.answer(data, contents.found),
         would_change=sentences.would_change(data, contents.found),
-        checks=checks.all_checks(data, contents.found),
+        checks=checks.grouped(checks.all_checks(data, contents.found)),
+        controls=checks.grouped(data.controls),
+        error_terms=sentences.error_terms(data, contents.found),
+        virtual=sentences.VIRTUAL if data.virtual and contents.found else "",
+        inputs=grouped_inputs(data.inputs),
         methods=methods.paragraph(data, contents.found),
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
@@ -165,8 +170,20 @@ def _environment() -> Any:
     # only drawings that this package rendered pass unescaped
     environment.filters["drawing"] = _drawing
     environment.filters["slug"] = figures.slug
+    environment.filters["sentence"] = sentence
+    environment.filters["sub"] = _subscripts
+    environment.globals["plural_of"] = plural_of
     environment.globals["response_note"] = response_note
     return environment
+
+
+def _subscripts(text: str) -> Any:
+    """Text with ``u_num`` and its kin as a letter and its subscript, all else escaped."""
+    from markupsafe import Markup, escape
+
+    parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
+    # escaped first, so nothing but these tags is markup
+    return Markup(parts)  # noqa: S704
 
 
 def _drawing(figure: Figure) -> Any:

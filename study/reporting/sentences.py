@@ -8,30 +8,28 @@ called "normal"; units always; ratios for log responses.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from study.reporting.data import Failure, ReportData
 from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts
 from study.reporting.text import (
     MISSING,
     THIN,
-    TIMES,
     clean,
     count,
-    interval,
     listing,
     name_of,
-    p_phrase,
     percent,
+    plural_of,
     quantity,
-    ratio,
-    ratio_digits,
     sentence,
-    significant,
     term_name,
 )
+from study.reporting.verdicts import change, size
 
-Labels = Mapping[str, str] | None
+if TYPE_CHECKING:
+    from study.reporting.groups import Group
 
 _SOURCES = {
     "E0": "independent replicates in the cells",
@@ -43,73 +41,6 @@ _SOURCES = {
     "E6": "Lenth's pseudo standard error",
     "E7": "none",
 }
-
-
-def size(effect: Effect, facts: Facts) -> str:
-    """Largest difference of an effect with its unit, or as a ratio."""
-    if effect.ratio:
-        return ratio(effect.difference)
-    return quantity(effect.difference, facts.difference_unit)
-
-
-def size_interval(effect: Effect, facts: Facts) -> str:
-    """Simultaneous 95 % interval of the largest difference."""
-    if effect.ratio:
-        return interval(effect.low, effect.high, "", ratio_digits(effect.difference))
-    return interval(effect.low, effect.high, facts.difference_unit)
-
-
-def practical(effect: Effect, facts: Facts) -> str:
-    """Return the smallest difference that matters, as it was declared."""
-    if effect.practical is None:
-        return MISSING
-    text = f"{float(significant(effect.practical).replace(',', '')):g}"
-    return f"{TIMES}{THIN}{text}" if effect.ratio else f"{text}{THIN}{facts.difference_unit}"
-
-
-def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
-    """One sentence: what a factor does to a response, and how sure that is.
-
-    The verdict itself comes from the analysis; this says it with its numbers.
-    """
-    name = term_name(effect.term, labels)
-    if effect.difference is None:
-        return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
-    numbers = f"{size(effect, facts)} (95{THIN}% interval {size_interval(effect, facts)})"
-    if effect.low is None:
-        numbers = f"{size(effect, facts)}"
-    if effect.verdict == MATTERS:
-        return _matters(effect, facts, name, numbers)
-    if effect.verdict == NO_DIFFERENCE:
-        return sentence(
-            f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
-            f"within {practical(effect, facts)}{_repeatable(effect)}"
-        )
-    limit = practical(effect, facts)
-    against = "" if limit == MISSING else f" against {limit} that matters"
-    return sentence(
-        f"{name}: these data cannot tell whether it matters for the {facts.title}; the largest "
-        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}"
-    )
-
-
-def _repeatable(effect: Effect) -> str:
-    """Say that a tiny difference may well be real: p never decides alone."""
-    if effect.p is None or effect.p >= 0.05:
-        return ""
-    return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
-
-
-def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
-    if not effect.is_main or effect.pair is None:
-        return sentence(f"{name} matters for the {facts.title}: {numbers}")
-    low, high = clean(effect.lowest), clean(effect.highest)
-    verb = f"{high} gives {size(effect, facts)} " + (
-        f"the {facts.title} of {low}" if effect.ratio else f"more {facts.title} than {low}"
-    )
-    if effect.low is not None:
-        verb += f" (95{THIN}% interval {size_interval(effect, facts)})"
-    return sentence(f"{name} matters: {verb}")
 
 
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
@@ -129,17 +60,16 @@ def _which(data: ReportData, facts: Facts) -> str:
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
     if named[MATTERS]:
-        parts.append(
-            listing([f"{_label(e, data)} ({_to_reader(e, facts)})" for e in named[MATTERS]])
-            + (" matters" if len(named[MATTERS]) == 1 else " matter")
-        )
+        listed = listing([f"{_label(e, data)} ({_to_reader(e, facts)})" for e in named[MATTERS]])
+        several = len(named[MATTERS]) > 1
+        parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
     if named[NO_DIFFERENCE]:
-        names = listing([_label(e, data) for e in named[NO_DIFFERENCE]])
-        verb = "makes" if len(named[NO_DIFFERENCE]) == 1 else "make"
-        parts.append(f"{names} {verb} no practical difference")
+        names = listing([_label(e, data) for e in named[NO_DIFFERENCE]], "or")
+        choice = "that of" if parts else "the choice of"
+        parts.append(f"{choice} {names} makes no practical difference")
     if named[CANNOT_TELL]:
-        names = listing([_label(e, data) for e in named[CANNOT_TELL]])
-        parts.append(f"for {names} these data cannot tell")
+        names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
+        parts.append(f"whether {names} matters these data cannot tell")
     return sentence(f"for the {facts.title}, " + "; ".join(parts))
 
 
@@ -185,13 +115,6 @@ def _cannot_be_seen(effect: Effect) -> str:
     return "cannot be told from"
 
 
-def change(effect: Effect, facts: Facts) -> str:
-    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
-    if effect.ratio and effect.difference is not None:
-        return f"{percent(effect.difference - 1)} (ratio {significant(effect.difference)})"
-    return size(effect, facts)
-
-
 def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
     strong = [
         (facts, effect)
@@ -210,32 +133,43 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
 
 def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
     """Name the best cell of the first response that has a better end, and the tie around it."""
-    from study.reporting.facts import cells
-    from study.reporting.front import practical_of
+    from study.reporting.groups import describe, groups
 
     for facts in found:
         if facts.response.better not in ("lower", "higher"):
             continue
-        frame = cells(data, facts.name)
-        if frame.empty:
+        ranked = groups(data, facts)
+        if not ranked:
             continue
         if facts.response.better == "higher":
-            frame = frame.iloc[::-1].reset_index(drop=True)
-        mean = float(frame["mean"].iloc[0])
-        levels = listing([clean(v) for v in frame.loc[0, list(data.factors)]], "and")
-        limit = practical_of(facts, frame)
-        near = int(((frame["mean"] - mean).abs() <= limit).sum()) - 1
-        tie = (
-            f"; {count(near, 'other cell')} {'lies' if near == 1 else 'lie'} within "
-            f"{limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
-            if near
-            else "; no other cell comes within the difference that matters"
-        )
+            ranked = ranked[::-1]
         word = "lowest" if facts.response.better == "lower" else "highest"
+        mean = quantity(ranked[0].mean, facts.unit)
         return sentence(
-            f"the {word} {facts.title} is {quantity(mean, facts.unit)}, with {levels}{tie}"
+            f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
+            f"{_tie(data, facts, ranked)}"
         )
     return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
+    """Say how many other computations are as good in practice."""
+    from study.reporting.facts import cells
+    from study.reporting.front import practical_of
+
+    limit = practical_of(facts, cells(data, facts.name))
+    near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
+    if not near:
+        return "; no other cell comes within the difference that matters" if limit else ""
+    within = f"within {limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
+    copies = any(len(group) > 1 for group in ranked)
+    noun = "distinct computation" if copies else "cell"
+    holding = f" ({count(sum(map(len, near)), 'cell')})" if copies else ""
+    others = f"the {len(near)} other" if len(near) == len(ranked) - 1 else f"{len(near)} other"
+    if len(near) == 1:
+        other = "the other" if len(ranked) == 2 else "one other"
+        return f"; {other} {noun}{holding} lies {within}"
+    return f"; {others} {plural_of(noun)}{holding} lie {within}"
 
 
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
@@ -250,7 +184,7 @@ def would_change(data: ReportData, found: Sequence[Facts]) -> str:
     if doubts:
         unit = clean(data.block) if data.block else "replicate"
         parts.append(
-            f"more {unit}s would narrow the interval"
+            f"more {plural_of(unit)} would narrow the interval"
             f"{'s' if len(set(doubts)) > 1 else ''} of {listing(list(dict.fromkeys(doubts)))}"
         )
     if data.assumed:
@@ -274,18 +208,42 @@ def error_term(facts: Facts, data: ReportData) -> str:
     what = _SOURCES.get(facts.source, facts.source)
     reason = f": {facts.reason}" if facts.reason else ""
     text = sentence(f"the error term is {facts.source}, {what}{reason}")
-    if facts.question:
-        question = facts.question.rstrip(".")
-        if data.block and data.block != "block":
-            question = re.sub(r"\bblock\b", lambda _: clean(data.block), question)
-        end = "" if question.endswith(("?", ")")) else "."
-        text += f" The p-values answer one question: {question}{end}"
-    if data.virtual:
-        text += (
-            " The measurements are virtual, so p describes the scatter of their generator; the "
-            "verdicts rest on the effects against what matters and on the numerical uncertainty."
-        )
-    return text
+    return f"{text} {_question(facts, data)}".strip()
+
+
+def _question(facts: Facts, data: ReportData) -> str:
+    """Say what the p-values answer, then how they were made (which comes in parentheses)."""
+    if not facts.question:
+        return ""
+    question = facts.question.rstrip(".")
+    if data.block and data.block != "block":
+        block = clean(data.block)
+        question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)
+        question = re.sub(r"\bblock\b", lambda _: block, question)
+        question = question.replace(f"levels of {block}", plural_of(block))
+    asked = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
+    said = f"{asked[1]} {sentence(asked[2])}" if asked else question
+    end = "" if said[-1] in ".?" else "."
+    return f"The p-values answer one question: {said}{end}"
+
+
+VIRTUAL = (
+    "The measurements are virtual, so p describes the scatter of their generator; the verdicts "
+    "rest on the effects against what matters and on the numerical uncertainty."
+)
+
+
+def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
+    """Statements about the error term, each once, with the responses that it holds for."""
+    by_text: dict[str, list[str]] = {}
+    for facts in found:
+        for text in (error_term(facts, data), distinct(facts, data)):
+            if text:
+                by_text.setdefault(text, []).append(facts.title)
+    return tuple(
+        ("" if len(titles) == len(found) > 1 else sentence(listing(titles)), text)
+        for text, titles in by_text.items()
+    )
 
 
 def distinct(facts: Facts, data: ReportData) -> str:
@@ -295,9 +253,14 @@ def distinct(facts: Facts, data: ReportData) -> str:
         total *= len(levels)
     if facts.distinct is None or facts.distinct >= total:
         return ""
+    only = (
+        "one is a distinct computation"
+        if facts.distinct == 1
+        else (f"{facts.distinct} are distinct computations")
+    )
     return (
-        f"Of {count(total, 'cell')} only {facts.distinct} are distinct computations: the others "
-        "agree in every block. Tests of the residuals use one of each group."
+        f"Of {count(total, 'cell')} only {only}: the others agree with one of them in every "
+        f"{clean(data.block) or 'block'}. Tests of the residuals use one cell of each."
     )
 
 

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from study.reporting.data import NumericalRow, ReportData
 from study.reporting.facts import Facts, cells, deciding_p, is_effect
-from study.reporting.sentences import practical, size, size_interval
 from study.reporting.text import (
     MISSING,
     clean,
     duration,
+    f_value,
     interval,
     name_of,
     p_value,
     percent,
+    plural_of,
     quantity,
+    share,
     significant,
     term_name,
 )
+from study.reporting.verdicts import numerical as u_num_of
+from study.reporting.verdicts import over_numerical, practical, size, size_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,7 +61,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     size(effect, facts),
                     size_interval(effect, facts),
                     practical(effect, facts),
-                    quantity(effect.u_num, facts.difference_unit, 2),
+                    u_num_of(effect, facts),
+                    over_numerical(effect),
                     p_value(effect.p),
                 )
             )
@@ -71,6 +76,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     "high": effect.high,
                     "practical": effect.practical,
                     "u_num": effect.u_num,
+                    "effect_over_u_num": effect.over_u_num,
                     "p": effect.p,
                     "scale": "ratio" if effect.ratio else "difference",
                 }
@@ -83,6 +89,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         "95 % interval",
         "matters from",
         "u_num",
+        "effect / u_num",
         "p",
     )
     return Table("verdicts", columns, tuple(rows), 3, raw=tuple(raw))
@@ -104,15 +111,35 @@ def anova(facts: Facts, data: ReportData) -> Table:
     for row in effects:
         cell = [term_name(str(row["term"]), data.labels), _df(row)]
         if tested:
-            cell += [significant(row.get("f")), p_value(row.get("p"))]
+            cell += [f_value(row.get("f")), p_value(row.get("p"))]
             if corrected:
                 cell += [_fixed(row.get("epsilon_gg")), p_value(deciding_p(row))]
             cell += [_fixed(row.get("omega_sq"), 3), _eta(row)]
         else:
             cell += [significant(row.get("ss"))]
-        rows.append((*cell, percent(row.get("share"))))
-    note = "share: part of the total sum of squares, blocks included." if data.block else ""
+        rows.append((*cell, share(row.get("share"))))
+    note = " ".join(_anova_notes(effects, data, tested))
     return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
+
+
+def _anova_notes(
+    effects: Sequence[Mapping[str, Any]], data: ReportData, tested: bool
+) -> Iterator[str]:
+    """Say what a reader may stumble over: a huge F, a test that was not made, the share."""
+    block = clean(data.block)
+    if any((row.get("f") or 0) > 1e4 for row in effects):
+        where = f"in every {block}" if block else "in every run"
+        yield (
+            f"F > 10,000: the effect is nearly the same {where}, so the error below the line is "
+            "nearly zero; read the size of the effect, not its F."
+        )
+    if block and tested and any(row.get("f") is None for row in effects):
+        yield (
+            f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "
+            "so there is nothing to test it against."
+        )
+    if data.block:
+        yield f"Share: part of the total sum of squares, the {plural_of(block)} included."
 
 
 def strata(facts: Facts, data: ReportData) -> Table:
@@ -124,7 +151,7 @@ def strata(facts: Facts, data: ReportData) -> Table:
             significant(row.get("df")) if row.get("df") is None else f"{row['df']:g}",
             significant(row.get("ss")),
             significant(row.get("ms")),
-            percent(row.get("share")),
+            share(row.get("share")),
         )
         for row in facts.rows
         if not is_effect(row, list(data.factors))
@@ -202,7 +229,7 @@ def fits(data: ReportData) -> Table:
         key = (*(clean(fit.levels.get(name, MISSING)) for name in names), clean(fit.constant))
         groups.setdefault(key, []).append(fit)
     rows = []
-    for key, items in groups.items():
+    for key, items in sorted(groups.items(), key=lambda group: _place(group[0], names, data)):
         values = np.array([i.value for i in items if i.value is not None], dtype=float)
         relative = [
             abs(i.standard_error / i.value)
@@ -247,6 +274,17 @@ def fits(data: ReportData) -> Table:
         "identifiable",
     )
     return Table("fits", columns, tuple(rows), len(names) + 1, 1, raw=raw)
+
+
+def _place(
+    key: Sequence[str], names: Sequence[str], data: ReportData
+) -> tuple[tuple[int, ...], str]:
+    """Sort key of a fit: its levels in the order of the design, then its constant."""
+    order = []
+    for name, shown in zip(names, key, strict=False):
+        levels = [clean(level) for level in data.factors.get(name, ())]
+        order.append(levels.index(shown) if shown in levels else -1)
+    return tuple(order), key[-1]
 
 
 def every_fit(data: ReportData) -> Table:

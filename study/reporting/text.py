@@ -94,10 +94,7 @@ def interval(low: float | None, high: float | None, unit: str = "", digits: int 
     largest = max(abs(low), abs(high))
     if largest == 0 or not 1e-3 <= largest < 1e5:
         return f"{significant(low, digits)} to {quantity(high, unit, digits)}"
-    # log10 of the value as it will be printed: 9.999 is 10.0
-    exponent = math.floor(math.log10(float(f"{largest:.{digits - 1}e}")))
-    decimals = max(digits - 1 - exponent, 0)
-    ends = [_fixed(end, decimals) for end in (low, high)]
+    ends = [_fixed(end, _decimals(largest, digits)) for end in (low, high)]
     return f"{ends[0]} to {ends[1]}" + (f"{THIN}{unit}" if unit else "")
 
 
@@ -106,6 +103,82 @@ def _fixed(value: float, decimals: int) -> str:
     if float(text.replace(",", "")) == 0:
         text = text.lstrip("-")
     return text.replace("-", MINUS)
+
+
+def decimals_that_count(step: float | None) -> int | None:
+    """Decimals that a thousandth of what matters can be read at; None where that is unknown.
+
+    Examples
+    --------
+    >>> decimals_that_count(0.5), decimals_that_count(5), decimals_that_count(None)
+    (3, 2, None)
+    """
+    if step is None or not math.isfinite(step) or step <= 0:
+        return None
+    return max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
+
+
+def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them.
+
+    Examples
+    --------
+    >>> rounded(0.0912, 3), rounded(0.000267, 3), rounded(0.155, 3), rounded(0.0, 3)
+    ('0.091', '< 0.001', '0.155', '0')
+    """
+    if value is None or decimals is None or value == 0 or not math.isfinite(value):
+        return significant(value, digits)
+    least = 10.0**-decimals
+    if abs(value) < least / 2:
+        return f"{'' if value > 0 else MINUS}< {least:.{decimals}f}"
+    return _fixed(value, min(_decimals(abs(value), digits), decimals))
+
+
+def span(low: float | None, high: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``.
+
+    Examples
+    --------
+    >>> span(1.4336, 1.4341, 4), span(0.0249, 0.2854, 3), span(-3.9e-5, 5.7e-4, 3)
+    ('1.4336 to 1.4341', '0.025 to 0.285', '0.000 to 0.001')
+    """
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    if decimals is None:
+        return interval(low, high, "", digits)
+    largest = max(abs(low), abs(high))
+    places = min(_decimals(largest, digits), decimals) if largest else 0
+    while places < decimals and round(low, places) == round(high, places):
+        places += 1
+    return f"{_fixed(low, places)} to {_fixed(high, places)}"
+
+
+def _decimals(value: float, digits: int) -> int:
+    # log10 of the value as it will be printed: 9.999 is 10.0
+    exponent = math.floor(math.log10(float(f"{value:.{digits - 1}e}")))
+    return max(digits - 1 - exponent, 0)
+
+
+def f_value(value: float | None, most: float = 1e4) -> str:
+    """F of a table; beyond ``most`` only said to be so, for its digits mean nothing.
+
+    Examples
+    --------
+    >>> f_value(17.9), f_value(7.61e9), f_value(None)
+    ('17.9', '> 10,000', '\N{EN DASH}')
+    """
+    if value is not None and math.isfinite(value) and value > most:
+        return f"> {most:,.0f}"
+    return significant(value)
+
+
+def share(fraction: float | None) -> str:
+    """Write a share of a total in percent with one decimal."""
+    if fraction is None or not math.isfinite(fraction):
+        return MISSING
+    if 0 < fraction < 0.0005:
+        return f"< 0.1{THIN}%"
+    return f"{100 * fraction:.1f}{THIN}%"
 
 
 def ratio_digits(value: float | None) -> int:
@@ -140,7 +213,22 @@ def duration(seconds: float | None) -> str:
 
 def count(number: int, noun: str, plural: str = "") -> str:
     """Write a counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``."""
-    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+    return f"{number:,} {noun if number == 1 else plural or plural_of(noun)}"
+
+
+def plural_of(noun: str) -> str:
+    """Plural of a noun; a name that is no plain word only gets its s.
+
+    Examples
+    --------
+    >>> plural_of("batch"), plural_of("phantom"), plural_of("assembly"), plural_of("day")
+    ('batches', 'phantoms', 'assemblies', 'days')
+    """
+    if noun.endswith(("s", "x", "z", "ch", "sh")):
+        return noun + "es"
+    if noun.endswith("y") and noun[-2:-1] not in tuple("aeiou"):
+        return noun[:-1] + "ies"
+    return noun + "s"
 
 
 def clean(text: object, longest: int = 0) -> str:

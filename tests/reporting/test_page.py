@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting import figures_interactions
+from study.reporting import checks, figures_interactions, tables
 from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
+from study.reporting.facts import facts
 from study.reporting.page import Contents, build, missing, prepare, render
 from tests.reporting.example import FACTORS, with_failures
 
@@ -160,6 +161,47 @@ def test_refused_analysis_still_makes_a_report(data: ReportData):
     page = build(replace(data, responses=(refused,), curves=()))
     assert "Not analyzed. copies pose as replicates" in page
     assert "No response could be analyzed" in page
+
+
+def test_checks_of_several_responses_stand_together(data: ReportData):
+    made = checks.grouped(checks.all_checks(data, facts(data)))
+    names = [group.name for group in made]
+    assert len(names) == len(set(names))
+    spread = next(group for group in made if group.name == "Equal spread of the cells")
+    assert [check.of for check in spread.items] == [f.title for f in facts(data)]
+    order = ("fail", "caution", "not applicable", "pass")
+    assert [order.index(g.outcome) for g in made] == sorted(order.index(g.outcome) for g in made)
+
+
+def test_worst_outcome_stands_for_a_group():
+    both = (Check("a", "pass", "x", of="p"), Check("a", "caution", "y", of="q"))
+    (group,) = checks.grouped(both)
+    assert group.outcome == "caution"
+    assert not group.agreed
+
+
+def test_levels_stand_in_the_order_of_the_design(data: ReportData):
+    for found in facts(data):
+        for effect in found.effects:
+            assert effect.levels == data.factors[effect.term]
+            named = dict(zip(effect.levels, effect.means, strict=True))
+            per_level = data.table.groupby(effect.term)[found.name].mean()
+            if not found.ratio:
+                assert named == pytest.approx(per_level.to_dict(), rel=1e-9)
+
+
+def test_u_num_is_a_letter_with_a_subscript(html: str):
+    text = re.sub(r"<style>.*?</style>", "", html, flags=re.S)
+    assert "u_num" not in text
+    assert "u<sub>num</sub>" in text
+
+
+def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
+    found = facts(data)[1]
+    rows = tuple({**row, "f": 7.6e9} if row["term"] == "plates" else row for row in found.rows)
+    table = tables.anova(replace(found, rows=rows), data)
+    assert "> 10,000" in next(row for row in table.rows if row[0] == "plates")
+    assert table.note.startswith("F > 10,000: the effect is nearly the same in every phantom")
 
 
 def test_smallest_possible_report():

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from study.reporting import assumptions, sentences
+from study.reporting import assumptions, sentences, verdicts
 from study.reporting.data import Failure, ReportData, ResponseAnalysis
 from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, facts
-from study.reporting.front import recommendation
+from study.reporting.front import cheaper, recommendation
+from study.reporting.groups import Group, describe, groups
+from study.reporting.page import prepare, render
 
 
 def flat(text: str) -> str:
@@ -47,32 +49,32 @@ def modulus() -> Facts:
 
 
 def test_matters_names_levels_difference_and_interval():
-    assert flat(sentences.verdict(effect(MATTERS), error())) == (
-        "Plates matters: bonded gives 1.20 pp more relative RMS force error than frictionless "
+    assert flat(verdicts.verdict(effect(MATTERS), error())) == (
+        "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
         "(95 % interval 0.90 to 1.50 pp)."
     )
 
 
 def test_matters_on_the_log_is_a_ratio():
     one = effect(MATTERS, difference=1.373, low=1.36, high=1.38, practical=1.1, ratio=True)
-    assert flat(sentences.verdict(one, modulus())) == (
-        "Plates matters: bonded gives \N{MULTIPLICATION SIGN} 1.37 the initial shear modulus of "
-        "frictionless (95 % interval 1.36 to 1.38)."
+    assert flat(verdicts.verdict(one, modulus())) == (
+        "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
+        "(95 % interval 1.36 to 1.38)."
     )
 
 
 def test_no_difference_says_that_a_small_p_does_not_decide():
     one = effect(NO_DIFFERENCE, difference=0.02, low=0.01, high=0.03, p=1e-9)
-    assert flat(sentences.verdict(one, error())) == (
+    assert flat(verdicts.verdict(one, error())) == (
         "Plates: no practical difference in the relative RMS force error; the largest is "
-        "0.0200 pp (95 % interval 0.0100 to 0.0300 pp), within 0.5 pp (repeatable, p < .001, but "
+        "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
         "too small to matter)."
     )
 
 
 def test_cannot_tell_is_said_whatever_p_is():
     one = effect(CANNOT_TELL, low=0.1, high=2.3, p=0.0001, why="the interval crosses")
-    text = sentences.verdict(one, error())
+    text = verdicts.verdict(one, error())
     assert "cannot tell" in text
     assert "matters:" not in text
     assert "the interval crosses" in text
@@ -80,7 +82,7 @@ def test_cannot_tell_is_said_whatever_p_is():
 
 def test_not_estimable_keeps_its_reason():
     one = effect(CANNOT_TELL, difference=None, low=None, high=None, why="not estimable")
-    assert sentences.verdict(one, error()) == "Plates: cannot tell; not estimable."
+    assert verdicts.verdict(one, error()) == "Plates: cannot tell; not estimable."
 
 
 @pytest.mark.parametrize(
@@ -139,14 +141,74 @@ def test_answer_is_three_sentences_of_the_example(data: ReportData):
 
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
-    assert "scatter of their generator" in sentences.error_term(facts(virtual)[0], virtual)
+    assert "scatter of their generator" in render(prepare(replace(virtual, curves=())))
     assert "real measurements" in sentences.would_change(virtual, facts(virtual))
 
 
 def test_error_term_names_source_and_question(data: ReportData):
     text = sentences.error_term(facts(data)[0], data)
     assert text.startswith("The error term is E1, measured replicates as blocks")
-    assert "another phantom?" in text
+    assert "another phantom? Each effect against" in text
+    assert "9 phantoms" in text
+
+
+def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
+    said = sentences.error_terms(data, facts(data))
+    assert [who for who, text in said if text.startswith("The error term")] == [""]
+    assert all(text.endswith((".", "?")) for _, text in said)
+
+
+def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
+    tiny = effect(NO_DIFFERENCE, difference=0.000267, low=-3.91e-5, high=0.000574)
+    assert flat(verdicts.size(tiny, error())) == "< 0.001 pp"
+    assert flat(verdicts.size_interval(tiny, error())) == "0.000 to 0.001 pp"
+    same = effect(MATTERS, difference=1.43363, low=1.43362, high=1.43364, practical=1.1, ratio=True)
+    assert verdicts.size_interval(same, modulus()) == "narrower than 0.0001"
+    apart = replace(same, low=1.4334, high=1.4338)
+    assert verdicts.size_interval(apart, modulus()) == "1.433 to 1.434"
+
+
+def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
+    # ln 1.43363 = 0.3602; over 7.4 is 0.04867, a factor of 1.0499
+    one = effect(MATTERS, difference=1.43363, practical=1.1, ratio=True, u_num=0.85, over_u_num=7.4)
+    assert flat(verdicts.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
+    assert verdicts.over_numerical(one) == "7.4"
+    assert verdicts.over_numerical(replace(one, over_u_num=4321.0)) == "> 100"
+    assert verdicts.over_numerical(replace(one, over_u_num=None)) == "\N{EN DASH}"
+
+
+def test_copies_are_one_computation_and_named_together(data: ReportData):
+    found = facts(data)[0]
+    ranked = groups(data, found)
+    assert sum(map(len, ranked)) == 32
+    assert [g.mean for g in ranked] == sorted(g.mean for g in ranked)
+    spaces, orders = ("axisymmetric", "3d"), ("linear", "quadratic")
+    four = Group(
+        1.0,
+        tuple(
+            dict(zip(data.factors, ("mooney-rivlin", "frictionless", s, o), strict=True))
+            for s in spaces
+            for o in orders
+        ),
+    )
+    assert describe(four, data) == "mooney-rivlin, frictionless, any space, any element order"
+    odd = Group(1.0, (*four.members[:2], {**four.members[3], "material": "neo-hookean"}))
+    assert describe(odd, data).endswith("(and 2 cells that are the same computation)")
+
+
+def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data: ReportData):
+    text = flat(cheaper(data, facts(data)[0]))
+    assert text.startswith("Space: axisymmetric is enough")
+    assert "plates" not in text.lower()
+
+
+def test_plurals_of_blocks_are_english(data: ReportData):
+    found = facts(replace(data, block="batch"))
+    doubt = replace(found[0], terms=(effect(CANNOT_TELL),))
+    assert (
+        "more batches would narrow"
+        in sentences.would_change(replace(data, block="batch"), (doubt,)).lower()
+    )
 
 
 def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData):

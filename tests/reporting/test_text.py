@@ -10,7 +10,9 @@ from study.reporting.text import (
     MINUS,
     MISSING,
     clean,
+    decimals_that_count,
     duration,
+    f_value,
     interval,
     listing,
     name_of,
@@ -19,8 +21,11 @@ from study.reporting.text import (
     percent,
     quantity,
     ratio,
+    rounded,
     sentence,
+    share,
     significant,
+    span,
 )
 
 
@@ -92,6 +97,39 @@ def test_units_never_leave_their_number():
 def test_ratio_near_one_shows_what_differs():
     assert flat(ratio(1.3731)) == "\N{MULTIPLICATION SIGN} 1.37"
     assert flat(ratio(1.00034)) == "\N{MULTIPLICATION SIGN} 1.0003"
+
+
+def test_what_is_finer_than_matters_is_not_printed():
+    assert decimals_that_count(0.5) == 3
+    assert decimals_that_count(0.05) == 4
+    assert decimals_that_count(0.1) == 4
+    assert decimals_that_count(None) is None
+    assert rounded(0.000267, 3) == "< 0.001"
+    assert rounded(-0.000267, 3) == f"{MINUS}< 0.001"
+    assert rounded(0.0912, 3) == "0.091"
+    assert rounded(12.345, 3) == "12.3"
+    assert rounded(0.000267, None) == "0.000267"
+
+
+def test_both_ends_share_their_decimals_and_differ_where_they_can():
+    assert span(-3.91e-5, 0.000574, 3) == "0.000 to 0.001"
+    assert span(1.43362, 1.43374, 4) == "1.4336 to 1.4337"
+    assert span(None, 1.0, 3) == MISSING
+
+
+def test_f_and_share():
+    assert [f_value(v) for v in (17.94, 9999.0, 10001.0, None)] == [
+        "17.9",
+        "10,000",
+        "> 10,000",
+        MISSING,
+    ]
+    assert [flat(share(v)) for v in (0.912, 0.00332, 1e-5, 0.0)] == [
+        "91.2 %",
+        "0.3 %",
+        "< 0.1 %",
+        "0.0 %",
+    ]
 
 
 def test_small_words():
