@@ -23,7 +23,8 @@ _HOME = {
     "bartlett": "study.api.statistics",
     "grid_convergence": "study.api.statistics",
     "solve": "study.api.single",
-    "calibrate": "study.api.single",
+    "calibrate": "study.api.calibration",
+    "choose_energy": "study.api.calibration",
     "converge": "study.api.single",
     "virtual": "study.api.single",
 }

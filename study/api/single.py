@@ -1,4 +1,4 @@
-"""One simulation, one calibration, one refinement series, virtual measurements."""
+"""One simulation, one refinement series, virtual measurements."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.places import RESULTS, data_root
+from study.api.places import RESULTS
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.analysis import ConvergenceResult
     from study.forward.problem import Problem
     from study.forward.solve import Solution
-    from study.runner.calibrate import CalibrationResult
 
 
 def solve(
@@ -87,30 +86,6 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     }
     made: dict[str, Any] = plain(content, "solution", {})
     return made
-
-
-def calibrate(
-    source: str | Path, *, data: str | Path | None = None, overrides: Sequence[str] = ()
-) -> CalibrationResult:
-    """Find material constants from one or several measured tests.
-
-    Parameters
-    ----------
-    source : str or Path
-        Calibration file.
-    data : str or Path, optional
-        Folder of the measurements.
-
-    Raises
-    ------
-    InputError
-        For a faulty file or faulty data.
-    """
-    from study.design import load_calibration
-    from study.runner.calibrate import calibrate as run_calibration
-
-    config = load_calibration(source, overrides)
-    return run_calibration(config, data_root(source, data))
 
 
 def converge(

@@ -1,4 +1,4 @@
-"""Verbs about one thing: new, solve, calibrate, converge, virtual, doctor."""
+"""Verbs about one thing: new, solve, converge, virtual, doctor (calibrate has its own file)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from study.cli import show
-from study.cli.studies import RESULTS, Data, Json, Results, Set
+from study.cli.calibration import calibrate
+from study.cli.studies import RESULTS, Json, Results, Set
 from study.errors import Fault, InputError
 
 
@@ -55,42 +56,6 @@ def solve(
         raise typer.Exit(1)
 
 
-def calibrate(
-    file: Annotated[Path, typer.Argument(help="Calibration file.")],
-    data: Data = None,
-    settings: Set = None,
-    as_json: Json = False,
-) -> None:
-    """Find material constants from one or several measured tests."""
-    from study import api
-
-    found = api.calibrate(file, data=data, overrides=settings or ()).to_json()
-    show.warn(found["warnings"])
-    if as_json:
-        show.print_json(found)
-    else:
-        _print_calibration(found)
-    if found["status"] != "converged":
-        raise typer.Exit(1)
-
-
-def _print_calibration(found: dict[str, Any]) -> None:
-    rows = [["constant", "value", "unit", "standard error", "95 % interval"]]
-    for name, entry in found["parameters"].items():
-        low, high = entry["ci95"]
-        between = "-" if low is None or high is None else f"{low:.5g} to {high:.5g}"
-        error = show.number(entry["standard_error"])
-        rows.append([name, show.number(entry["value"], 6), entry["unit"], error, between])
-    show.table(rows, found["model"])
-    for curve in found["curves"]:
-        print(f"{curve['role']}: {curve['file']}: RMS {curve['rms_force_error']:.4g} N "
-              f"({curve['relative_rms_force_error']:.3g} %)")  # fmt: skip
-    print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
-    verdict = "identifiable" if found["identifiable"] else "not identifiable"
-    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
-    print(found["stability"])
-
-
 def converge(
     file: Annotated[Path | None, typer.Argument(help="Problem file, or a finished study.")] = None,
     values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",
@@ -133,12 +98,12 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 def _print_series(cell: dict[str, Any]) -> None:
-    title = f"{cell['qoi']} {cell.get('note', '')}".strip()
+    title = f"{cell['qoi']} {cell.get('note', '')}".strip().removeprefix("value")
     rows = [["mesh size", f"value [{cell['unit']}]" if cell["unit"] else "value"]]
     pairs = zip(cell["mesh_size"], cell["value"], strict=True)
     rows += [[f"{size:.5g}", f"{value:.8g}"] for size, value in pairs]
     show.table(rows, title)
-    print(f"{cell['behaviour']}: {cell['verdict']}")
+    print(cell["verdict"])
     if cell["gci_fine"] is not None:
         print(f"order {cell['observed_order']:.4g}, extrapolated {cell['extrapolated']:.8g}, "
               f"GCI {100 * cell['gci_fine']:.4g} %")  # fmt: skip

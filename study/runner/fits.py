@@ -8,7 +8,7 @@ space or the elements, so sixteen cells may share four of them.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -20,17 +20,11 @@ from study.errors import Fault, InputError
 from study.runner import build, closed_form
 from study.runner.described import described
 from study.runner.identity import code_version, digest
+from study.runner.staged import Part, Predict, staged_fit
 
 Array = NDArray[np.float64]
 Config = Mapping[str, Any]
-Predict = Callable[[Array], list[Curve]]
 
-#: each evaluation of an inverse fit is a simulation: digits far below the error of the mesh
-#: are not worth one
-TOLERANCES: dict[str, dict[str, Any]] = {
-    "closed-form": {},
-    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7},
-}
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 #: sections of a configuration that a calibration problem of its own may replace
 _REPLACEABLE = ("specimen", "test")
@@ -106,10 +100,12 @@ def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
 
 
 def start_problem(problem: FitProblem) -> FitProblem | None:
-    """Neo-Hookean fit of the same test, whose constant starts this one.
+    """Fit of the same test whose constants start this one: neo-Hookean, or one order lower.
 
-    None where there is nothing to wait for: the fit is neo-Hookean or linear itself, has a
-    closed form, or its start is given. Start values are thus a function of the case alone.
+    A third-order polynomial that starts from the neo-Hookean constant alone walks into
+    constants that soften without end. None where there is nothing to wait for: the fit is
+    neo-Hookean or linear itself, has a closed form, or its start is given. Start values are
+    thus a function of the case alone.
     """
     section = problem.config["material"]
     if problem.method != "inverse-fem" or section.get("constants"):
@@ -117,7 +113,11 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     if section["model"] in ("neo-hookean", "linear-elastic"):
         return None
     kept = {k: v for k, v in section.items() if k not in ("order", "constants")}
-    material = _written({**kept, "model": "neo-hookean"})
+    order = int(section.get("order") or 1)
+    simpler: dict[str, Any] = {**kept, "model": "neo-hookean"}
+    if section["model"] == "reduced-polynomial" and order > 2:
+        simpler = {**kept, "model": section["model"], "order": order - 1}
+    material = _written(simpler)
     return FitProblem(
         problem.method, {**problem.config, "material": material}, problem.shares_scored_problem
     )
@@ -150,25 +150,22 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     dict
         ``status`` is ``"converged"`` or the reason why not; constants in MPa.
     """
-    from study.calibration import MeasuredCurve, fit
+    from study.calibration import MeasuredCurve
 
     began = time.perf_counter()
     config = task["config"]
     measured = [Curve.from_dict(c) for c in task["measured"]]
     start = task["start"]
     if start is not None and start.get("status") != "converged":  # it cannot be fitted alone
-        why = f"its neo-Hookean start did not converge: {start.get('message', '')}"
+        why = f"the fit that starts it did not converge: {start.get('message', '')}"
         return {"status": str(start.get("status", "failed")), "message": why}
     names, first = start_values(config, measured, (start or {}).get("values"))
-    if task["method"] == "closed-form":
-        predict: Predict = closed_form_model(config, measured, names)
-    else:
-        predict = InverseFem(config, measured, names)
-    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
-    found = fit(predict, data, names, first, **TOLERANCES[task["method"]])
-    result = described(found, config, names, measured)
+    data = tuple(MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured))
+    done = staged_fit([Part(task["method"], config, data)], names, first, model)
+    result = described(done.fit, config, names, measured)
+    predict = done.models[0]
     if isinstance(predict, InverseFem):
-        result |= predict.provenance(found.values)
+        result |= predict.provenance(done.fit.values)
     result["method"] = task["method"]
     result["seconds"] = time.perf_counter() - began
     result["start_seconds"] = float((start or {}).get("seconds", 0.0))
@@ -197,12 +194,18 @@ def start_values(
         )
     c10 = float(neo_hookean["C10"])
     terms = max(1, sum(n.startswith("mu") for n in names))
-    values = {"C10": c10, "youngs_modulus": 6 * c10}
+    values = {**neo_hookean, "C10": c10, "youngs_modulus": 6 * c10}
     values |= {f"mu{k}": 2 * c10 / terms for k in range(1, terms + 1)}
     # alternating exponents: equal ones would make the terms indistinguishable
     exponents = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
     values |= {f"alpha{k}": exponents[(k - 1) % 6] for k in range(1, terms + 1)}
     return names, np.array([values.get(n, 0.0) for n in names])
+
+
+def model(method: str, config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+    """Model of one test, for the optimizer."""
+    make = closed_form_model if method == "closed-form" else InverseFem
+    return make(config, measured, names)
 
 
 def closed_form_model(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:

@@ -23,6 +23,7 @@ _NUMERIC_RUNNER = (
     "fits.py",
     "execute.py",
     "scoring.py",
+    "staged.py",
 )
 _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
 

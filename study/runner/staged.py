@@ -1,0 +1,181 @@
+"""One fit in stages: the coarse mesh gives the start, the wanted mesh the answer.
+
+The first steps of a fit are far from its end, so that the error of a coarse mesh does not
+matter to them; on the wanted mesh one or two simulations are left. Start values remain a
+function of the case alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+from study.runner.checkpoint import Checkpoint
+
+if TYPE_CHECKING:
+    from study.calibration import Fit, Iteration, MeasuredCurve
+
+Array = NDArray[np.float64]
+Config = Mapping[str, Any]
+Predict = Callable[[Array], list[Curve]]
+
+#: each evaluation of an inverse fit is a simulation: digits far below the error of the mesh
+#: are not worth one; a start needs fewer still
+TOLERANCES: dict[str, dict[str, Any]] = {
+    "closed-form": {},
+    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7},
+    "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3},
+}
+#: coarse over fine of the named meshes
+_COARSER = 2.25
+#: elements over the height below which a mesh is coarse already
+_FEW = 4.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One test of a fit: how it is predicted, and the curves measured in it.
+
+    Parameters
+    ----------
+    method : str
+        ``"closed-form"`` or ``"inverse-fem"``.
+    config : mapping
+        Sections that enter.
+    measured : tuple of MeasuredCurve
+        Curves of this test, of one or several specimens of equal size.
+    """
+
+    method: str
+    config: Config
+    measured: tuple[MeasuredCurve, ...]
+
+
+@dataclass(frozen=True)
+class Step:
+    """An accepted iteration of a stage; what a progress line shows."""
+
+    stage: str
+    names: tuple[str, ...]
+    iteration: Iteration
+
+
+Progress = Callable[[Step], None]
+#: method, config, measured curves and names -> model
+MakeModel = Callable[[str, Config, Sequence[Curve], Sequence[str]], Predict]
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A fit, the models that made it, one for each part, and the coarse fit before it."""
+
+    fit: Fit
+    models: tuple[Predict, ...]
+    rough: Fit | None = None
+
+    @property
+    def evaluations(self) -> int:
+        """Calls of the model in all stages."""
+        return self.fit.evaluations + (self.rough.evaluations if self.rough else 0)
+
+
+def staged_fit(
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    start: Array,
+    make: MakeModel,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    progress: Progress | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> Staged:
+    """Fit common constants to all parts at once.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        The tests.
+    names : tuple of str
+        Constants.
+    start : ndarray, shape (p,)
+        Start values in MPa.
+    make : callable
+        Makes the model of a part.
+    bounds : sequence of (low, high), optional
+        One pair for every constant.
+    progress : callable, optional
+        Gets every accepted iteration.
+    checkpoint : Checkpoint, optional
+        Keeps accepted iterations, so that an interrupted fit goes on where it was.
+    """
+    kept = checkpoint or Checkpoint()
+    coarse = [coarser(part) for part in parts]
+    before = None
+    if len(names) > 1 and any(one is not None for one in coarse):
+        rough = [own if own is not None else part for own, part in zip(coarse, parts, strict=True)]
+        before = single_stage("coarse mesh", rough, names, start, make, bounds, progress, kept).fit
+        if before.converged:
+            start = before.values
+    done = single_stage("wanted mesh", parts, names, start, make, bounds, progress, kept)
+    return replace(done, rough=before)
+
+
+def single_stage(
+    stage: str,
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    start: Array,
+    make: MakeModel,
+    bounds: Sequence[tuple[float, float]] | None,
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> Staged:
+    """Fit on the given meshes; the name of the stage is that of its progress and checkpoint."""
+    from study.calibration import fit
+
+    models = [make(p.method, p.config, [m.curve for m in p.measured], names) for p in parts]
+
+    def predict(values: Array) -> list[Curve]:
+        return [curve for model in models for curve in model(values)]
+
+    def accepted(iteration: Iteration) -> None:
+        checkpoint.keep(stage, iteration)
+        if progress is not None:
+            progress(Step(stage, names, iteration))
+
+    simulated = any(part.method == "inverse-fem" for part in parts)
+    tolerances = "start" if stage == "coarse mesh" else "inverse-fem"
+    found = fit(
+        predict,
+        [m for part in parts for m in part.measured],
+        names,
+        start,
+        bounds=bounds,
+        callback=accepted,
+        resume=checkpoint.last(stage),
+        **TOLERANCES[tolerances if simulated else "closed-form"],
+    )
+    return Staged(found, tuple(models))
+
+
+def coarser(part: Part) -> Part | None:
+    """Make the same part on a coarse mesh; None where that is no cheaper."""
+    if part.method != "inverse-fem":
+        return None
+    model = dict(part.config["model"])
+    size = model.get("mesh_size_mm")
+    if size is None:
+        if model.get("mesh", "medium") == "coarse":
+            return None
+        model["mesh"] = "coarse"
+    else:
+        height = part.config["specimen"].get("height_mm")
+        if height is None or float(height) / (_COARSER * float(size)) < _FEW:
+            return None
+        model["mesh_size_mm"] = _COARSER * float(size)
+    return replace(part, config={**part.config, "model": model})
