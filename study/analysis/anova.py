@@ -8,25 +8,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.analysis import checks, error_term
-from study.analysis.blocks import cell_fit, crossed, own_estimate, own_terms
+from study.analysis import error_term, failed, nested
+from study.analysis.blocks import own
 from study.analysis.copies import CopyGroups, group_cells, refuse_fake_replicates, ulp_floor
-from study.analysis.effects import Scale, TermEstimate, pooled_estimate, size
-from study.analysis.matrix import Array, Term, balanced, model_matrix, term_name, terms_of
-from study.analysis.nested import average_units, misleading
+from study.analysis.effects import Scale
+from study.analysis.groups import own_groups
+from study.analysis.matrix import Array, terms_of
+from study.analysis.options import Options
 from study.analysis.outcome import Outcome, assemble
+from study.analysis.pooled import pooled
 from study.analysis.practical import threshold
-from study.analysis.results import AnalysisResult, Anova, ErrorTerm, Row
-from study.analysis.sums import Factored, TermSum, factor, term_sums
+from study.analysis.results import AnalysisResult, Effect
+from study.analysis.robustness import add_robustness
+from study.analysis.strata import Plots, split_plot, whole_plots
 from study.analysis.threads import one_thread
-from study.analysis.tidy import Data, prepare
-from study.analysis.unreplicated import LenthResult
-from study.errors import Fault, InputError
+from study.analysis.tidy import Data, names_of, prepare
+from study.errors import Fault, InputError, RefusedError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _DEFAULT_TOLERANCE = 1e-8
+# columns of a study's table that say what the repeats of a cell are
+_SEED_COLUMNS = {"mesh_seed": "mesh-seeds", "noise_seed": "noise"}
 
 
 @one_thread
@@ -35,8 +39,10 @@ def analyze(
     response: str,
     factors: Sequence[str],
     *,
-    block: str | None = None,
+    block: str | Sequence[str] | None = None,
     unit: str | None = None,
+    whole_plot: str | Sequence[str] = (),
+    replicates: str = "auto",
     type: str = "auto",  # noqa: A002
     model: Any = "full",
     error: str = "auto",
@@ -56,14 +62,22 @@ def analyze(
     table : DataFrame
         One row a run.
     response : str
-        Column of the response; missing values are counted and left out.
+        Column of the response; missing values are counted and left out, and what they could
+        do to the conclusion is bounded.
     factors : sequence of str
         Columns of the factors.
-    block : str, optional
-        Column of the replicated unit (specimen, mix, ...).
+    block : str or sequence of str, optional
+        Column of the replicated unit (specimen, mix, ...); several that cross make a Latin
+        square. Where a factor is constant within every block, the blocks are its whole plots.
     unit : str, optional
-        Column of the unit on which rows are repeated: its rows are averaged first, and a
-        warning says how far the analysis of single rows would have misled.
+        Column of the unit on which rows are repeated: its rows are averaged first, and the
+        result says how far the analysis of single rows would have misled.
+    whole_plot : str or sequence of str
+        Factors set once per whole plot of a block: they are tested against whole plots.
+    replicates : {"auto", "runs", "mesh-seeds", "noise"}
+        What the rows of one cell are: runs set up anew (E0), new meshes (E3), refits to
+        resampled measurement noise (E2). ``auto`` looks for the columns ``mesh_seed`` and
+        ``noise_seed``.
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
@@ -82,7 +96,7 @@ def analyze(
     u_num : float or mapping to float, optional
         Numerical uncertainty in the unit of the response (the largest of a mapping).
     exact : bool
-        Whether to simulate the exact Ryan-Joiner p.
+        Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
 
     Raises
     ------
@@ -91,65 +105,154 @@ def analyze(
     RefusedError
         For copies that pose as replicates.
     """
-    _check_options(type, transform, alpha)
+    options = Options(
+        names_of(block),
+        unit,
+        names_of(whole_plot),
+        replicates,
+        type,
+        model,
+        error,
+        records,
+        tolerance,
+        practical,
+        transform,
+        u_num,
+        alpha,
+        seed,
+        exact,
+    )
+    options.check()
     if unit is not None:
-        means = average_units(table, response, factors, unit, block=block, transform=transform)
-        options: dict[str, Any] = {
-            "block": block,
-            "type": type,
-            "model": model,
-            "error": error,
-            "tolerance": tolerance,
-            "practical": practical,
-            "transform": transform,
-            "u_num": u_num,
-            "alpha": alpha,
-            "seed": seed,
-        }
-        nested = analyze(means, response, factors, records=records, exact=exact, **options)
-        naive = analyze(table, response, factors, exact=False, **options)
-        return replace(nested, warnings=(*nested.warnings, *misleading(nested, naive, unit)))
-    data = prepare(table, response, factors, block)
-    terms = terms_of(data.factors, model)
-    limit = threshold(practical)
-    u_raw = _largest(u_num)
-    tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if tolerance is None else tolerance
-    tol = tol if records or tolerance is not None else 0.0
-    out = Outcome(data, response, terms, transform, alpha, seed, exact, tol, u_raw, records)
-    if float(np.ptp(data.y)) <= max(10 * tol, 4 * ulp_floor(data.y)):
-        return assemble(out.constant())
-    notes = refuse_fake_replicates(data, table, records=records, tolerance=tol)
-    y = _transformed(data, response, transform)
-    scale = _scale(y, data, transform, limit, u_raw, records)
+        return _with_units(table, response, factors, options, unit)
+    return _complete(table, response, factors, options)
+
+
+def _complete(
+    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options
+) -> AnalysisResult:
+    """Analysis of the rows there are, and what the missing ones could do to it."""
+    out = _found(table, response, factors, options)
+    result = assemble(add_robustness(out))
+    if not out.data.missing:
+        return result
+
+    def effects(completed: pd.DataFrame) -> tuple[Effect, ...]:
+        return _found(completed, response, factors, options).effects
+
+    found = failed.bounds(table, response, factors, out.effects, options.alpha, effects)
+    notes = failed.sentences(found, out.data.missing)
+    return replace(result, bounds=found, warnings=(*result.warnings, *notes))
+
+
+def _with_units(
+    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options, unit: str
+) -> AnalysisResult:
+    """Analysis of the means of the units, set beside that of all rows."""
+    blocks, transform = options.block, options.transform
+    means = nested.average_units(table, response, factors, unit, block=blocks, transform=transform)
+    result = _complete(means, response, factors, options)
+    naive = _found(table, response, factors, options).anova
+    found = nested.compare_naive(
+        table,
+        response,
+        factors,
+        unit,
+        result,
+        naive,
+        block=blocks,
+        transform=transform,
+        seed=options.seed,
+    )
+    if found is None:
+        return result
+    notes = nested.sentences(found, options.alpha)
+    return replace(result, nested=found, warnings=(*result.warnings, *notes))
+
+
+def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: Options) -> Outcome:
+    """Table and effects of one analysis, before the checks of its assumptions."""
+    out = _start(table, response, factors, options)
+    data = out.data
+    if float(np.ptp(data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(data.y)):
+        return out.constant()
+    notes = refuse_fake_replicates(data, table, records=out.records, tolerance=out.tolerance)
+    _refuse_undeclared(out)
+    y = _transformed(data, response, out.transform)
+    limit = threshold(options.practical)
+    scale = _scale(y, data, out.transform, limit, out.u_raw, out.records)
     out = replace(out, y=y, scale=scale, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
     copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
-    how = error_term.method(error, block, records, copies=copied)
+    how = error_term.method(options.error, data.block, out.records, copies=copied)
+    plots = whole_plots(data, options.whole_plot)
     if how == error_term.OWN:
-        own = _own(out, type, error)
-        if own is not None:
-            return assemble(own)
-        out = out.warn(f"fewer than two complete levels of {block}: no test against blocks")
-    return assemble(_pooled(out, type, error, model))
+        tested = _own(out, options, plots)
+        if tested is not None:
+            return tested
+        out = out.warn(f"fewer than two complete levels of {data.block}: no test against blocks")
+    if plots is not None:
+        return split_plot(out, options.type, plots)
+    return pooled(out, options.type, options.error, options.model)
 
 
-def _check_options(kind: str, transform: str, alpha: float) -> None:
-    faults = []
-    if kind not in ("auto", "I", "II", "III"):
-        faults.append(Fault("type", f"must be auto, I, II or III, got {kind!r}"))
-    if transform not in ("none", "log"):
-        faults.append(Fault("transform", f"must be none or log, got {transform!r}"))
-    if not 0 < alpha < 1:
-        faults.append(Fault("alpha", f"must be between 0 and 1, got {alpha!r}"))
-    if faults:
-        raise InputError(faults)
+def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: Options) -> Outcome:
+    """Check the data and gather terms and tolerances."""
+    data = prepare(table, response, factors, options.block)
+    terms = terms_of(data.factors, options.model)
+    tol = options.tolerance
+    if tol is None:
+        tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if options.records else 0.0
+    return Outcome(
+        data,
+        response,
+        terms,
+        options.transform,
+        options.alpha,
+        options.seed,
+        options.exact,
+        tol,
+        options.largest_u_num,
+        options.records,
+        replicates=_replicates(table, data, options),
+    )
 
 
-def _largest(u_num: float | Mapping[str, float] | None) -> float | None:
-    if isinstance(u_num, Mapping):
-        known = [float(v) for v in u_num.values() if v is not None and np.isfinite(v)]
-        return max(known, default=None)
-    return None if u_num is None else float(u_num)
+def _replicates(table: pd.DataFrame, data: Data, options: Options) -> str:
+    """Tell what the rows of one cell are, from what was said or from the columns."""
+    if options.replicates != "auto":
+        return options.replicates
+    for column, kind in _SEED_COLUMNS.items():
+        if column in table.columns and column not in (*data.factors, *data.blocks):
+            return kind
+    return "auto" if options.records else "runs"
+
+
+def _refuse_undeclared(out: Outcome) -> None:
+    """Refuse several records of a cell that nobody declared to be replicates.
+
+    Raises
+    ------
+    RefusedError
+        If a cell of a study holds several runs that nothing tells apart.
+    """
+    data = out.data
+    counts = np.bincount(data.cell)
+    if out.replicates != "auto" or data.block is not None or counts.max() == 1:
+        return
+    names = data.cell_names()
+    double = [names[c] for c in np.flatnonzero(counts > 1)]
+    raise RefusedError(
+        f"{len(double)} cells hold several runs ({'; '.join(double[:3])}, ...) that differ in "
+        "something not named: a deterministic study has no replicates. Name all factors, or "
+        "--block, or say what the repeats are (--replicates mesh-seeds or noise)"
+    )
+
+
+def _own(out: Outcome, options: Options, plots: Plots | None) -> Outcome | None:
+    if plots is not None and plots.nested:
+        return own_groups(out, options.type, options.error, plots)
+    return own(out, options.type, options.error)
 
 
 def _transformed(data: Data, response: str, transform: str) -> Array:
@@ -188,155 +291,3 @@ def _copies(out: Outcome) -> CopyGroups:
     table[at, column] = data.y
     found = group_cells(table, within)
     return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in found.groups))
-
-
-def _kind(out: Outcome, kind: str, even: bool) -> tuple[str, Outcome]:
-    """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
-    if even:
-        return ("II" if kind == "auto" else kind), out
-    if kind == "auto" or (out.records and kind == "II"):
-        return "III", out.warn("unbalanced: Type III with sum-to-zero contrasts")
-    return kind, out.warn(f"unbalanced: Type {kind} as asked")
-
-
-def _own(out: Outcome, kind: str, error: str) -> Outcome | None:
-    """E1: every effect against its own interaction with the blocks."""
-    data, block = out.data, str(out.data.block)
-    table = crossed(data, out.y)
-    if len(table.blocks) < 2 or table.cells.size < 2:
-        return None
-    out = out.warn(*table.warnings)
-    full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
-    kind, out = _kind(out, kind, table.cells.size == full)
-    fit = cell_fit(table, out.terms)
-    total = float(np.sum((table.y - table.y.mean()) ** 2))
-    floor = max(out.working_tolerance(), ulp_floor(table.y))
-    tests = own_terms(table, fit, kind, block, floor, total)
-    out = out.warn(*(t.warning for t in tests if t.warning))
-    out = out.warn(*_alias_warnings([t.sums for t in tests]))
-    n_cells, b = table.y.shape
-    ss_block = n_cells * float(np.sum((table.y.mean(axis=0) - table.y.mean()) ** 2))
-    rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
-    rows += [t.error for t in tests]
-    rest = n_cells - 1 - sum(t.sums.df for t in tests)
-    if rest > 0:
-        out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
-    choice = error_term.own_choice(block, b, error)
-    df = {t.row.term: float(t.error.df) for t in tests}
-    estimates = [
-        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
-    ]
-    return replace(
-        out,
-        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
-        anova=Anova(kind, _with_shares(rows, total)),
-        effects=tuple(size(e, out.scale) for e in estimates),
-        sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
-        fit=checks.additive_fit(data, out.y),
-        crossed=table,
-    )
-
-
-def _pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
-    """One residual for all terms: E0, E1 pooled, E5; or none: E6, E7."""
-    data = out.data
-    extra: list[Term] = [(data.block,)] if data.block else []
-    matrix = model_matrix(data.layout, out.terms, extra=extra)
-    fit = factor(matrix, out.y)
-    names = [*data.factors, *([data.block] if data.block else [])]
-    kind, out = _kind(out, kind, balanced(data.layout, names))
-    sums = term_sums(fit, kind)
-    out = out.warn(*_alias_warnings(sums))
-    counts = np.bincount(data.cell)
-    single = bool(counts.max() == 1)
-    # copies are no separate contrasts: Lenth's limits would not hold
-    copied = len(out.copies.groups) < np.unique(data.cell).size
-    complete = single and not copied and balanced(data.layout, data.factors)
-    situation = error_term.Situation(
-        out.records,
-        data.block,
-        not single,
-        fit.df_residual,
-        model == "full",
-        int(np.sum([s.df for s in sums])),
-        complete,
-    )
-    choice = error_term.choose(situation, error)
-    df = fit.df_residual if choice.how == error_term.POOLED else 0
-    if df == 0:
-        out = out.warn(error_term.REMEDIES)
-    lenth = checks.lenth_of(out.data, out.y, out.terms, out.seed) if choice.source == "E6" else None
-    rows = [_row(s, fit, df) for s in sums]
-    if lenth is not None:
-        rows = [_lenth_row(row, lenth) for row in rows]
-    ms = fit.rss / df if df else None
-    rows.append(Row("residual", fit.df_residual, fit.rss if df else 0.0, ms))
-    by_name = {row.term: row for row in rows}
-    estimates: list[TermEstimate] = [
-        pooled_estimate(data.layout, fit, t, df, by_name[term_name(t)].p, out.alpha)
-        for t in out.terms
-    ]
-    return replace(
-        out,
-        error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
-        anova=Anova(kind, _with_shares(rows, fit.tss)),
-        effects=tuple(size(e, out.scale) for e in estimates),
-        fit=fit if df else None,
-        lenth=lenth,
-    )
-
-
-def _row(s: TermSum, fit: Factored, df: int) -> Row:
-    from scipy.special import fdtrc
-
-    name = term_name(s.term)
-    if s.df == 0:
-        return Row(name, 0, 0.0)
-    ms = s.ss / s.df
-    # a residual made of rounding alone is no error term
-    if df == 0 or fit.rss <= 1e-28 * max(fit.tss, s.ss):
-        return Row(name, s.df, s.ss, ms)
-    mse = fit.rss / df
-    if s.df < s.nominal_df:
-        return Row(name, s.df, s.ss, ms, error="residual", df_error=df)
-    f = ms / mse
-    return Row(
-        name,
-        s.df,
-        s.ss,
-        ms,
-        f,
-        float(fdtrc(s.df, df, f)),
-        "residual",
-        df,
-        None,
-        None,
-        max(0.0, (s.ss - s.df * mse) / (fit.tss + mse)),
-        s.ss / (s.ss + fit.rss),
-    )
-
-
-def _lenth_row(row: Row, lenth: LenthResult) -> Row:
-    if row.term not in lenth.names:
-        return row
-    return replace(row, p=lenth.p[lenth.names.index(row.term)], error="Lenth PSE")
-
-
-def _with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
-    done = []
-    for row in rows:
-        share = row.ss / total if total > 0 else None
-        done.append(replace(row, share=share, partial_eta_sq_ci95=checks.eta_interval(row)))
-    return tuple(done)
-
-
-def _alias_warnings(sums: Sequence[TermSum]) -> list[str]:
-    out = []
-    for s in sums:
-        if s.df < s.nominal_df:
-            partly = f" (aliased with {', '.join(s.aliases)})" if s.aliases else ""
-            out.append(
-                f"{term_name(s.term)}: {s.nominal_df - s.df} of {s.nominal_df} degrees of "
-                f"freedom are not estimable{partly}: empty cells or a confounded design; no test"
-            )
-    return out

@@ -8,16 +8,20 @@ pooled, so cells that differ only in discretization add no degrees of freedom.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from study.analysis.effects import TermEstimate, own_critical, t_quantile, term_rows
+from study.analysis import checks, error_term
+from study.analysis.copies import ulp_floor
+from study.analysis.effects import TermEstimate, own_critical, size, t_quantile, term_rows
 from study.analysis.matrix import Array, Codes, Layout, Term, model_matrix, term_name
-from study.analysis.results import Row
+from study.analysis.outcome import Outcome
+from study.analysis.results import Anova, ErrorTerm, Row
+from study.analysis.rows import alias_warnings, kind_of, with_shares
+from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.sums import Factored, TermSum, factor, term_sums
 from study.analysis.tidy import Data
-from study.analysis.variance import SphericityResult, epsilon_gg, sphericity
 
 
 @dataclass(frozen=True)
@@ -183,4 +187,42 @@ def own_estimate(
         own_critical(len(levels), max(df, 1), blocks, alpha),
         mean_half,
         p,
+    )
+
+
+def own(out: Outcome, kind: str, error: str) -> Outcome | None:
+    """E1: every effect against its own interaction with the blocks."""
+    data, block = out.data, str(out.data.block)
+    table = crossed(data, out.y)
+    if len(table.blocks) < 2 or table.cells.size < 2:
+        return None
+    out = out.warn(*table.warnings)
+    full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
+    kind, out = kind_of(out, kind, table.cells.size == full)
+    fit = cell_fit(table, out.terms)
+    total = float(np.sum((table.y - table.y.mean()) ** 2))
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    tests = own_terms(table, fit, kind, block, floor, total)
+    out = out.warn(*(t.warning for t in tests if t.warning))
+    out = out.warn(*alias_warnings([t.sums for t in tests]))
+    n_cells, b = table.y.shape
+    ss_block = n_cells * float(np.sum((table.y.mean(axis=0) - table.y.mean()) ** 2))
+    rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
+    rows += [t.error for t in tests]
+    rest = n_cells - 1 - sum(t.sums.df for t in tests)
+    if rest > 0:
+        out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
+    choice = error_term.own_choice(block, b, error)
+    df = {t.row.term: float(t.error.df) for t in tests}
+    estimates = [
+        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
+    ]
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        anova=Anova(kind, with_shares(rows, total)),
+        effects=tuple(size(e, out.scale) for e in estimates),
+        sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
+        fit=checks.additive_fit(data, out.y),
+        crossed=table,
     )

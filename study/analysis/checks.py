@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from study.analysis.matrix import Array, Layout, Term, model_matrix, terms_of
+from study.analysis.matrix import Array, Codes, Layout, Term, model_matrix, terms_of
 from study.analysis.results import Row
 from study.analysis.sums import Factored, factor
 from study.analysis.tidy import Data
@@ -21,27 +21,30 @@ class CellGroups:
 
     groups: dict[str, Array]
     approximate: bool
+    basis: Array | None
+    index: Codes
 
 
-def additive_fit(data: Data, y: Array, rows: Any = None) -> Factored:
-    """Fit of cells plus blocks to some of the rows: the residuals of a blocked study."""
+def additive_fit(data: Data, y: Array, rows: Any = None, *, plots: Codes | None = None) -> Factored:
+    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them."""
     keep = np.arange(y.size) if rows is None else rows
     cells, index = np.unique(data.cell[keep], return_inverse=True)
     levels = {"cell": tuple(str(c) for c in cells)}
     codes = {"cell": index.astype(np.int64)}
     extra: list[Term] = []
-    if data.block is not None:
-        present, at = np.unique(data.layout.codes[data.block][keep], return_inverse=True)
-        levels["block"] = tuple(str(c) for c in present)
-        codes["block"] = at.astype(np.int64)
-        extra = [("block",)] if present.size > 1 else []
+    blocks = [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
+    for i, code in enumerate(blocks):
+        present, at = np.unique(code[keep], return_inverse=True)
+        levels[f"block {i}"] = tuple(str(c) for c in present)
+        codes[f"block {i}"] = at.astype(np.int64)
+        extra += [(f"block {i}",)] if present.size > 1 else []
     terms: list[Term] = [("cell",)] if cells.size > 1 else []
     return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
 
 
 def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Any) -> Factored:
     """Fit of the model's terms (and blocks) to some of the rows."""
-    extra: list[Term] = [(data.block,)] if data.block else []
+    extra: list[Term] = [(name,) for name in data.blocks]
     return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])
 
 

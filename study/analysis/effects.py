@@ -100,9 +100,15 @@ def _padded(cells: Layout, layout: Layout) -> Layout:
 
 
 def pooled_estimate(
-    layout: Layout, fit: Factored, term: Term, df: int, p: float | None, alpha: float
+    layout: Layout,
+    fit: Factored,
+    term: Term,
+    df: float,
+    p: float | None,
+    alpha: float,
+    rss: float,
 ) -> TermEstimate:
-    """Estimate of a term with the pooled residual variance (none where df is 0)."""
+    """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
     beta = fit.coefficients()
     mean = fit.shift + mean_rows @ beta
@@ -110,9 +116,9 @@ def pooled_estimate(
     component = component_rows @ beta
     if not fit.estimable(component_rows).all():
         component = np.full_like(component, np.nan)
-    if df <= 0 or fit.rss <= 0:
+    if df <= 0 or rss <= 0:
         return TermEstimate(term, levels, component, mean, None, None, None, p)
-    covariance = fit.unscaled_covariance() * fit.rss / df
+    covariance = fit.unscaled_covariance() * rss / df
     spread = np.einsum("ij,jk,ik->i", mean_rows, covariance, mean_rows)
     return TermEstimate(
         term,

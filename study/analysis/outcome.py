@@ -10,13 +10,15 @@ import numpy as np
 from study.analysis import checks
 from study.analysis.copies import CopyGroups
 from study.analysis.effects import Scale
-from study.analysis.matrix import Array, Term, terms_of
+from study.analysis.matrix import Array, Codes, Term, terms_of
 from study.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
-from study.analysis.results import AnalysisResult, Anova, Effect, ErrorTerm
+from study.analysis.remedies import BoxCoxResult, Sensitivity, influential
+from study.analysis.results import AnalysisResult, Anova, Effect, ErrorTerm, ModelSummary
+from study.analysis.sphericity import SphericityResult
 from study.analysis.sums import Factored
 from study.analysis.tidy import Data
 from study.analysis.unreplicated import LenthResult, functional_shares, non_additivity
-from study.analysis.variance import SphericityResult, bartlett, levene
+from study.analysis.variance import ResidualDesign, bartlett, levene
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,6 +52,11 @@ class Outcome:
     fit: Factored | None = None
     lenth: LenthResult | None = None
     crossed: Any = None
+    plots: Codes | None = None
+    replicates: str = "runs"
+    summary: ModelSummary | None = None
+    robustness: Sensitivity | None = None
+    box_cox: BoxCoxResult | None = None
 
     def warn(self, *messages: str) -> Outcome:
         """Copy with more warnings."""
@@ -82,13 +89,19 @@ def assemble(out: Outcome) -> AnalysisResult:
     out, normality, groups = _checks(out)
     tests: dict[str, Any] = {"bartlett": None, "levene": None}
     if groups is not None:
-        options = {"simulations": _MONTE_CARLO, "seed": out.seed}
-        if groups.approximate:
-            # residuals of a blocked fit are correlated: independent draws would mislead
-            options["simulations"] = 0
+        # residuals of a blocked fit are correlated: their own design is simulated
+        design = None
+        if groups.basis is not None and out.exact:
+            design = ResidualDesign(groups.basis, groups.index)
+        count = _MONTE_CARLO if design is not None or not groups.approximate else 0
+        options: dict[str, Any] = {
+            "approximate": groups.approximate,
+            "seed": out.seed,
+            "design": design,
+        }
         tests = {
-            "bartlett": bartlett(groups.groups, approximate=groups.approximate, **options),
-            "levene": levene(groups.groups, approximate=groups.approximate),
+            "bartlett": bartlett(groups.groups, simulations=count, **options),
+            "levene": levene(groups.groups, simulations=count if design else 0, **options),
         }
         out = out.warn(
             *(f"{name}: not applicable: {t.reason}" for name, t in tests.items() if t.reason)
@@ -127,6 +140,10 @@ def assemble(out: Outcome) -> AnalysisResult:
         None if residual is None else shapiro_wilk(residual),
         None if fit is None else fit.matrix.columns,
         int(out.data.y.size),
+        out.summary,
+        None if fit is None else influential(fit),
+        out.robustness,
+        out.box_cox,
     )
 
 
@@ -153,7 +170,7 @@ def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
             None,
         )
     if out.data.block is not None:
-        fit = checks.additive_fit(out.data, out.y, rows)
+        fit = checks.additive_fit(out.data, out.y, rows, plots=out.plots)
     else:
         fit = checks.reduced_fit(out.data, out.y, out.terms, rows)
     result = ryan_joiner(
@@ -169,8 +186,10 @@ def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
         out = out.warn(result.warning)
     values = out.y[rows] if out.data.block is None else fit.residual
     cells, names = out.data.cell[rows], out.data.cell_names()
-    groups = {names[c]: values[cells == c] for c in np.unique(cells)}
-    return out, result, checks.CellGroups(groups, out.data.block is not None)
+    present, index = np.unique(cells, return_inverse=True)
+    groups = {names[c]: values[index == i] for i, c in enumerate(present)}
+    basis = None if out.data.block is None else fit.q
+    return out, result, checks.CellGroups(groups, basis is not None, basis, index)
 
 
 def _back(out: Outcome, value: float | None) -> float | None:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.analysis.matrix import Array, model_matrix, term_name, terms_of
+from study.analysis.matrix import Array, Term, model_matrix, term_name, terms_of
+from study.analysis.results import Influential
 from study.analysis.sums import Factored, factor, span, term_sums
-from study.analysis.tidy import prepare
+from study.analysis.tidy import Data, prepare
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -61,6 +62,20 @@ def influence(fit: Factored) -> Influence:
         studentized = fit.residual / np.sqrt(mse * (1 - leverage))
         cook = studentized**2 * leverage / ((1 - leverage) * fit.rank)
     return Influence(leverage, studentized, cook)
+
+
+def influential(fit: Factored) -> Influential | None:
+    """Rows with a Cook's distance beyond the median of F(p, n - p) (Cook 1977, eq. 8)."""
+    from scipy.special import fdtri
+
+    if fit.df_residual < 1 or fit.rss <= 0:
+        return None
+    found = influence(fit)
+    known = np.isfinite(found.cook) & (found.leverage < 1 - 1e-10)
+    limit = float(fdtri(fit.rank, fit.df_residual, 0.5))
+    rows = np.flatnonzero(known & (np.where(known, found.cook, 0.0) > limit))
+    largest = float(found.cook[known].max()) if known.any() else None
+    return Influential(float(found.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows))
 
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
@@ -125,11 +140,15 @@ def welch_factorial(
 ) -> dict[str, WaldTest]:
     """Welch-James test of every term of a factorial with unequal cell variances."""
     data = prepare(table, response, factors)
+    return _welch(data, terms_of(data.factors, model))
+
+
+def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
     present, index = np.unique(data.cell, return_inverse=True)
     cells = [data.y[index == i] for i in range(present.size)]
     first = np.array([int(np.flatnonzero(index == i)[0]) for i in range(present.size)])
     layout = data.layout.take(first)
-    matrix = model_matrix(layout, terms_of(data.factors, model))
+    matrix = model_matrix(layout, terms)
     fit = factor(matrix, np.arange(float(present.size)))
     out = {}
     for s in term_sums(fit, "III"):
@@ -193,17 +212,29 @@ def sensitivity(
     positive.
     """
     data = prepare(table, response, factors)
-    terms = terms_of(data.factors, model)
+    return sensitivity_of(data, terms_of(data.factors, model), alpha)
+
+
+def sensitivity_of(data: Data, terms: Sequence[Term], alpha: float) -> Sensitivity:
+    """As :func:`sensitivity`, of checked data without blocks."""
     matrix = model_matrix(data.layout, terms)
     fit = factor(matrix, data.y)
-    p: dict[str, dict[str, float | None]] = {term_name(t): {} for t in terms}
-    _add(p, "ordinary F", _ordinary(fit))
-    _add(p, "HC3 Wald", {k: w.p for k, w in hc3(fit).items()})
-    welch = welch_factorial(table, response, factors, model)
-    _add(p, "Welch-James", {k: w.p for k, w in welch.items()})
+    found: dict[str, Mapping[str, float | None]] = {
+        "ordinary F": _ordinary(fit),
+        "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
+        "Welch-James": {k: w.p for k, w in _welch(data, terms).items()},
+    }
     if data.y.min() > 0:
-        _add(p, "F of the log", _ordinary(factor(matrix, np.log(data.y))))
-    return Sensitivity(p, {name: _agreement(found, alpha) for name, found in p.items()})
+        found["F of the log"] = _ordinary(factor(matrix, np.log(data.y)))
+    return side_by_side([term_name(t) for t in terms], found, alpha)
+
+
+def side_by_side(
+    terms: Sequence[str], found: Mapping[str, Mapping[str, float | None]], alpha: float
+) -> Sensitivity:
+    """Table of p, terms against analyses, and in how many each is below alpha."""
+    p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
+    return Sensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
 
 
 def _ordinary(fit: Factored) -> dict[str, float | None]:
@@ -216,13 +247,6 @@ def _ordinary(fit: Factored) -> dict[str, float | None]:
         f = s.ss / s.df / (fit.rss / df) if usable else 0.0
         out[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
     return out
-
-
-def _add(
-    table: dict[str, dict[str, float | None]], method: str, found: Mapping[str, float | None]
-) -> None:
-    for term in table:
-        table[term][method] = found.get(term)
 
 
 def _agreement(found: Mapping[str, float | None], alpha: float) -> str:

@@ -13,9 +13,12 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.analysis.matrix import Array
+    from study.analysis.nested import NestedUnits
     from study.analysis.normality import NormalityResult, RyanJoinerResult
+    from study.analysis.remedies import BoxCoxResult, Sensitivity
+    from study.analysis.sphericity import SphericityResult
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
-    from study.analysis.variance import BartlettResult, LeveneResult, SphericityResult
+    from study.analysis.variance import BartlettResult, LeveneResult
 
 
 def plain(value: Any) -> Any:
@@ -83,6 +86,51 @@ class Anova:
 
 
 @dataclass(frozen=True)
+class ModelSummary:
+    """Residual standard deviation ``s`` and the coefficients of determination of a fit."""
+
+    s: float
+    r_sq: float
+    r_sq_adj: float
+    r_sq_pred: float | None
+
+
+@dataclass(frozen=True)
+class Influential:
+    """Largest leverage and Cook's distance, and the rows (from 1) that the fit leans on."""
+
+    max_leverage: float
+    max_cook: float | None
+    limit: float
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FailureBound:
+    """What missing responses could do to one term.
+
+    Parameters
+    ----------
+    low, high : float or None
+        Bounds of the largest difference over all values that the missing responses may take
+        between the lowest and the highest observed one.
+    verdicts : tuple of str
+        Verdicts met: of the rows there are, then with the missing ones at the extremes.
+    p : tuple of float or None
+        Smallest and largest deciding p among them.
+    holds : bool
+        Whether the verdict is the same everywhere.
+    """
+
+    term: str
+    low: float | None
+    high: float | None
+    verdicts: tuple[str, ...]
+    p: tuple[float, float] | None
+    holds: bool
+
+
+@dataclass(frozen=True)
 class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
 
@@ -144,6 +192,12 @@ class AnalysisResult:
     shapiro_wilk: NormalityResult | None = None
     model_matrix: Array | None = None
     n: int = 0
+    summary: ModelSummary | None = None
+    influence: Influential | None = None
+    robustness: Sensitivity | None = None
+    box_cox: BoxCoxResult | None = None
+    bounds: tuple[FailureBound, ...] = ()
+    nested: NestedUnits | None = None
 
     @property
     def variance(self) -> dict[str, Any]:
@@ -174,6 +228,12 @@ class AnalysisResult:
             "lenth": None if self.lenth is None else self.lenth.to_json(),
             "sphericity": plain(self.sphericity),
             "non_additivity": plain(self.non_additivity),
+            "summary": plain(self.summary),
+            "influence": plain(self.influence),
+            "robustness": plain(self.robustness),
+            "box_cox": plain(self.box_cox),
+            "failure_bounds": plain(self.bounds),
+            "nested": plain(self.nested),
             "warnings": list(self.warnings),
         }
 

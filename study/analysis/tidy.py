@@ -37,6 +37,12 @@ class Data:
     rows: Codes
     missing: int
     warnings: tuple[str, ...]
+    also: tuple[str, ...] = ()
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Columns of all blocks: the first, and those that cross it (a Latin square)."""
+        return (*((self.block,) if self.block else ()), *self.also)
 
     @property
     def cell(self) -> Codes:
@@ -50,8 +56,19 @@ class Data:
         return [" ".join(c) for c in product(*(self.layout.levels[f] for f in self.factors))]
 
 
+def names_of(block: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the blocks: none, one or several."""
+    if block is None:
+        return ()
+    return (block,) if isinstance(block, str) else tuple(str(name) for name in block)
+
+
 def read_csv(
-    path: str | Path, response: str, factors: Sequence[str], block: str | None = None
+    path: str | Path,
+    response: str,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None = None,
+    unit: str | None = None,
 ) -> pd.DataFrame:
     """Read the named columns of a tidy CSV strictly.
 
@@ -63,8 +80,10 @@ def read_csv(
         Column of the response; an empty cell, NA, NaN or * is a missing response.
     factors : sequence of str
         Columns of the factors, kept as text.
-    block : str, optional
-        Column of the blocks.
+    block : str or sequence of str, optional
+        Column of the blocks, or several that cross.
+    unit : str, optional
+        Column of the unit on which rows are repeated.
 
     Raises
     ------
@@ -75,8 +94,9 @@ def read_csv(
 
     source = Path(path)
     header, rows = _read_rows(source)
-    names = [response, *factors, *([block] if block else [])]
-    _check_names(source.name, header, response, factors, block)
+    others = [*names_of(block), *([unit] if unit else [])]
+    names = [response, *factors, *others]
+    _check_names(source.name, header, response, factors, others)
     faults: list[Fault] = []
     columns = {
         name: _column(source.name, rows, header.index(name), name, name == response, faults)
@@ -129,21 +149,26 @@ def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def _check_names(
-    where: str, valid: Sequence[str], response: str, factors: Sequence[str], block: str | None
+    where: str,
+    valid: Sequence[str],
+    response: str,
+    factors: Sequence[str],
+    blocks: Sequence[str] = (),
 ) -> None:
     faults = [
         Fault(f"{where}: column {name!r}", "no such column", nearest(name, valid))
-        for name in dict.fromkeys([response, *factors, *([block] if block else [])])
+        for name in dict.fromkeys([response, *factors, *blocks])
         if name not in valid
     ]
     if not factors:
         faults.append(Fault("factors", "at least one factor is needed"))
     if len(set(factors)) < len(factors):
         faults.append(Fault("factors", f"a factor is named twice: {list(factors)}"))
-    if response in factors or response == block:
+    if response in factors or response in blocks:
         faults.append(Fault("response", f"{response!r} cannot also be a factor or the block"))
-    if block is not None and block in factors:
-        faults.append(Fault("block", f"{block!r} cannot also be a factor"))
+    for name in blocks:
+        if name in factors or list(blocks).count(name) > 1:
+            faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
     if faults:
         raise InputError(faults)
 
@@ -194,7 +219,10 @@ def _check_clash(where: str, name: str, labels: Iterable[str]) -> None:
 
 
 def prepare(
-    table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None = None
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None = None,
 ) -> Data:
     """Check a table and code its factors.
 
@@ -203,10 +231,10 @@ def prepare(
     InputError
         For unknown columns, a factor with one level, text responses, labels that clash.
     """
-    factors = [str(name) for name in factors]
-    _check_names("table", [str(c) for c in table.columns], response, factors, block)
+    factors, blocks = [str(name) for name in factors], names_of(block)
+    _check_names("table", [str(c) for c in table.columns], response, factors, blocks)
     raw = _response(table, response)
-    labels = {n: _labels(table[n], n) for n in [*factors, *([block] if block else [])]}
+    labels = {n: _labels(table[n], n) for n in [*factors, *blocks]}
     keep = np.isfinite(raw)
     warnings = _missing_warning(keep, response)
     if keep.sum() < 2:
@@ -220,7 +248,7 @@ def prepare(
             warnings.append(f"{name}: no response at level {', '.join(lost)}")
         order = [level for level in order if level in present]
         if len(order) < 2:
-            kind = "block" if name == block else "factor"
+            kind = "block" if name in blocks else "factor"
             faults.append(Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}"))
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
@@ -231,10 +259,11 @@ def prepare(
         raw[keep],
         Layout(levels, codes),
         tuple(factors),
-        block,
+        blocks[0] if blocks else None,
         np.flatnonzero(keep),
         int((~keep).sum()),
         tuple(warnings),
+        blocks[1:],
     )
 
 

@@ -1,16 +1,16 @@
-"""Equality of variances: Bartlett and Levene with guards and Monte-Carlo p, sphericity."""
+"""Equality of variances: Bartlett and Levene with guards and Monte-Carlo p."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.analysis.matrix import Array
+from study.analysis.matrix import Array, Codes
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -67,19 +67,6 @@ class LeveneResult:
         }
 
 
-@dataclass(frozen=True)
-class SphericityResult:
-    """Mauchly's test and the epsilons of one blocked term."""
-
-    w: float | None
-    chi2: float | None
-    df: int | None
-    p: float | None
-    epsilon_gg: float
-    epsilon_hf: float
-    reason: str = ""
-
-
 def _named(groups: Groups) -> dict[str, Array]:
     if isinstance(groups, Mapping):
         items = [(str(key), value) for key, value in groups.items()]
@@ -105,8 +92,39 @@ def _fault(named: Mapping[str, Array], least: int) -> str:
     return ""
 
 
+@dataclass(frozen=True)
+class ResidualDesign:
+    """How grouped residuals of a fit come about, so that their null can be simulated.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (n, r)
+        Orthonormal basis of the model.
+    group : ndarray, shape (n,)
+        Index of the group of each row.
+    """
+
+    basis: Array
+    group: Codes
+
+    def draws(self, count: int, seed: int) -> Iterator[list[Array]]:
+        """Residuals of simulated normal data by group, each of shape (m, size)."""
+        rng = np.random.default_rng(seed)
+        n, groups = self.basis.shape[0], np.unique(self.group)
+        chunk = max(1, int(2e6 // n))
+        for start in range(0, count, chunk):
+            z = rng.standard_normal((min(chunk, count - start), n))
+            z -= (z @ self.basis) @ self.basis.T
+            yield [z[:, self.group == g] for g in groups]
+
+
 def bartlett(
-    groups: Groups, *, simulations: int = 0, seed: int = 2011, approximate: bool = False
+    groups: Groups,
+    *,
+    simulations: int = 0,
+    seed: int = 2011,
+    approximate: bool = False,
+    design: ResidualDesign | None = None,
 ) -> BartlettResult:
     """Bartlett's test of equal variances (Bartlett 1937; NIST e-Handbook 1.3.5.7).
 
@@ -116,6 +134,10 @@ def bartlett(
         Values of each group; whole numbers are converted first.
     simulations : int
         Number of simulated normal samples for a Monte-Carlo p; 0 for none.
+    approximate : bool
+        Whether the values are residuals, so that the chi-squared p is approximate.
+    design : ResidualDesign, optional
+        Fit whose residuals the values are: the Monte-Carlo p is then exact for it.
 
     Examples
     --------
@@ -134,10 +156,22 @@ def bartlett(
     k = len(named) - 1
     p_mc = None
     if simulations:
+        p_mc = _monte_carlo_p(_simulated_bartlett(df, design, simulations, seed), t)
+    return BartlettResult(t, k, float(chdtrc(k, t)), True, "", p_mc, approximate)
+
+
+def _simulated_bartlett(
+    df: Array, design: ResidualDesign | None, simulations: int, seed: int
+) -> Array:
+    if design is None:
         rng = np.random.default_rng(seed)
         draws = rng.chisquare(df, size=(simulations, df.size)) / df
-        p_mc = _monte_carlo_p(_bartlett_statistic(draws, df), t)
-    return BartlettResult(t, k, float(chdtrc(k, t)), True, "", p_mc, approximate)
+        return _bartlett_statistic(draws, df)
+    parts = [
+        _bartlett_statistic(np.stack([g.var(axis=1, ddof=1) for g in drawn], axis=1), df)
+        for drawn in design.draws(simulations, seed)
+    ]
+    return np.concatenate(parts)
 
 
 def _variance(values: Array) -> float:
@@ -164,6 +198,7 @@ def levene(
     simulations: int = 0,
     seed: int = 2011,
     approximate: bool = False,
+    design: ResidualDesign | None = None,
 ) -> LeveneResult:
     """Levene's test of equal spreads (Levene 1960; Brown and Forsythe 1974).
 
@@ -175,6 +210,8 @@ def levene(
         ``auto`` takes the median from five values a group. With three or four it takes the
         mean and a Monte-Carlo p (the median's true size there is near zero); with two values
         both deviations of a group are equal, so the test does not apply.
+    design : ResidualDesign, optional
+        As for :func:`bartlett`.
     """
     named = _named(groups)
     reason = _fault(named, 3)
@@ -193,7 +230,12 @@ def levene(
         return LeveneResult(None, None, None, False, reason, center, approximate=approximate)
     from scipy.special import fdtrc
 
-    p_mc = _levene_monte_carlo(w, sizes, center, simulations, seed) if simulations else None
+    p_mc = None
+    if simulations:
+        drawn = _normal_draws(sizes, simulations, seed)
+        if design is not None:
+            drawn = design.draws(simulations, seed)
+        p_mc = _monte_carlo_p(np.concatenate([_levene_statistic(d, center) for d in drawn]), w)
     return LeveneResult(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
 
 
@@ -211,58 +253,9 @@ def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
     return np.asarray(ratio)
 
 
-def _levene_monte_carlo(w: float, sizes: Any, center: str, count: int, seed: int) -> float:
+def _normal_draws(sizes: Any, count: int, seed: int) -> Iterator[list[Array]]:
     rng = np.random.default_rng(seed)
     chunk = max(1, int(2e6 // int(sizes.sum())))
-    above = 0
     for start in range(0, count, chunk):
         m = min(chunk, count - start)
-        draws = [rng.standard_normal((m, int(size))) for size in sizes]
-        above += int(np.count_nonzero(_levene_statistic(draws, center) >= w))
-    return (1 + above) / (count + 1)
-
-
-def epsilon_gg(covariance: Array) -> float:
-    """Greenhouse-Geisser epsilon of the covariance of orthonormal contrasts, shape (d, d).
-
-    Greenhouse and Geisser (1959), Psychometrika 24, 95-112: tr(S)^2 / (d tr(S^2)).
-    """
-    d = covariance.shape[0]
-    square = float(np.sum(covariance * covariance))
-    if square == 0:
-        return 1.0
-    return float(min(1.0, max(1.0 / d, np.trace(covariance) ** 2 / (d * square))))
-
-
-def sphericity(contrasts: Array) -> SphericityResult:
-    """Mauchly's test of the orthonormal contrasts of a term.
-
-    Parameters
-    ----------
-    contrasts : ndarray, shape (d, b)
-        One column a block.
-
-    Notes
-    -----
-    Mauchly (1940); Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
-    """
-    d, b = contrasts.shape
-    s = np.atleast_2d(np.cov(contrasts))
-    gg = epsilon_gg(s)
-    if d == 1:
-        return SphericityResult(1.0, 0.0, 0, None, 1.0, 1.0, "one degree of freedom")
-    bottom = d * (b - 1 - d * gg)
-    hf = 1.0 if bottom <= 0 else min(1.0, (b * d * gg - 2) / bottom)
-    if b - 1 < d:
-        return SphericityResult(
-            None, None, None, None, gg, hf, f"needs more than {d} blocks, got {b}"
-        )
-    sign, logdet = np.linalg.slogdet(s)
-    if sign <= 0:
-        return SphericityResult(None, None, None, None, gg, hf, "the contrasts are singular")
-    log_w = float(logdet - d * math.log(np.trace(s) / d))
-    factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
-    chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
-    from scipy.special import chdtrc
-
-    return SphericityResult(math.exp(log_w), chi2, df, float(chdtrc(df, max(chi2, 0))), gg, hf)
+        yield [rng.standard_normal((m, int(size))) for size in sizes]

@@ -25,7 +25,7 @@ def analyze(
     response: str | None = None,
     factors: Sequence[str] = (),
     *,
-    block: str | None = None,
+    block: str | Sequence[str] | None = None,
     results: Path = Path("results"),
     **options: Any,
 ) -> AnalysisResult:
@@ -39,11 +39,11 @@ def analyze(
         Column of the response; that of a study's first response by default.
     factors : sequence of str
         Columns of the factors; all factors of a study by default.
-    block : str, optional
-        Column of the blocks.
+    block : str or sequence of str, optional
+        Column of the blocks, or several that cross.
     **options
-        As for :func:`study.analysis.analyze`: ``type``, ``model``, ``error``, ``practical``,
-        ``transform``, ``alpha``, ``seed``.
+        As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
+        ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def analyze(
         return _table(source, response, factors, block, options)
     if _is_csv(Path(source)):
         _check_named(response, factors)
-        frame = read_csv(Path(source), str(response), list(factors), block)
+        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"))
         return _table(frame, response, factors, block, options)
     return _study(source, response, factors, block, results, options)
 
@@ -100,14 +100,16 @@ def analyze_records(
 
 
 def _is_csv(path: Path) -> bool:
-    return path.is_file() and path.suffix != ".toml"
+    if path.suffix == ".toml" or path.is_dir():
+        return False
+    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
 
 
 def _table(
     frame: pd.DataFrame,
     response: str | None,
     factors: Sequence[str],
-    block: str | None,
+    block: str | Sequence[str] | None,
     options: dict[str, Any],
 ) -> AnalysisResult:
     _check_named(response, factors)
@@ -128,7 +130,7 @@ def _study(
     source: str | Path,
     response: str | None,
     factors: Sequence[str],
-    block: str | None,
+    block: str | Sequence[str] | None,
     results: Path,
     options: dict[str, Any],
 ) -> AnalysisResult:

@@ -11,10 +11,10 @@ import pytest
 from study.analysis import analyze, bartlett, lenth, levene, ryan_joiner
 from study.analysis.matrix import Layout, model_matrix, terms_of
 from study.analysis.normality import anderson_darling, exact_p, shapiro_wilk, simulated_rj
+from study.analysis.sphericity import epsilon_gg, sphericity
 from study.analysis.sums import span
 from study.analysis.tukey import studentized_range_quantile
 from study.analysis.unreplicated import half_normal_scores, orthonormal_contrasts
-from study.analysis.variance import epsilon_gg, sphericity
 
 
 @pytest.mark.parametrize(

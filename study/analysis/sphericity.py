@@ -1,0 +1,69 @@
+"""Sphericity of blocked comparisons: Mauchly's test and the epsilons that correct p."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.analysis.matrix import Array
+
+
+@dataclass(frozen=True)
+class SphericityResult:
+    """Mauchly's test and the epsilons of one blocked term."""
+
+    w: float | None
+    chi2: float | None
+    df: int | None
+    p: float | None
+    epsilon_gg: float
+    epsilon_hf: float
+    reason: str = ""
+
+
+def epsilon_gg(covariance: Array) -> float:
+    """Greenhouse-Geisser epsilon of the covariance of orthonormal contrasts, shape (d, d).
+
+    Greenhouse and Geisser (1959), Psychometrika 24, 95-112: tr(S)^2 / (d tr(S^2)).
+    """
+    d = covariance.shape[0]
+    square = float(np.sum(covariance * covariance))
+    if square == 0:
+        return 1.0
+    return float(min(1.0, max(1.0 / d, np.trace(covariance) ** 2 / (d * square))))
+
+
+def sphericity(contrasts: Array) -> SphericityResult:
+    """Mauchly's test of the orthonormal contrasts of a term.
+
+    Parameters
+    ----------
+    contrasts : ndarray, shape (d, b)
+        One column a block.
+
+    Notes
+    -----
+    Mauchly (1940); Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
+    """
+    d, b = contrasts.shape
+    s = np.atleast_2d(np.cov(contrasts))
+    gg = epsilon_gg(s)
+    if d == 1:
+        return SphericityResult(1.0, 0.0, 0, None, 1.0, 1.0, "one degree of freedom")
+    bottom = d * (b - 1 - d * gg)
+    hf = 1.0 if bottom <= 0 else min(1.0, (b * d * gg - 2) / bottom)
+    if b - 1 < d:
+        return SphericityResult(
+            None, None, None, None, gg, hf, f"needs more than {d} blocks, got {b}"
+        )
+    sign, logdet = np.linalg.slogdet(s)
+    if sign <= 0:
+        return SphericityResult(None, None, None, None, gg, hf, "the contrasts are singular")
+    log_w = float(logdet - d * math.log(np.trace(s) / d))
+    factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
+    chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
+    from scipy.special import chdtrc
+
+    return SphericityResult(math.exp(log_w), chi2, df, float(chdtrc(df, max(chi2, 0))), gg, hf)
