@@ -128,7 +128,8 @@ def analyze(
     error: Annotated[str | None, typer.Option(help="auto, pooled or own.")] = None,
     kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
     model: Annotated[
-        str | None, typer.Option(help="full, or the highest order of interaction.")
+        str | None,
+        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
     ] = None,
     practical: Annotated[
         str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
@@ -142,7 +143,7 @@ def analyze(
 
     given: dict[str, Any] = {
         "error": error, "type": kind, "practical": practical, "transform": transform,
-        "model": int(model) if model is not None and model.isdigit() else model,
+        "model": _model(model),
     }  # fmt: skip
     options = {name: value for name, value in given.items() if value is not None}
     names = [name.strip() for name in factors.split(",") if name.strip()]
@@ -152,6 +153,8 @@ def analyze(
         show.print_json(found.to_json())
     else:
         _print_analysis(found)
+        if all(effect.verdict == "cannot tell" for effect in found.effects):
+            _hint_practical(practical)
 
 
 def why(
@@ -187,6 +190,22 @@ def why(
 
 
 VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, analyze, why)
+
+
+def _hint_practical(practical: str | None) -> None:
+    """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
+    if practical is None:
+        hint = "--practical 0.5 or --practical '5 % of mean'"
+        show.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+
+
+def _model(text: str | None) -> str | int | list[str] | None:
+    """Read a model as it is written on the command line."""
+    if text is None or text == "full":
+        return text
+    if text.isdigit():
+        return int(text)
+    return [term.strip() for term in text.split(",") if term.strip()]
 
 
 def _words(runner: dict[str, Any]) -> str:
@@ -252,10 +271,11 @@ def _print_plan(found: Plan) -> None:
 
 def _print_analysis(found: AnalysisResult) -> None:
     term = found.error_term
-    print(f"error term {term.source}: {term.question}. {term.reason}\n")
-    rows = [["term", "df", "SS", "F", "p", "share"]]
+    print(f"error term {term.source}: {term.question}")
+    print(f"  because: {term.reason}\n")
+    rows = [["term", "df", "SS", "MS", "F", "p", "share"]]
     rows += [
-        [row.term, f"{row.df:g}", show.number(row.ss), show.number(row.f),
+        [row.term, f"{row.df:g}", show.number(row.ss), show.number(row.ms), show.number(row.f),
          show.number(row.p_deciding, 3), show.number(row.share, 3)]
         for row in found.anova.rows
     ]  # fmt: skip
