@@ -147,7 +147,7 @@ def _start(
     progress: Progress | None,
     checkpoint: Checkpoint,
 ) -> tuple[tuple[str, ...], Array]:
-    """Find the start: the given constants, or the neo-Hookean fit of one fitted test.
+    """Find the start: the given constants, or those of a simpler fit of one fitted test.
 
     A homogeneous test is preferred: its closed form costs nothing.
     """
@@ -156,18 +156,18 @@ def _start(
     closed = [number for number in fitted if problems[number].method == "closed-form"]
     number = (closed or fitted)[0]
     problem = problems[number]
-    measured = [c.measured.curve for c in in_order(curves) if c.test == number]
     part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
+    measured = [m.curve for m in part.measured]
     constants: dict[str, float] | None = None
     for before in _simpler(problem):
         names, first = fits.start_values(before.config, measured, constants)
         own = replace(part, config=before.config)
-        stage = [coarser(own) or own]
+        stage = f"start ({before.config['material']['model']}, {len(names)} constants)"
         found = single_stage(
-            f"start of {names[-1]}", stage, names, first, fits.model, None, progress, checkpoint
+            stage, [coarser(own) or own], names, first, fits.model, None, progress, checkpoint
         ).fit
         if not found.status.usable:
-            message = f"the fit that should give start values did not converge: {found.message}"
+            message = f"the {stage} did not converge: {found.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
         constants = found.constants()
     return fits.start_values(problem.config, measured, constants)
