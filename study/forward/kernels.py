@@ -92,7 +92,20 @@ def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Arra
                 K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=_FAST)
+def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -> None:
+    """K_ai,b += w dN_a,j g_ij N_b in the columns of the pressures."""
+    na, dim = dN.shape
+    for a in range(na):
+        for i in range(dim):
+            gn = H[a] * g[8] if dim == 2 and i == 0 else 0.0
+            for j in range(dim):
+                gn += dN[a, j] * g[3 * i + j]
+            for b in range(N.shape[0]):
+                K[dim * a + i, dim * na + b] += w * gn * N[b]
+
+
+@njit(cache=True, inline="always")
 def _isochoric(
     family: int,
     f: Array,
@@ -224,22 +237,18 @@ def element_residuals(
             for a in range(na):
                 for i in range(dim):
                     r = 0.0
-                    gn = 0.0
                     for j in range(dim):
                         r += dN[a, j] * stress[3 * i + j]
-                        gn += dN[a, j] * g[3 * i + j]
                     if dim == 2 and i == 0:
                         r += H[a] * stress[8]
-                        gn += H[a] * g[8]
-                    row = dim * a + i
-                    Rl[row] += w * r
-                    for b in range(n_p):
-                        Kl[row, nu + b] += w * growth * gn * N[b]
+                    Rl[dim * a + i] += w * r
             if want_tangent:
                 if dim == 3:
                     _add_stiffness_3d(dN, tangent, w, Kl)
                 else:
                     _add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
+                if n_p > 0:
+                    _add_coupling(dN, H, g, w * growth, N, Kl)
             for b in range(n_p):
                 Rl[nu + b] += w * (J - 1.0 - pressure * compliance) * N[b]
                 if want_tangent:

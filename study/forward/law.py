@@ -199,7 +199,7 @@ def linear_stress(
                 tangent[3 * i + j, 3 * i + j] += mu
                 tangent[3 * i + j, 3 * j + i] += mu
                 tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
-    return J
+    return float(J)
 
 
 @njit(cache=True, fastmath=_FAST)
