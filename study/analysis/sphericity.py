@@ -45,7 +45,7 @@ def sphericity(contrasts: Array) -> SphericityResult:
 
     Notes
     -----
-    Mauchly (1940); Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
+    Mauchly (1940); Anderson (2003), 10.7.4; Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
     """
     d, b = contrasts.shape
     s = np.atleast_2d(np.cov(contrasts))
@@ -64,6 +64,16 @@ def sphericity(contrasts: Array) -> SphericityResult:
     log_w = float(logdet - d * math.log(np.trace(s) / d))
     factor = 1 - (2 * d * d + d + 2) / (6 * d * (b - 1))
     chi2, df = -(b - 1) * factor * log_w, d * (d + 1) // 2 - 1
+    p = _mauchly_p(max(chi2, 0.0), d, b - 1, factor)
+    return SphericityResult(math.exp(log_w), chi2, df, p, gg, hf)
+
+
+def _mauchly_p(chi2: float, d: int, n: int, rho: float) -> float:
+    """P with the second term of the expansion (Anderson 2003, section 10.7.4)."""
     from scipy.special import chdtrc
 
-    return SphericityResult(math.exp(log_w), chi2, df, float(chdtrc(df, max(chi2, 0))), gg, hf)
+    df = d * (d + 1) // 2 - 1
+    top = (d + 2) * (d - 1) * (d - 2) * (2 * d**3 + 6 * d**2 + 3 * d + 2)
+    second = top / (288 * (n * d * rho) ** 2)
+    first = float(chdtrc(df, chi2))
+    return min(1.0, max(0.0, first + second * (float(chdtrc(df + 4, chi2)) - first)))

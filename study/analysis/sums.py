@@ -185,7 +185,7 @@ def _aliases(fit: Factored, i: int, others: list[int]) -> tuple[str, ...]:
 
 def span(columns: Array) -> Array:
     """Orthonormal basis of the columns, shape (r, rank)."""
-    if columns.shape[1] == 0:
+    if columns.size == 0:
         return np.zeros((columns.shape[0], 0))
     q, r, _ = linalg.qr(columns, mode="economic", pivoting=True)
     size = np.abs(np.diag(r))
