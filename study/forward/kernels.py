@@ -106,7 +106,7 @@ def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -
 
 
 @njit(cache=True, inline="always")
-def _isochoric(
+def isochoric(
     family: int,
     f: Array,
     constants: Array,
@@ -223,7 +223,7 @@ def element_residuals(
             N = pressure_shape[0 if shared else e, q]
             w = weights[e, q]
             _deformation_gradient(dN, H, u[e], f)
-            J = _isochoric(family, f, constants, work, stress, tangent, want_tangent)
+            J = isochoric(family, f, constants, work, stress, tangent, want_tangent)
             if curvature > 0.0 and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
             smallest = min(smallest, J)
