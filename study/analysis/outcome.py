@@ -12,7 +12,7 @@ from study.analysis.copies import CopyGroups
 from study.analysis.effects import Scale
 from study.analysis.matrix import Array, Codes, Term, terms_of
 from study.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
-from study.analysis.remedies import BoxCoxResult, Sensitivity, influential
+from study.analysis.remedies import BoxCoxResult, Sensitivity, influence, influential
 from study.analysis.results import AnalysisResult, Anova, Effect, ErrorTerm, ModelSummary
 from study.analysis.sphericity import SphericityResult
 from study.analysis.sums import Factored
@@ -262,6 +262,8 @@ def _residual_frame(out: Outcome) -> pd.DataFrame:
         frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
     if out.fit is not None:
         frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
+        found = influence(out.fit)
+        frame["leverage"], frame["cook"] = found.leverage, found.cook
     for f in data.factors:
         if f not in frame:
             frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]

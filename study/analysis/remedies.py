@@ -183,12 +183,16 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
         rest = z - basis @ (basis.T @ z)
         return float(y.size * np.log(rest @ rest))
 
-    best = minimize_scalar(deviance, bracket=(-1.0, 1.0))
+    # beyond this a power of the response would overflow
+    widest = min(200.0, 300.0 / max(float(np.abs(logs).max()), 1e-300))
+    best = minimize_scalar(
+        deviance, bounds=(-widest, widest), method="bounded", options={"xatol": 1e-9}
+    )
     center, limit = float(best.x), float(best.fun) + 3.841458820694124
 
     def bound(step: float) -> float:
-        edge = center + step
-        while deviance(edge) < limit and abs(edge - center) < 200:
+        edge = min(max(center + step, -widest), widest)
+        while deviance(edge) < limit and abs(edge + step) < widest:
             edge += step
         if deviance(edge) < limit:
             return edge

@@ -1,0 +1,174 @@
+"""The error-term ledger E0 to E7: which source is taken, what it asks, and that it is right."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from study.analysis import analyze
+from study.analysis.error_term import REMEDIES
+from study.errors import InputError
+
+
+def grid(shape: dict[str, int], repeats: int = 1, seed: int = 0) -> pd.DataFrame:
+    rows = [
+        {**dict(zip(shape, (f"L{i}" for i in cell), strict=True)), "rep": f"r{r}"}
+        for cell in itertools.product(*(range(k) for k in shape.values()))
+        for r in range(repeats)
+    ]
+    table = pd.DataFrame(rows)
+    return table.assign(y=10 + np.random.default_rng(seed).normal(size=len(table)))
+
+
+LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
+    ("E0", {"a": 2, "b": 2}, 3, {}, "run-to-run scatter"),
+    ("E1", {"a": 2, "b": 2}, 3, {"block": "rep"}, "another rep"),
+    ("E1", {"a": 2, "b": 2}, 3, {"block": "rep", "records": True}, "own interaction"),
+    ("E1", {"a": 2, "b": 2}, 3, {"block": "rep", "error": "own"}, "own interaction"),
+    ("E2", {"a": 2, "b": 2}, 9, {"records": True, "replicates": "noise"}, "noise in the measured"),
+    ("E3", {"a": 2, "b": 2}, 5, {"records": True, "replicates": "mesh-seeds"}, "mesh noise"),
+    ("E4", {"a": 2, "b": 2, "c": 2}, 1, {"records": True, "u_num": 0.1}, "resolved by the"),
+    ("E5", {"a": 3, "b": 3}, 1, {"model": 1}, "declared negligible"),
+    ("E6", {"a": 2, "b": 2, "c": 2}, 1, {}, "outlier among the effects"),
+    ("E7", {"a": 2, "b": 2}, 1, {}, "no p"),
+]
+
+
+@pytest.mark.parametrize(("source", "shape", "repeats", "options", "question"), LEDGER)
+def test_every_source_is_taken_and_says_what_its_p_answers(
+    source: str, shape: dict[str, int], repeats: int, options: dict[str, Any], question: str
+) -> None:
+    result = analyze(grid(shape, repeats), "y", list(shape), exact=False, **options)
+    assert result.error_term.source == source
+    assert question in result.error_term.question
+    assert result.error_term.reason
+    tested = [row.p is not None for row in result.anova.rows if row.term in ("a", "b", "a:b")]
+    # Lenth's method is no F, but has its p; E4 and E7 have none
+    assert any(tested) == (source not in ("E4", "E7"))
+    assert (REMEDIES in result.warnings) == (source in ("E4", "E6", "E7"))
+
+
+def test_the_override_is_obeyed_and_reported() -> None:
+    table = grid({"a": 3, "b": 2}, 6, 1)
+    pooled = analyze(table, "y", ["a", "b"], block="rep", records=True, error="pooled", exact=False)
+    own = analyze(table, "y", ["a", "b"], block="rep", error="own", exact=False)
+    assert pooled.anova.row("a").error == "residual"
+    assert pooled.error_term.reason == "asked for instead of own interactions"
+    assert any("p is far too small" in w for w in pooled.warnings)
+    assert own.anova.row("a").error == "rep:a"
+    assert own.error_term.reason == "asked for"
+    with pytest.raises(InputError, match="several that cross are pooled"):
+        analyze(table.assign(s=table["rep"]), "y", ["a"], block=["rep", "s"], error="own")
+    with pytest.raises(InputError, match="no block is named"):
+        analyze(table, "y", ["a"], error="own")
+    with pytest.raises(InputError, match="needs the block in which the plots lie"):
+        analyze(table, "y", ["a"], whole_plot="a")
+    with pytest.raises(InputError, match="'aa' is no factor"):
+        analyze(table, "y", ["a", "b"], block="rep", whole_plot="aa")
+
+
+def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
+    """E2: with cell values t and noise sd s, F of two cells is t^2 / (2 s^2), whatever B is."""
+    rng = np.random.default_rng(4)
+    f = []
+    for resamples in (50, 800):
+        noise = rng.normal(size=(2, resamples))
+        noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(
+            axis=1, keepdims=True, ddof=1
+        )
+        table = pd.DataFrame(
+            {"a": np.repeat(["x", "z"], resamples), "y": (np.array([[0.0], [3.0]]) + noise).ravel()}
+        )
+        result = analyze(table, "y", ["a"], records=True, replicates="noise", exact=False)
+        f.append(result.anova.row("a").f)
+        # the interval of the difference: 3 +- t sqrt(2) s
+        assert result.effect("a").ci95 == pytest.approx((0.228, 5.772), abs=0.05)
+    # the standard errors are those of single values, so F = 9 / 2 exactly
+    assert f == pytest.approx([4.5, 4.5], rel=1e-9)
+
+
+def test_seed_columns_declare_the_repeats() -> None:
+    table = grid({"a": 3, "b": 2}, 3, 5)
+    seeds = analyze(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
+    assert seeds.error_term.source == "E3"
+    assert any("3 mesh seeds a cell" in w for w in seeds.warnings)
+    assert any("bias of this mesh size is common to all seeds" in w for w in seeds.warnings)
+    noise = analyze(table.assign(noise_seed=table["rep"]), "y", ["a", "b"], exact=False)
+    assert noise.error_term.source == "E2"
+
+
+def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
+    table = grid({"a": 2, "b": 2, "c": 2}, 1, 3)
+    table["y"] += 4 * (table["a"] == "L1")
+    result = analyze(table, "y", ["a", "b", "c"], records=True, u_num=0.02, practical=1.0)
+    effect = result.effect("a")
+    assert effect.p is None
+    assert effect.effect_over_u_num == pytest.approx((effect.range or 0) / 0.02)
+    assert effect.resolved == "resolved"
+    assert effect.verdict == "matters"
+    # the half-normal plot keeps its contrasts
+    assert result.lenth is not None
+
+
+def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
+    result = analyze(grid({"a": 3}, 8, 6), "y", ["a"], block="rep")
+    assert result.bartlett is not None
+    assert result.levene is not None
+    assert result.bartlett.approximate
+    for test in (result.bartlett, result.levene):
+        assert 0 < (test.p_monte_carlo or 0) <= 1
+
+
+def test_blocked_monte_carlo_p_holds_its_size() -> None:
+    """Bartlett on residuals of 4 cells x 5 blocks, 600 null studies: 5 % within 4 sd (3.6 %).
+
+    The chi-squared p, which takes residuals for independent, is off in the same studies.
+    """
+    from study.analysis.checks import additive_fit
+    from study.analysis.tidy import prepare
+    from study.analysis.variance import ResidualDesign, bartlett
+
+    table = grid({"a": 4}, 5, 1)
+    rng = np.random.default_rng(21)
+    p, plain = [], []
+    for _ in range(600):
+        data = prepare(table.assign(y=rng.normal(size=20)), "y", ["a"], "rep")
+        fit = additive_fit(data, data.y)
+        groups = [fit.residual[data.cell == c] for c in range(4)]
+        found = bartlett(groups, simulations=400, design=ResidualDesign(fit.q, data.cell))
+        p.append(found.p_monte_carlo)
+        plain.append(found.p)
+    assert np.mean(np.array(p) <= 0.05) == pytest.approx(0.05, abs=0.036)
+    assert np.mean(np.array(p) <= 0.5) == pytest.approx(0.5, abs=0.082)
+
+
+def test_influence_and_robustness_are_part_of_the_result() -> None:
+    table = grid({"a": 3, "b": 2}, 4, 8)
+    table.loc[7, "y"] += 60.0
+    result = analyze(table, "y", ["a", "b"], exact=False)
+    assert result.influence is not None
+    assert result.influence.max_leverage == pytest.approx(0.25, rel=1e-9)
+    assert result.influence.max_cook == pytest.approx(max(result.residuals["cook"]))
+    assert int(np.argmax(result.residuals["cook"])) == 7
+    assert result.robustness is not None
+    assert set(result.robustness.p["a"]) == {
+        "ordinary F",
+        "HC3 Wald",
+        "Welch-James",
+        "F of the log",
+    }
+    assert result.box_cox is not None
+    document = result.to_json()
+    assert document["robustness"]["agreement"]["a"].endswith("of 4 analyses")
+    assert document["box_cox"]["ci95"][0] < document["box_cox"]["exponent"]
+    own = analyze(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
+    assert own.robustness is not None
+    row = own.robustness.p["a"]
+    assert row["own interaction, Greenhouse-Geisser"] == own.anova.row("a").p_gg
+    pooled = analyze(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", exact=False)
+    assert row["interactions pooled"] == pytest.approx(pooled.anova.row("a").p, rel=1e-9)
+    assert len(row) == 4
