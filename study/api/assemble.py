@@ -161,6 +161,8 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     str(fit.get("reason") or ""),
                     "" if specimen == "all" else specimen,
                     _correlated(name, fit),
+                    _rms(fit.get("rss"), fit.get("n")),
+                    fit.get("r_squared"),
                 )
 
 
@@ -180,6 +182,10 @@ def _levels_of_fits(
         }
         for key, levels in found.items()
     }
+
+
+def _rms(rss: float | None, n: int | None) -> float | None:
+    return None if rss is None or not n else float((rss / n) ** 0.5)
 
 
 def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
