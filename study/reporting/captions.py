@@ -14,6 +14,7 @@ from study.reporting.text import (
     listing,
     name_of,
     p_phrase,
+    plural_of,
     quantity,
     sentence,
     share,
@@ -35,11 +36,14 @@ def effects(facts: Facts, data: ReportData) -> str:
         return ""
     first = max(known, key=lambda e: abs((e.difference or 0) - (1 if e.ratio else 0)))
     limit = practical(first, facts)
-    return sentence(
-        f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)} "
-        f"(95{THIN}% interval {size_interval(first, facts)}). Shaded: up to {limit}, which does "
-        "not matter in practice; an interval wholly outside matters, one wholly inside does not"
-    )
+    text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
+    if first.low is not None:
+        text += f" (95{THIN}% interval {size_interval(first, facts)})"
+    if first.practical is not None:
+        text += f". Shaded: up to {limit}, which does not matter in practice"
+    if first.practical is not None and first.low is not None:
+        text += "; an interval wholly outside matters, one wholly inside does not"
+    return sentence(text)
 
 
 def means(facts: Facts, data: ReportData) -> str:
@@ -72,18 +76,25 @@ def interactions(facts: Facts, data: ReportData) -> str:
 
 def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
     """Say what the points are, and how far the cells and the blocks differ."""
-    means_of = frame.drop_duplicates("rank")["cell_mean"]
+    shown = frame.drop_duplicates("rank")
+    means_of = shown["cell_mean"]
     unit = clean(data.block) or "run"
     low, high = significant(float(means_of.min())), quantity(float(means_of.max()), facts.unit)
-    text = f"cell means (diamonds) run from {low} to {high}; each dot is one {unit}"
+    kind = "geometric cell means" if facts.ratio else "cell means"
+    text = f"{kind} (diamonds) run from {low} to {high}; each dot is one {unit}"
     if "block" in frame:
         spread = frame.groupby("block")["value"].mean()
         text += (
             f", joined across cells by a thin line; {unit} means run from "
             f"{significant(float(spread.min()))} to {quantity(float(spread.max()), facts.unit)}"
         )
-    kind = "geometric means" if facts.ratio else ""
-    return sentence(text + (f"; {kind}" if kind else ""))
+    copies = int(shown["copies"].sum())
+    if copies > len(shown):
+        text += (
+            f"; {count(len(shown), 'row')} for {copies} cells, since cells that agree in every "
+            f"{unit} are one computation"
+        )
+    return sentence(text)
 
 
 def residuals(facts: Facts, data: ReportData, n: int) -> str:
@@ -139,3 +150,47 @@ def curves(found: CurvePanels, data: ReportData) -> str:
     if found.left_out:
         text += f"; {count(found.left_out, 'more block')} not shown"
     return sentence(text)
+
+
+def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
+    """Say which contrasts stand out, and what the limits are."""
+    beyond = frame[frame["active"]]
+    m = count(len(frame), "contrast")
+    if beyond.empty:
+        said = f"none of the {m} exceeds the margin of error"
+    else:
+        named = [
+            f"{name} ({p_phrase(p)})" for name, p in zip(beyond["name"], beyond["p"], strict=True)
+        ]
+        shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
+        said = f"beyond the margin of error, of {m}: {listing(shown)}"
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    one = quantity(float(frame["margin"].iloc[0]), unit)
+    every = quantity(float(frame["simultaneous"].iloc[0]), unit)
+    return sentence(
+        f"{said}. Dashed: limit of one contrast, {one}; dotted: of all together, {every} (Lenth, "
+        "simulated); contrasts that follow the shaded envelope look like no effect at all"
+    )
+
+
+def constants(frame: pd.DataFrame, data: ReportData) -> str:
+    """Compare the scatter between fits with the uncertainty of one fit."""
+    sure = frame[frame["identifiable"]]
+    vague = len(frame) - len(sure)
+    unit = clean(data.block) or "run"
+    text = f"each mark is one fit with its 95{THIN}% interval"
+    grouped = sure.groupby(["constant", "place"])["value"]
+    apart = (grouped.std() / grouped.mean().abs()).median()
+    own = (sure["standard_error"] / sure["value"].abs()).median()
+    if apart == apart and own == own:  # both are numbers
+        text = (
+            f"a constant differs between {plural_of(unit)} by {_by(float(apart))} (median "
+            f"standard deviation), one fit alone is uncertain by {_by(float(own))}; {text}"
+        )
+    if vague:
+        text += f"; hollow: {vague} of {len(frame)} that the data do not determine"
+    return sentence(text)
+
+
+def _by(fraction: float) -> str:
+    return share(fraction).replace("< ", "less than ")

@@ -117,6 +117,10 @@ class FittedConstant:
         Why not, or with what else it is correlated.
     correlated : mapping of str to float
         Correlation with the other constants of the same fit.
+    residual_N : float, optional
+        RMS of the residual that the fit left, in N.
+    r_squared : float, optional
+        Coefficient of determination of the fit.
     """
 
     levels: Mapping[str, str]
@@ -131,6 +135,8 @@ class FittedConstant:
     reason: str = ""
     specimen: str = ""
     correlated: Mapping[str, float] = field(default_factory=dict)
+    residual_N: float | None = None  # noqa: N815
+    r_squared: float | None = None
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,7 @@ class Facts:
     residuals: pd.DataFrame | None = None
     distinct: int | None = None
     copies: tuple[tuple[str, ...], ...] = ()
+    lenth: Mapping[str, Any] | None = None
 
     @property
     def name(self) -> str:
@@ -156,6 +157,7 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
         residuals=getattr(response.result, "residuals", None),
         distinct=distinct,
         copies=tuple(tuple(group) for group in found.get("copies") or ()),
+        lenth=found.get("lenth"),
     )
 
 

@@ -11,10 +11,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.reporting import captions, style
+from study.reporting import figures_constants as constants
+from study.reporting import figures_cost as cost
 from study.reporting import figures_curves as curves
 from study.reporting import figures_effects as effects
 from study.reporting import figures_interactions as interactions
 from study.reporting import figures_residuals as residuals
+from study.reporting import figures_unreplicated as unreplicated
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
 from study.reporting.front import cost_front, practical_of
@@ -72,6 +75,12 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
         "residuals": ("Residuals", lambda: _residuals(data, facts)),
         "spread": ("Spread of the cells", lambda: _spread(data, facts)),
     }
+    if facts.residuals is None or "residual" not in facts.residuals:
+        # nothing is left over by a saturated model
+        del makers["residuals"], makers["spread"]
+    if facts.lenth:
+        title = "Contrasts without replicates"
+        makers["contrasts"] = (title, lambda: _contrasts(data, facts))
     if len(data.factors) < 2:
         del makers["interactions"]
     if facts.response.better and "seconds" in data.table:
@@ -87,6 +96,8 @@ def of_study(data: ReportData) -> dict[str, Figure]:
     found: dict[str, Figure] = {}
     if data.curves:
         found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+    if any(fit.value is not None for fit in data.fits):
+        found["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
     if data.failures:
         found["failures"] = make("failures", "Failure map", lambda: _failures(data))
     return found
@@ -102,6 +113,20 @@ def _effects(data: ReportData, facts: Facts) -> Drawn:
     if frame.empty:
         raise ValueError("no effect could be estimated")
     return frame, lambda: effects.draw_effect_sizes(frame, facts), captions.effects(facts, data)
+
+
+def _contrasts(data: ReportData, facts: Facts) -> Drawn:
+    frame = unreplicated.contrasts(facts, data)
+    return (
+        frame,
+        lambda: unreplicated.draw_contrasts(frame, facts),
+        captions.contrasts(frame, facts),
+    )
+
+
+def _constants(data: ReportData) -> Drawn:
+    frame = constants.constant_points(data)
+    return frame, lambda: constants.draw_constants(frame), captions.constants(frame, data)
 
 
 def _means(data: ReportData, facts: Facts) -> Drawn:
@@ -128,7 +153,7 @@ def _cells(data: ReportData, facts: Facts) -> Drawn:
     limit = practical_of(facts, cells(data, facts.name))
     return (
         frame,
-        lambda: effects.draw_cells(frame, facts, list(data.factors), limit),
+        lambda: effects.draw_cells(frame, facts, limit),
         captions.cells(facts, data, frame),
     )
 
@@ -154,7 +179,7 @@ def _front(data: ReportData, facts: Facts) -> Drawn:
     limit = practical_of(facts, frame)
     return (
         frame,
-        lambda: curves.draw_front(frame, facts, data, limit),
+        lambda: cost.draw_front(frame, facts, data, limit),
         captions.front(frame, facts, limit),
     )
 
@@ -173,6 +198,6 @@ def _failures(data: ReportData) -> Drawn:
     named = ", ".join(name_of(name, data.labels) for name in factors)
     return (
         frame,
-        lambda: curves.draw_failures(frame, statuses),
+        lambda: cost.draw_failures(frame, statuses),
         f"Rows are cells ({named}), columns are blocks; a large mark is a case that failed.",
     )

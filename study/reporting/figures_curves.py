@@ -1,4 +1,4 @@
-"""Figures of curves and of cost: predictions on measurements, cost front, failure map."""
+"""Figures of curves: predictions on measurements, in small multiples."""
 
 from __future__ import annotations
 
@@ -9,19 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.reporting.data import CurvePair, ReportData
-from study.reporting.facts import Facts
-from study.reporting.figures_effects import axis_label, plain_ticks, wrap
+from study.reporting.figures_effects import plain_ticks
 from study.reporting.style import (
     DASHES,
     INK,
-    MARKERS,
-    MUTED,
     RULE,
     WIDTH_IN,
     canvas,
     color_of,
 )
-from study.reporting.text import clean, duration, name_of
+from study.reporting.text import clean
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +66,8 @@ def curve_panels(data: ReportData) -> CurvePanels:
     fixed = {name: data.factors[name][0] for name in data.factors if name not in (line, panel)}
     chosen = [p for p in pairs if all(p.levels.get(k) == v for k, v in fixed.items())]
     levels = data.factors[panel] if panel else ("",)
-    blocks = list(dict.fromkeys(pair.block for pair in pairs))
+    present = dict.fromkeys(pair.block for pair in pairs)
+    blocks = [block for block in data.blocks if block in present] or list(present)
     room = max(_MOST_PANELS // len(levels), 1)
     kept = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
     panels = tuple((block, level) for block in kept for level in levels)
@@ -120,30 +118,52 @@ def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     columns = max(levels, (6 // levels) * levels)
     columns = min(columns, len(found.panels))
     rows = -(-len(found.panels) // columns)
-    figure = canvas(WIDTH_IN, 0.6 + 2.05 * rows)
-    heights = [2.2, 1.0] * rows
-    axes = figure.subplots(2 * rows, columns, sharex=True, squeeze=False, height_ratios=heights)
+    figure = canvas(WIDTH_IN, 0.85 + 2.05 * rows, arranged=False)
+    axes = _grid(figure, rows, columns)
     frame = found.frame
     top = 1.06 * float(frame[["measured_N", "predicted_N"]].max().max())
-    gap = float((frame["predicted_N"] - frame["measured_N"]).abs().max()) * 1.1
-    for place in range(rows * columns):
-        r, c = divmod(place, columns)
-        force, residual = axes[2 * r][c], axes[2 * r + 1][c]
+    gap = float((frame["predicted_N"] - frame["measured_N"]).abs().max()) * 1.1 or 1.0
+    for place, (force, residual) in enumerate(axes):
         if place >= len(found.panels):
             force.set_axis_off()
             residual.set_axis_off()
             continue
         _panel(force, residual, found, place, data)
+        first = place % columns == 0
         force.set_ylim(0, top)
         residual.set_ylim(-gap, gap)
-        force.tick_params(labelleft=c == 0, labelbottom=False)
-        residual.tick_params(labelleft=c == 0, labelbottom=place + columns >= len(found.panels))
-        if c == 0:
+        force.tick_params(labelleft=first, labelbottom=False)
+        residual.tick_params(labelleft=first, labelbottom=place + columns >= len(found.panels))
+        if first:
             force.set_ylabel("force (N)")
             residual.set_ylabel("resid. (N)")
-    figure.supxlabel("displacement (mm)", fontsize=8.5)
+    figure.text(0.5, 0.08 / figure.get_figheight(), "displacement (mm)", ha="center", fontsize=8.5)
     _curve_legend(figure, found, data)
     return figure
+
+
+def _grid(figure: Canvas, rows: int, columns: int) -> list[tuple[Axes, Axes]]:
+    """Pairs of axes in reading order, placed in inches: no layout engine has to measure text."""
+    height = figure.get_figheight()
+    outer = figure.add_gridspec(
+        rows,
+        columns,
+        left=0.62 / WIDTH_IN,
+        right=1 - 0.06 / WIDTH_IN,
+        top=1 - 0.52 / height,
+        bottom=0.48 / height,
+        wspace=0.08,
+        hspace=0.2,
+    )
+    pairs: list[tuple[Axes, Axes]] = []
+    for place in range(rows * columns):
+        inner = outer[place // columns, place % columns].subgridspec(
+            2, 1, height_ratios=(2.2, 1.0), hspace=0.12
+        )
+        shared = pairs[0][0] if pairs else None
+        force = figure.add_subplot(inner[0], sharex=shared)
+        pairs.append((force, figure.add_subplot(inner[1], sharex=force)))
+    return pairs
 
 
 def _panel(force: Axes, residual: Axes, found: CurvePanels, place: int, data: ReportData) -> None:
@@ -202,175 +222,10 @@ def _curve_legend(figure: Canvas, found: CurvePanels, data: ReportData) -> None:
     ]
     figure.legend(
         handles=handles,
-        loc="outside upper left",
+        loc="upper left",
+        bbox_to_anchor=(0.5 / WIDTH_IN, 1.0),
         ncols=min(len(handles), 6),
         handlelength=2.6,
         columnspacing=1.4,
+        borderaxespad=0.2,
     )
-
-
-def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
-    """Draw the mean response of each cell against its seconds, front stepped and labeled."""
-    figure = canvas(WIDTH_IN, 3.7)
-    ax = figure.subplots()
-    color_by, shape_by = _styling(frame, data)
-    for row in frame.to_dict("records"):
-        ax.plot(
-            row["seconds"],
-            row["mean"],
-            marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
-            color=color_of(color_by[1].get(row["cell"], 0)),
-            markersize=6.5,
-            alpha=0.85,
-            markeredgecolor="white",
-            markeredgewidth=0.5,
-            linestyle="none",
-        )
-    ax.set_xscale("log")
-    front = frame[frame["front"]]
-    ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
-    sign = -1.0 if facts.response.better == "higher" else 1.0
-    best = float(sign * (sign * frame["mean"]).min())
-    if practical > 0:
-        ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
-        ax.text(
-            1.0,
-            best + sign * practical,
-            "as good as the best ",
-            ha="right",
-            va="bottom",
-            transform=ax.get_yaxis_transform(),
-            fontsize=7.5,
-            color=MUTED,
-        )
-    ax.margins(x=0.06, y=0.16)
-    _front_labels(ax, front, list(data.factors))
-    _front_legend(ax, color_by[0], shape_by[0], data)
-    _time_ticks(ax, frame)
-    plain_ticks(ax, "y")
-    ax.set_xlabel("mean computing time of a case")
-    ax.set_ylabel(axis_label(facts))
-    return figure
-
-
-def _styling(
-    frame: pd.DataFrame, data: ReportData
-) -> tuple[tuple[str, dict[str, int]], tuple[str, dict[str, int]]]:
-    """Color and shape by the two factors that change the cost most."""
-    cost = np.log(frame["seconds"].clip(lower=1e-9))
-    moved = {
-        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
-        for name in data.factors
-        if len(data.factors[name]) > 1
-    }
-    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
-    chosen = (order[0], order[1] if len(order) > 1 else order[0])
-
-    def index(name: str) -> dict[str, int]:
-        places = {level: i for i, level in enumerate(data.factors[name])}
-        return {
-            str(cell): places.get(str(level), 0)
-            for cell, level in zip(frame["cell"], frame[name], strict=True)
-        }
-
-    return (chosen[0], index(chosen[0])), (chosen[1], index(chosen[1]))
-
-
-def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None:
-    """Name the front's cells, one for all that cost the same within a quarter."""
-    named: list[dict[str, Any]] = []
-    for row in reversed(front.to_dict("records")):
-        if not named or row["seconds"] < named[-1]["seconds"] / 1.25:
-            named.append(row)
-    middle = float(np.sqrt(np.prod(ax.get_xlim())))
-    for row in named[:6]:
-        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
-        right = row["seconds"] > middle
-        ax.annotate(
-            text,
-            (row["seconds"], row["mean"]),
-            fontsize=7.5,
-            va="top",
-            ha="right" if right else "left",
-            xytext=(-7 if right else 7, -5),
-            textcoords="offset points",
-        )
-
-
-def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=color_of(i),
-            marker="o",
-            linestyle="none",
-            markersize=5,
-            label=clean(level, 22),
-        )
-        for i, level in enumerate(data.factors[color_by])
-    ]
-    if shape_by != color_by:
-        handles += [
-            Line2D(
-                [],
-                [],
-                color=MUTED,
-                marker=MARKERS[i % 7],
-                linestyle="none",
-                markersize=5,
-                label=clean(level, 22),
-            )
-            for i, level in enumerate(data.factors[shape_by])
-        ]
-    title = clean(name_of(color_by, data.labels), 30)
-    if shape_by != color_by:
-        title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
-    ax.legend(
-        handles=handles,
-        title=title,
-        title_fontsize=7.5,
-        fontsize=7.5,
-        ncols=len(handles),
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        alignment="left",
-        borderpad=0,
-    )
-
-
-def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
-    low, high = float(frame["seconds"].min()), float(frame["seconds"].max())
-    ticks = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0]
-    inside = [t for t in ticks if low / 2 <= t <= high * 2] or [low]
-    ax.set_xticks(inside, [duration(t) for t in inside])
-    ax.set_xticks([], minor=True)
-
-
-def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
-    """Draw cells against blocks, a mark where a case failed."""
-    rows = list(dict.fromkeys(frame["cell"]))
-    columns = list(dict.fromkeys(frame["block"]))
-    figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))
-    ax = figure.subplots()
-    for index, status in enumerate(statuses):
-        some = frame[frame["status"] == status]
-        good = status == "converged"
-        ax.plot(
-            [columns.index(b) for b in some["block"]],
-            [rows.index(c) for c in some["cell"]],
-            linestyle="none",
-            marker="." if good else MARKERS[(index + 1) % 7],
-            color="#c4cad1" if good else color_of(index),
-            markersize=4 if good else 7,
-            label=clean(status, 24),
-        )
-    ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
-    ax.set_yticks(range(len(rows)), [wrap(r, 80, 70) for r in rows], fontsize=7.5)
-    ax.set_ylim(len(rows) - 0.5, -0.5)
-    ax.set_xlim(-0.5, len(columns) - 0.5)
-    ax.tick_params(length=0)
-    figure.legend(loc="outside upper left", ncols=6)
-    return figure

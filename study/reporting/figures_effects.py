@@ -14,6 +14,7 @@ import numpy as np
 
 from study.reporting.data import ReportData
 from study.reporting.facts import MATTERS, NO_DIFFERENCE, Facts, cells
+from study.reporting.groups import describe, groups
 from study.reporting.style import (
     BAND,
     INK,
@@ -94,7 +95,8 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
         ax.plot(value, place, "o", color=color, markersize=6)
         effect = shown[frame["term"].iloc[place]]
         ax.annotate(
-            f"{size(effect, facts)}   [{size_interval(effect, facts)}]",
+            size(effect, facts)
+            + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
             (1.0, place),
             xycoords=ax.get_yaxis_transform(),
             xytext=(6, 0),
@@ -107,7 +109,8 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_ylim(len(frame) - 0.5, -0.6)
     plain_ticks(ax, "x")
     what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
-    ax.set_xlabel(f"largest {what} between levels, {facts.title}, with 95 % simultaneous interval")
+    ends = ", with 95 % simultaneous interval" if frame["low"].notna().any() else ""
+    ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
     _clean_left(ax)
     return figure
 
@@ -212,29 +215,43 @@ def axis_label(facts: Facts) -> str:
 
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
-    """Every observation with its cell's rank, best cell first; at most ``most`` cells."""
-    order = cells(data, facts.name)
+    """Every observation of each distinct computation with its rank, best first.
+
+    Returns
+    -------
+    DataFrame
+        ``label`` names the cells of a computation, ``copies`` counts them; the levels are
+        those of the first. At most ``most`` computations.
+    """
+    import pandas as pd
+
+    ranked = groups(data, facts)
     if facts.response.better == "higher":
-        order = order.iloc[::-1].reset_index(drop=True)
+        ranked = ranked[::-1]
     factors = list(data.factors)
-    known = data.table.dropna(subset=[facts.name]).copy()
-    known["cell"] = known[factors].astype(str).agg(":".join, axis=1)
-    rank = {cell: place for place, cell in enumerate(order["cell"][:most])}
-    means = dict(zip(order["cell"], order["mean"], strict=True))
-    known = known[known["cell"].isin(list(rank))]
-    known = known.assign(
-        rank=known["cell"].map(rank), cell_mean=known["cell"].map(means), value=known[facts.name]
-    )
-    columns = [*factors, *(["block"] if "block" in known else []), "value", "cell_mean", "rank"]
-    return known.sort_values(["rank"], kind="stable")[columns].reset_index(drop=True)
+    known = data.table.dropna(subset=[facts.name])
+    levels = known[factors].astype(str).agg(tuple, axis=1)
+    columns = [*factors, *(["block"] if "block" in known else [])]
+    parts = []
+    for rank, group in enumerate(ranked[:most]):
+        first = group.members[0]
+        rows = known[levels == tuple(first[name] for name in factors)]
+        parts.append(
+            rows[columns].assign(
+                label=describe(group, data),
+                copies=len(group),
+                value=rows[facts.name],
+                cell_mean=group.mean,
+                rank=rank,
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
 
 
-def draw_cells(
-    frame: pd.DataFrame, facts: Facts, factors: Sequence[str], practical: float
-) -> Canvas:
-    """Draw cells as rows: individual points, mean on top, thin lines pairing the blocks."""
+def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
+    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
     count = int(frame["rank"].max()) + 1
-    figure = canvas(WIDTH_IN, 0.8 + 0.2 * count)
+    figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
     ax = figure.subplots()
     best = float(frame["cell_mean"].iloc[0])
     if facts.response.better and practical > 0:
@@ -275,10 +292,7 @@ def draw_cells(
             textcoords="offset points",
             annotation_clip=False,
         )
-    names = [
-        " \N{MIDDLE DOT} ".join(clean(value, 28) for value in row)
-        for row in means[list(factors)].to_numpy()
-    ]
+    names = [wrap(label, 52, 90) for label in means["label"]]
     ax.set_yticks(means["rank"], names, fontsize=7.5)
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")

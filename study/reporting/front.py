@@ -36,7 +36,8 @@ def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
     DataFrame
         Factor columns, ``cell``, ``mean`` (response), ``seconds``, ``front`` (bool),
         ``within`` (bool: no more than the practical difference from the best); cheapest
-        first. Empty where no seconds are known.
+        first. A gain below a thousandth of the practical difference makes no front. Empty
+        where no seconds are known.
     """
     import pandas as pd
 
@@ -51,8 +52,11 @@ def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
     frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
     sign = -1.0 if facts.response.better == "higher" else 1.0
     score = sign * frame["mean"]
-    frame["front"] = score < score.cummin().shift(fill_value=float("inf"))
-    frame["within"] = score - score.min() <= practical_of(facts, frame)
+    limit = practical_of(facts, frame)
+    # a gain of less than a thousandth of what matters is no step
+    best = score.cummin().shift(fill_value=float("inf"))
+    frame["front"] = score < best - limit / 1000
+    frame["within"] = score - score.min() <= limit
     return frame.reset_index(drop=True)
 
 

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
 from study.reporting.inputs import grouped_inputs
-from study.reporting.text import clean, count, listing, name_of, sentence
+from study.reporting.text import TIMES, clean, count, listing, name_of, sentence
 from study.reporting.verdicts import practical
+
+_SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 
 def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
@@ -63,7 +65,9 @@ def _statistics(facts: Facts, data: ReportData) -> str:
     }.get(facts.source, f"the error term was {facts.source}")
     limit = next((practical(e, facts) for e in facts.effects if e.practical is not None), "")
     what = "ratio" if facts.ratio else "difference"
-    against = f"; a {what} of {limit} was declared to matter" if limit else ""
+    against = (
+        f"; a {what} of {limit.removeprefix(TIMES).strip()} was declared to matter" if limit else ""
+    )
     return sentence(
         f"the {facts.title}{scale} was analyzed by a type {facts.anova_type} analysis of "
         f"variance in which {how}{against}"
@@ -90,8 +94,9 @@ def _numerics(data: ReportData) -> str:
 
 def _software(data: ReportData) -> str:
     names = [
-        f"{clean(key)} {clean(value)}"
+        f"{clean(key).removeprefix('version of ')} {clean(value)}"
         for key, value in data.provenance.items()
-        if key.lower() in {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
+        if key.lower().removeprefix("version of ")
+        in {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
     ]
     return sentence(f"software: {listing(names)}; seed {data.seed}") if names else ""

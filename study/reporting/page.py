@@ -7,7 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from study.reporting import assumptions, checks, figures, front, methods, sentences, tables
+from study.reporting import (
+    assumptions,
+    checks,
+    figures,
+    front,
+    methods,
+    sentences,
+    tables,
+    tables_fits,
+)
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.facts import Facts, facts
 from study.reporting.figures import Figure
@@ -17,6 +26,7 @@ from study.reporting.text import clean, duration, name_of, plural_of, sentence
 from study.reporting.verdicts import verdict
 
 _NO_FIGURE = "was not drawn"
+_VERSION = "version of "
 
 
 @dataclass(frozen=True)
@@ -59,8 +69,8 @@ def prepare(data: ReportData) -> Contents:
         "cells": tables.matrix(data, found),
     }
     if data.fits:
-        known["fits"] = tables.fits(data)
-        known["every_fit"] = tables.every_fit(data)
+        known["fits"] = tables_fits.fits(data)
+        known["every_fit"] = tables_fits.every_fit(data)
     if data.numerical:
         known["numerical"] = tables.numerical(data.numerical, data)
     if data.failures:
@@ -136,10 +146,22 @@ def render(contents: Contents) -> str:
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
         what_if=assumptions.WHAT_IF,
+        provenance=_provenance(data),
         total_time=sum(data.timings.values()),
     )
     # control and direction characters are no markup, yet no document may hold them
     return clean(text)
+
+
+def _provenance(data: ReportData) -> dict[str, str]:
+    """Provenance with all versions in one line; the seed has its own."""
+    versions = [
+        f"{clean(key).removeprefix(_VERSION)} {clean(value)}"
+        for key, value in data.provenance.items()
+        if key.startswith(_VERSION)
+    ]
+    rest = {k: v for k, v in data.provenance.items() if k != "seed" and not k.startswith(_VERSION)}
+    return ({"versions": ", ".join(versions)} if versions else {}) | rest
 
 
 def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:

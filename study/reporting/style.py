@@ -68,11 +68,15 @@ def color_of(index: int) -> str:
     return PALETTE[index % len(PALETTE)]
 
 
-def canvas(width_in: float, height_in: float) -> Canvas:
-    """Return an empty figure that lays itself out and belongs to no global state."""
+def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:
+    """Return an empty figure that belongs to no global state.
+
+    It lays itself out, which costs most of the time of a figure with many axes: with
+    ``arranged=False`` the caller places them.
+    """
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    return Figure(figsize=(width_in, height_in), layout="constrained" if arranged else None)
 
 
 def render(draw: Callable[[], Canvas], name: str, title: str) -> str:

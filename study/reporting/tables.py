@@ -16,7 +16,6 @@ from study.reporting.text import (
     interval,
     name_of,
     p_value,
-    percent,
     plural_of,
     quantity,
     share,
@@ -105,7 +104,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
         columns += ["F", "p"] + (["GG epsilon", "p corrected"] if corrected else [])
         columns += ["omega squared", "partial eta squared"]
     else:
-        columns += ["sum of squares"]
+        columns += ["sum of squares"] + (["p (Lenth)"] if facts.lenth else [])
     columns.append("share")
     rows = []
     for row in effects:
@@ -117,6 +116,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
             cell += [_fixed(row.get("omega_sq"), 3), _eta(row)]
         else:
             cell += [significant(row.get("ss"))]
+            cell += [p_value(row.get("p"))] if facts.lenth else []
         rows.append((*cell, share(row.get("share"))))
     note = " ".join(_anova_notes(effects, data, tested))
     return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
@@ -217,101 +217,6 @@ def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
 
 def _columns(frame: pd.DataFrame, *names: str) -> list[list[Any]]:
     return [frame[name].tolist() for name in names]
-
-
-def fits(data: ReportData) -> Table:
-    """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
-    import numpy as np
-
-    groups: dict[tuple[str, ...], list[Any]] = {}
-    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
-    for fit in data.fits:
-        key = (*(clean(fit.levels.get(name, MISSING)) for name in names), clean(fit.constant))
-        groups.setdefault(key, []).append(fit)
-    rows = []
-    for key, items in sorted(groups.items(), key=lambda group: _place(group[0], names, data)):
-        values = np.array([i.value for i in items if i.value is not None], dtype=float)
-        relative = [
-            abs(i.standard_error / i.value)
-            for i in items
-            if i.standard_error is not None and i.value
-        ]
-        known = sum(item.identifiable for item in items)
-        reason = next((item.reason for item in items if item.reason), "")
-        rows.append(
-            (
-                *key,
-                quantity(float(np.median(values)), items[0].unit) if values.size else MISSING,
-                interval(float(values.min()), float(values.max()), items[0].unit)
-                if values.size
-                else MISSING,
-                percent(float(np.median(relative)), 2) if relative else MISSING,
-                f"{known} of {len(items)}" + (f": {clean(reason, 160)}" if reason else ""),
-            )
-        )
-    raw = tuple(
-        {
-            **{name: fit.levels.get(name) for name in names},
-            "block": fit.block,
-            "specimen": fit.specimen,
-            "constant": fit.constant,
-            "value": fit.value,
-            "unit": fit.unit,
-            "standard_error": fit.standard_error,
-            "low": fit.low,
-            "high": fit.high,
-            "identifiable": fit.identifiable,
-            "reason": fit.reason,
-        }
-        for fit in data.fits
-    )
-    columns = (
-        *(name_of(name, data.labels) for name in names),
-        "constant",
-        "median",
-        "range over fits",
-        "standard error",
-        "identifiable",
-    )
-    return Table("fits", columns, tuple(rows), len(names) + 1, 1, raw=raw)
-
-
-def _place(
-    key: Sequence[str], names: Sequence[str], data: ReportData
-) -> tuple[tuple[int, ...], str]:
-    """Sort key of a fit: its levels in the order of the design, then its constant."""
-    order = []
-    for name, shown in zip(names, key, strict=False):
-        levels = [clean(level) for level in data.factors.get(name, ())]
-        order.append(levels.index(shown) if shown in levels else -1)
-    return tuple(order), key[-1]
-
-
-def every_fit(data: ReportData) -> Table:
-    """Every fitted constant with its 95 % interval."""
-    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
-    rows = tuple(
-        (
-            *(clean(fit.levels.get(name, MISSING)) for name in names),
-            clean(fit.block),
-            clean(fit.specimen),
-            clean(fit.constant),
-            quantity(fit.value, fit.unit),
-            interval(fit.low, fit.high, fit.unit),
-            "yes" if fit.identifiable else "no",
-        )
-        for fit in data.fits
-    )
-    columns = (
-        *(name_of(name, data.labels) for name in names),
-        data.block or "block",
-        "specimen",
-        "constant",
-        "value",
-        "95 % interval",
-        "identifiable",
-    )
-    return Table("every-fit", columns, rows, len(names) + 3)
 
 
 def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:

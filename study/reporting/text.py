@@ -18,6 +18,8 @@ _NAMES = {
     "work_error": "work error",
     "mu0": "initial shear modulus",
     "seconds": "computing time",
+    "poisson_ratio": "Poisson's ratio",
+    "youngs_modulus": "Young's modulus",
 }
 # Characters that no XML document may hold, and those that reverse the reading direction.
 _UNSAFE = re.compile(

@@ -269,6 +269,22 @@ def make_numerical() -> tuple[NumericalRow, ...]:
     return tuple(rows)
 
 
+def unreplicated() -> ReportData:
+    """A 2x2x2x2 factorial run once: material and its interaction with plates are real."""
+    rng = np.random.default_rng(3)
+    names = ("material", "plates", "space", "order")
+    rows = []
+    for levels in product(("lo", "hi"), repeat=4):
+        a, b, *_ = (level == "hi" for level in levels)
+        y = 10 + 2 * a + 1.5 * (a and b) + 0.2 * rng.normal()
+        case = {"case_id": str(len(rows)), "status": "converged", "y": y}
+        rows.append({**dict(zip(names, levels, strict=True)), **case})
+    table = pd.DataFrame(rows)
+    result = analyze(table, "y", list(names), practical=0.5)
+    response = ResponseAnalysis("y", "N", result, 0.5, better="lower")
+    return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, (response,))
+
+
 def with_failures() -> ReportData:
     """The same study with three failed cases in two cells."""
     data = example()

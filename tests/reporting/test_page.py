@@ -125,7 +125,7 @@ def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
     assert missing(contents.all_figures) == ()
     assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
     names = [figure.name for figure in contents.all_figures]
-    assert len(names) == len(set(names)) == 14
+    assert len(names) == len(set(names)) == 15
 
 
 def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: ReportData):

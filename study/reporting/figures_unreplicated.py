@@ -1,0 +1,139 @@
+"""Pareto and half-normal plots of a factorial without replicates.
+
+Both judge one-degree-of-freedom contrasts against Lenth's limits, which the analysis
+simulated: the margin of error bounds one contrast, the simultaneous one all of them.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.data import ReportData
+from study.reporting.facts import Facts
+from study.reporting.figures_effects import plain_ticks, wrap
+from study.reporting.style import BAND, INK, MUTED, WIDTH_IN, canvas
+from study.reporting.text import term_name
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+_ACTIVE, _PASSIVE = "#D55E00", "#0072B2"
+_MOST_BARS = 31
+_SIMULATIONS = 2000
+
+
+def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
+    """Every contrast with its half-normal score and limits, the largest first.
+
+    Returns
+    -------
+    DataFrame
+        ``contrast``, ``name``, ``size`` (absolute), ``score``, ``p``, ``margin``,
+        ``simultaneous``, ``active`` (beyond the margin of error), ``low`` and ``high``
+        (95 % envelope of as many null contrasts with the same pseudo standard error).
+    """
+    import pandas as pd
+
+    found = facts.lenth
+    if not found:
+        raise ValueError("there are no single contrasts: the design is replicated")
+    frame = pd.DataFrame(
+        {
+            "contrast": list(found["names"]),
+            "name": [_name(str(name), data) for name in found["names"]],
+            "size": np.abs(np.asarray(found["values"], dtype=float)),
+            "score": np.asarray(found["half_normal"], dtype=float),
+            "p": np.asarray(found["p"], dtype=float),
+            "margin": float(found["me"]),
+            "simultaneous": float(found["sme"]),
+        }
+    ).sort_values("size", ascending=False, kind="stable", ignore_index=True)
+    low, high = _envelope(len(frame), float(found["pse"]), data.seed)
+    return frame.assign(active=frame["size"] > frame["margin"], low=low, high=high)
+
+
+def _name(contrast: str, data: ReportData) -> str:
+    """Readable name of a contrast; ``material[2]`` is the second one of the material."""
+    term = re.sub(r"\[\d+\]", "", contrast)
+    numbers = re.findall(r"\[(\d+)\]", contrast)
+    return term_name(term, data.labels) + (f" [{', '.join(numbers)}]" if numbers else "")
+
+
+def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pointwise 95 % envelope of ``m`` sorted null contrasts, the largest first."""
+    from study.analysis.unreplicated import pseudo_standard_error
+
+    z = np.abs(np.random.default_rng(seed).standard_normal((_SIMULATIONS, m)))
+    z *= pse / pseudo_standard_error(z)[:, None]
+    z = np.sort(z, axis=1)[:, ::-1]
+    low, high = np.quantile(z, [0.025, 0.975], axis=0)
+    return low, high
+
+
+def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw the Pareto plot on the left, the half-normal plot on the right."""
+    shown = frame.head(_MOST_BARS)
+    figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
+    pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    label = f"absolute contrast ({unit})" if unit else "absolute contrast"
+    _pareto(pareto, shown, label)
+    _half_normal(half, frame, label)
+    return figure
+
+
+def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    places = np.arange(len(frame))
+    colors = [_ACTIVE if active else _PASSIVE for active in frame["active"]]
+    ax.barh(places, frame["size"], color=colors, height=0.66)
+    for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+        limit = float(frame[column].iloc[0])
+        ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
+        ax.text(
+            limit,
+            1.0,
+            name,
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=MUTED,
+        )
+    ax.set_yticks(places, [wrap(name, 30) for name in frame["name"]], fontsize=7.5)
+    ax.set_ylim(len(frame) - 0.4, -0.6)
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xlabel(f"{label}; limits for one, for all")
+    plain_ticks(ax, "x")
+
+
+def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    ordered = frame.sort_values("score")
+    ax.fill_between(
+        ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
+    )
+    for active, marker in ((False, "o"), (True, "D")):
+        some = frame[frame["active"] == active]
+        color = _ACTIVE if active else _PASSIVE
+        ax.plot(some["score"], some["size"], marker, color=color, markersize=4.5)
+    for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
+        if size > float(frame["margin"].iloc[0]):
+            ax.annotate(
+                name,
+                (score, size),
+                xytext=(-6, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                fontsize=7.5,
+            )
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(left=0)
+    ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
+    ax.set_ylabel(label)
+    plain_ticks(ax, "y")
