@@ -93,7 +93,7 @@ def assemble(out: Outcome) -> AnalysisResult:
         design = None
         if groups.basis is not None and out.exact:
             design = ResidualDesign(groups.basis, groups.index)
-        count = _MONTE_CARLO if design is not None or not groups.approximate else 0
+        count = _MONTE_CARLO if out.exact else 0
         options: dict[str, Any] = {
             "approximate": groups.approximate,
             "seed": out.seed,
@@ -171,6 +171,8 @@ def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
         )
     if out.data.block is not None:
         fit = checks.additive_fit(out.data, out.y, rows, plots=out.plots)
+    elif rows.size == out.y.size:
+        fit = out.fit
     else:
         fit = checks.reduced_fit(out.data, out.y, out.terms, rows)
     result = ryan_joiner(

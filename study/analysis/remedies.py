@@ -113,19 +113,38 @@ def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> Wald
     contrast : ndarray, shape (d, cells)
         Rows of the hypothesis.
     """
+    return _johansen(_Moments.of(cells), contrast, name)
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Size, mean (shifted) and variance of every cell."""
+
+    n: Array
+    mean: Array
+    variance: Array
+
+    @staticmethod
+    def of(cells: Sequence[Array]) -> _Moments:
+        shift = cells[0][0]
+        return _Moments(
+            np.array([c.size for c in cells], dtype=float),
+            np.array([np.mean(c - shift) for c in cells]),
+            np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells]),
+        )
+
+
+def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
     from scipy.special import fdtrc
 
-    n = np.array([c.size for c in cells], dtype=float)
-    variance = np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells])
-    if n.min() < 2 or variance.min() <= 0:
+    n = cells.n
+    if n.min() < 2 or cells.variance.min() <= 0:
         return WaldTest(name, None, None, None, "a cell has one value or zero variance")
-    shift = cells[0][0]
-    mean = np.array([np.mean(c - shift) for c in cells])
-    s = variance / n
+    s = cells.variance / n
     inner = np.linalg.inv((contrast * s) @ contrast.T)
-    effect = contrast @ mean
+    effect = contrast @ cells.mean
     t = float(effect @ inner @ effect)
-    weight = np.einsum("ij,jk,ki->i", contrast.T, inner, contrast) * s
+    weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
     # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
     a = float(np.sum(2 * weight**2 / (n - 1))) / 2
     d = contrast.shape[0]
@@ -145,7 +164,7 @@ def welch_factorial(
 
 def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
     present, index = np.unique(data.cell, return_inverse=True)
-    cells = [data.y[index == i] for i in range(present.size)]
+    moments = _Moments.of([data.y[index == i] for i in range(present.size)])
     first = np.array([int(np.flatnonzero(index == i)[0]) for i in range(present.size)])
     layout = data.layout.take(first)
     matrix = model_matrix(layout, terms)
@@ -156,7 +175,7 @@ def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
         if s.df < s.nominal_df:
             out[name] = WaldTest(name, None, None, None, "not estimable")
         else:
-            out[name] = welch_james(cells, (fit.q @ s.basis).T, name)
+            out[name] = _johansen(moments, (fit.q @ s.basis).T, name)
     return out
 
 
@@ -216,20 +235,19 @@ def sensitivity(
     positive.
     """
     data = prepare(table, response, factors)
-    return sensitivity_of(data, terms_of(data.factors, model), alpha)
+    terms = terms_of(data.factors, model)
+    return sensitivity_of(data, terms, factor(model_matrix(data.layout, terms), data.y), alpha)
 
 
-def sensitivity_of(data: Data, terms: Sequence[Term], alpha: float) -> Sensitivity:
-    """As :func:`sensitivity`, of checked data without blocks."""
-    matrix = model_matrix(data.layout, terms)
-    fit = factor(matrix, data.y)
+def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: float) -> Sensitivity:
+    """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
         "Welch-James": {k: w.p for k, w in _welch(data, terms).items()},
     }
     if data.y.min() > 0:
-        found["F of the log"] = _ordinary(factor(matrix, np.log(data.y)))
+        found["F of the log"] = _ordinary(factor(fit.matrix, np.log(data.y)))
     return side_by_side([term_name(t) for t in terms], found, alpha)
 
 

@@ -28,7 +28,8 @@ def add_robustness(out: Outcome) -> Outcome:
         return out
     if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
         return out
-    table = sensitivity_of(out.data, out.terms, out.alpha)
+    fit = out.fit if out.transform == "none" else factor(out.fit.matrix, out.data.y)
+    table = sensitivity_of(out.data, out.terms, fit, out.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
     return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))

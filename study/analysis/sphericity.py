@@ -45,7 +45,8 @@ def sphericity(contrasts: Array) -> SphericityResult:
 
     Notes
     -----
-    Mauchly (1940); Anderson (2003), 10.7.4; Huynh and Feldt (1976). With d = 1 sphericity holds by construction.
+    Mauchly (1940); Anderson (2003), 10.7.4; Huynh and Feldt (1976). With d = 1 sphericity
+    holds by construction.
     """
     d, b = contrasts.shape
     s = np.atleast_2d(np.cov(contrasts))

@@ -294,12 +294,13 @@ def _labels(column: pd.Series, name: str) -> Any:
     if column.isna().any():
         row = int(np.flatnonzero(column.isna().to_numpy())[0]) + 1
         raise InputError(Fault(f"row {row}, column {name!r}", "the level is empty"))
-    values = column.tolist()
-    text = [_label(value) for value in values]
+    # 1, 1.0 and True are equal keys, so the type goes along
+    keys = [(type(value), value) for value in column.tolist()]
+    label = {key: _label(key[1]) for key in dict.fromkeys(keys)}
     seen: dict[str, Any] = {}
-    for value, label in zip(values, text, strict=True):
-        first = seen.setdefault(label.strip(), value)
-        if isinstance(first, str) != isinstance(value, str) or _label(first) != label:
+    for (_, value), text in label.items():
+        first = seen.setdefault(text.strip(), value)
+        if isinstance(first, str) != isinstance(value, str) or _label(first) != text:
             raise InputError(
                 Fault(
                     f"column {name!r}",
@@ -307,7 +308,7 @@ def _labels(column: pd.Series, name: str) -> Any:
                     "write both the same way",
                 )
             )
-    return np.array(text, dtype=object)
+    return np.array([label[key] for key in keys], dtype=object)
 
 
 def _label(value: Any) -> str:

@@ -104,10 +104,10 @@ def test_seed_columns_declare_the_repeats() -> None:
 def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
     table = grid({"a": 2, "b": 2, "c": 2}, 1, 3)
     table["y"] += 4 * (table["a"] == "L1")
-    result = analyze(table, "y", ["a", "b", "c"], records=True, u_num=0.02, practical=1.0)
+    result = analyze(table, "y", ["a", "b", "c"], records=True, u_num=0.002, practical=1.0)
     effect = result.effect("a")
     assert effect.p is None
-    assert effect.effect_over_u_num == pytest.approx((effect.range or 0) / 0.02)
+    assert effect.effect_over_u_num == pytest.approx((effect.range or 0) / 0.002)
     assert effect.resolved == "resolved"
     assert effect.verdict == "matters"
     # the half-normal plot keeps its contrasts
