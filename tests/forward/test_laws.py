@@ -24,7 +24,9 @@ O3 = Material(
     bulk_modulus=100.0,
 )
 ALMOST_ZERO = Material("ogden", {"mu1": 1.0, "alpha1": 1e-7}, bulk_modulus=100.0)
-STEEP = Material("ogden", {"mu1": 0.5, "alpha1": 24.0, "mu2": 0.5, "alpha2": -9.0}, bulk_modulus=1e3)
+STEEP = Material(
+    "ogden", {"mu1": 0.5, "alpha1": 24.0, "mu2": 0.5, "alpha2": -9.0}, bulk_modulus=1e3
+)
 POLY3 = Material(
     "polynomial",
     {"C10": 0.4, "C01": 0.1, "C20": 0.03, "C11": 0.05, "C02": 0.02, "C30": 0.01, "C21": 0.004,
