@@ -143,6 +143,7 @@ def fit(
     ftol: float = 1e-12,
     xtol: float = 1e-12,
     gtol: float = 1e-10,
+    edge: float = 0.0,
     callback: Progress | None = None,
     resume: Iteration | None = None,
 ) -> Fit:
@@ -162,7 +163,7 @@ def fit(
         Start values.
     bounds : sequence of (low, high), optional
         One pair for every constant.
-    max_evaluations, ftol, xtol, gtol
+    max_evaluations, ftol, xtol, gtol, edge
         As for :func:`study.calibration.levenberg_marquardt`.
     callback : callable, optional
         Gets every accepted iteration; returning True stops the fit.
@@ -184,7 +185,7 @@ def fit(
     model = _Model(predict, measured, tuple(names))
     result = levenberg_marquardt(
         model, start, bounds=bounds, max_evaluations=max_evaluations,
-        ftol=ftol, xtol=xtol, gtol=gtol, callback=model.watch(callback), resume=resume,
+        ftol=ftol, xtol=xtol, gtol=gtol, edge=edge, callback=model.watch(callback), resume=resume,
     )  # fmt: skip
     return _report(result, model)
 

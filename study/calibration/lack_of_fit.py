@@ -167,7 +167,9 @@ def akaike_weights(aicc: Mapping[str, float]) -> dict[str, float]:
 
 
 def same_constants(pooled_rss: float, own_rss: float, n: int, p: int, groups: int) -> float | None:
-    """p of the extra sum of squares: do groups share their constants (Bates and Watts 1988, 3.10)?
+    """P that groups share their constants, by the extra sum of squares.
+
+    (Bates and Watts 1988, sec. 3.10.)
 
     Parameters
     ----------

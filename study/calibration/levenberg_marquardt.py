@@ -29,6 +29,8 @@ FIRST_RADIUS = 1.0
 STATIONARY = 1e-6
 #: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
 NEXT_DOOR = 0.01
+#: accepted steps over which a search that creeps along failures is judged
+CRAWL = 5
 #: growth of a parameter over its start that counts as running to infinity
 FAR = 1e8
 
@@ -109,6 +111,7 @@ class _State:
     evaluations: int = 1
     history: list[Iteration] = field(default_factory=list)
     failed: list[Array] = field(default_factory=list)
+    failures: list[int] = field(default_factory=list)
 
     @property
     def cost(self) -> float:
@@ -124,6 +127,7 @@ def levenberg_marquardt(
     ftol: float = 1e-12,
     xtol: float = 1e-12,
     gtol: float = 1e-10,
+    edge: float = 0.0,
     callback: Callback | None = None,
     resume: Iteration | None = None,
 ) -> LMResult:
@@ -148,6 +152,9 @@ def levenberg_marquardt(
     gtol : float
         Relative offset (Bates and Watts 1981): length of the residual's projection on the
         space of the Jacobian over the length of the residual.
+    edge : float
+        Relative decrease that five accepted steps beside failed ones must bring, or the search
+        ends ``at_edge``; for models whose evaluations are dear.
     callback : callable, optional
         Gets every accepted :class:`Iteration`; returning True stops the search.
     resume : Iteration, optional
@@ -171,7 +178,7 @@ def levenberg_marquardt(
         return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
     state = _first_state(first, *evaluated, resume)
     status, offset, held = _search(
-        function, state, low, high, max_evaluations, (ftol, xtol, gtol), callback
+        function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
     )
     return LMResult(
         state.x,
@@ -214,16 +221,19 @@ def _search(
     low: Array,
     high: Array,
     max_evaluations: int,
-    tolerances: tuple[float, float, float],
+    tolerances: tuple[float, float, float, float],
     callback: Callback | None,
 ) -> tuple[Status, float, NDArray[np.bool_]]:
-    ftol, xtol, gtol = tolerances
+    ftol, xtol, gtol, edge = tolerances
     while True:
         held = _held(state, low, high)
         linear = Linearization.of(state.jacobian[:, ~held], state.residual, state.scale[~held])
         state.rank = max(state.rank, linear.rank + int(held.sum()))
         state.history.append(_snapshot(state, linear.offset))
+        state.failures.append(len(state.failed))
         status = _converged(state, linear, held, xtol, gtol)
+        if status is None and _crawling(state, edge):
+            status = Status.at_edge
         if status is None and callback is not None and callback(state.history[-1]):
             status = Status.stopped
         if status is None:
@@ -288,6 +298,15 @@ def _beside_failure(state: _State) -> bool:
     size = float(np.linalg.norm(state.scale * state.x))
     distances = [float(np.linalg.norm(state.scale * (x - state.x))) for x in state.failed]
     return min(distances, default=np.inf) <= NEXT_DOOR * size
+
+
+def _crawling(state: _State, edge: float) -> bool:
+    """Whether the search creeps along constants at which the model has no answer."""
+    if len(state.history) <= CRAWL:
+        return False
+    gained = state.history[-1 - CRAWL].cost - state.cost
+    blocked = state.failures[-1] - state.failures[-1 - CRAWL]
+    return gained < edge * state.cost and blocked >= 2 and _beside_failure(state)
 
 
 def _steepest(state: _State, held: NDArray[np.bool_]) -> float:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from study.calibration import Status
 from study.curve import Curve
 from study.runner.checkpoint import Checkpoint
 
@@ -28,8 +29,8 @@ Predict = Callable[[Array], list[Curve]]
 #: are not worth one; a start needs fewer still
 TOLERANCES: dict[str, dict[str, Any]] = {
     "closed-form": {},
-    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7},
-    "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3},
+    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7, "edge": 1e-3},
+    "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3, "edge": 1e-2},
 }
 #: coarse over fine of the named meshes
 _COARSER = 2.25
@@ -115,13 +116,15 @@ def staged_fit(
     """
     kept = checkpoint or Checkpoint()
     coarse = [coarser(part) for part in parts]
-    before = None
+    before, first = None, start
     if len(names) > 1 and any(one is not None for one in coarse):
         rough = [own if own is not None else part for own, part in zip(coarse, parts, strict=True)]
         before = single_stage("coarse mesh", rough, names, start, make, bounds, progress, kept).fit
-        if before.converged:
-            start = before.values
-    done = single_stage("wanted mesh", parts, names, start, make, bounds, progress, kept)
+        first = before.values if before.status.usable else start
+    done = single_stage("wanted mesh", parts, names, first, make, bounds, progress, kept)
+    if done.fit.status is Status.start_failed and first is not start:
+        # what the coarse mesh could solve is beyond the wanted one
+        done = single_stage("wanted mesh", parts, names, start, make, bounds, progress, kept)
     return replace(done, rough=before)
 
 
