@@ -152,6 +152,14 @@ def _with_units(
     blocks, transform = options.block, options.transform
     means = nested.average_units(table, response, factors, unit, block=blocks, transform=transform)
     result = _complete(means, response, factors, options)
+    if result.error_term.source == "E0":
+        asked = replace(
+            result.error_term,
+            question=f"would the effect show with other levels of {unit}? (scatter between them "
+            "within a cell)",
+            reason=f"cells hold several levels of {unit}; the rows of each are averaged",
+        )
+        result = replace(result, error_term=asked)
     naive = _found(table, response, factors, options).anova
     found = nested.compare_naive(
         table,

@@ -220,7 +220,7 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),
-        anova=Anova(kind, with_shares(rows, total)),
+        anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
         effects=tuple(size(e, out.scale) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
         fit=checks.additive_fit(data, out.y),

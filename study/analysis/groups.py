@@ -194,7 +194,7 @@ def _outcome(
             {r.term: float(r.df_error or 0) for r in listed},
             "asked for" if error == "own" else choice.reason,
         ),
-        anova=Anova(kind, with_shares([*listed, *errors], total)),
+        anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
         effects=tuple(effects),
         sphericity=spheres,
         fit=checks.additive_fit(out.data, out.y, plots=plots.code),

@@ -55,7 +55,7 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
-        anova=Anova(kind, with_shares(rows, fit.tss)),
+        anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
         effects=tuple(size(e, out.scale) for e in estimates),
         fit=fit if df else None,
         lenth=lenth,

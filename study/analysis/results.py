@@ -75,10 +75,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Anova:
-    """ANOVA table of one type."""
+    """ANOVA table of one type, with the corrected total."""
 
     type: str
     rows: tuple[Row, ...]
+    df_total: int | None = None
+    ss_total: float | None = None
 
     def row(self, term: str) -> Row:
         """Row of a term."""

@@ -112,7 +112,7 @@ def split_plot(out: Outcome, kind: str, plots: Plots) -> Outcome:
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),
-        anova=Anova(kind, with_shares(rows, whole.tss)),
+        anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
         effects=tuple(effects),
         fit=checks.additive_fit(data, out.y, plots=plots.code),
         plots=plots.code,

@@ -1,4 +1,4 @@
-"""Verbs about whole studies: demo, plan, run, status, analyze, report, why."""
+"""Verbs about whole studies: demo, plan, run, status, report, why."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import typer
 from study.cli import show
 
 if TYPE_CHECKING:
-    from study.analysis import AnalysisResult
     from study.api.planning import Plan
     from study.api.studies import StudyResult
 
@@ -120,43 +119,6 @@ def report(
     _finish(api.report(path, reports=reports, results=results, formats=wanted), as_json)
 
 
-def analyze(
-    source: Annotated[Path, typer.Argument(help="Results of a study, or any tidy CSV.")],
-    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
-    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
-    block: Annotated[str | None, typer.Option(help="Column of the blocks.")] = None,
-    error: Annotated[str | None, typer.Option(help="auto, pooled or own.")] = None,
-    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
-    ] = None,
-    practical: Annotated[
-        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
-    ] = None,
-    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
-    results: Results = RESULTS,
-    as_json: Json = False,
-) -> None:
-    """Analyze a study's results, or any CSV with one row a run."""
-    from study import api
-
-    given: dict[str, Any] = {
-        "error": error, "type": kind, "practical": practical, "transform": transform,
-        "model": _model(model),
-    }  # fmt: skip
-    options = {name: value for name, value in given.items() if value is not None}
-    names = [name.strip() for name in factors.split(",") if name.strip()]
-    found = api.analyze(source, response, names, block=block, results=results, **options)
-    if as_json:
-        show.warn(found.warnings)
-        show.print_json(found.to_json())
-    else:
-        _print_analysis(found)
-        if all(effect.verdict == "cannot tell" for effect in found.effects):
-            _hint_practical(practical)
-
-
 def why(
     case: Annotated[str, typer.Argument(help="Case id, or its beginning.")],
     study: Annotated[Path | None, typer.Option(help="Study to look in; all by default.")] = None,
@@ -189,23 +151,7 @@ def why(
         print(record.extra["traceback"])
 
 
-VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, analyze, why)
-
-
-def _hint_practical(practical: str | None) -> None:
-    """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
-    if practical is None:
-        hint = "--practical 0.5 or --practical '5 % of mean'"
-        show.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
-
-
-def _model(text: str | None) -> str | int | list[str] | None:
-    """Read a model as it is written on the command line."""
-    if text is None or text == "full":
-        return text
-    if text.isdigit():
-        return int(text)
-    return [term.strip() for term in text.split(",") if term.strip()]
+VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, why)
 
 
 def _words(runner: dict[str, Any]) -> str:
@@ -266,28 +212,4 @@ def _print_plan(found: Plan) -> None:
     if found.predicted_seconds is not None:
         time = show.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
-    show.warn(found.warnings)
-
-
-def _print_analysis(found: AnalysisResult) -> None:
-    term = found.error_term
-    print(f"error term {term.source}: {term.question}")
-    print(f"  because: {term.reason}\n")
-    rows = [["term", "df", "SS", "MS", "F", "p", "share"]]
-    rows += [
-        [row.term, f"{row.df:g}", show.number(row.ss), show.number(row.ms), show.number(row.f),
-         show.number(row.p_deciding, 3), show.number(row.share, 3)]
-        for row in found.anova.rows
-    ]  # fmt: skip
-    show.table(rows, f"{found.response}: analysis of variance, type {found.anova.type}")
-    print()
-    effects = [["term", "largest difference", "95 % interval", "verdict"]]
-    effects += [
-        [e.term, show.number(e.range),
-         "-" if e.ci95 is None else f"{e.ci95[0]:.4g} to {e.ci95[1]:.4g}", e.verdict]
-        for e in found.effects
-    ]  # fmt: skip
-    show.table(effects)
-    if found.normality is not None:
-        print(f"\nRyan-Joiner {found.normality.rj:.4f}, p {found.normality.p_minitab}")
     show.warn(found.warnings)

@@ -1,0 +1,274 @@
+"""The verb analyze: the table that a user of Minitab recognizes, and what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from study.cli import show
+from study.cli.studies import RESULTS, Json, Results
+
+if TYPE_CHECKING:
+    from study.analysis import AnalysisResult
+    from study.analysis.nested import NestedUnits
+    from study.analysis.results import Row
+
+
+def analyze(
+    source: Annotated[Path, typer.Argument(help="Results of a study, or any tidy CSV.")],
+    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
+    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    block: Annotated[
+        str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
+    ] = None,
+    whole_plot: Annotated[
+        str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
+    ] = None,
+    replicates: Annotated[
+        str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
+    ] = None,
+    error: Annotated[str | None, typer.Option(help="auto, pooled or own.")] = None,
+    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
+    ] = None,
+    practical: Annotated[
+        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+    ] = None,
+    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Analyze a study's results, or any CSV with one row a run."""
+    from study import api
+
+    given: dict[str, Any] = {
+        "error": error, "type": kind, "practical": practical, "transform": transform,
+        "model": _model(model), "unit": unit, "replicates": replicates,
+        "whole_plot": _names(whole_plot) or None,
+    }  # fmt: skip
+    options = {name: value for name, value in given.items() if value is not None}
+    blocks = _names(block)
+    found = api.analyze(
+        source,
+        response,
+        _names(factors),
+        block=blocks if len(blocks) > 1 else next(iter(blocks), None),
+        results=results,
+        **options,
+    )
+    if as_json:
+        show.warn(found.warnings)
+        show.print_json(found.to_json())
+        return
+    _print(found)
+    if all(effect.verdict == "cannot tell" for effect in found.effects):
+        _hint_practical(practical)
+
+
+VERBS: tuple[Callable[..., None], ...] = (analyze,)
+
+
+def _names(text: str | None) -> list[str]:
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def _hint_practical(practical: str | None) -> None:
+    """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
+    if practical is None:
+        hint = "--practical 0.5 or --practical '5 % of mean'"
+        show.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+
+
+def _model(text: str | None) -> str | int | list[str] | None:
+    """Read a model as it is written on the command line."""
+    if text is None or text == "full":
+        return text
+    if text.isdigit():
+        return int(text)
+    return _names(text)
+
+
+def _print(found: AnalysisResult) -> None:
+    term = found.error_term
+    print(f"error term {term.source}: {term.question}")
+    print(f"  because: {term.reason}\n")
+    if found.anova.rows:
+        _print_factors(found)
+        show.table(
+            _anova(found), f"Analysis of Variance: {found.response}, type {found.anova.type}"
+        )
+        print()
+        _print_summary(found)
+        _print_effects(found)
+        _print_checks(found)
+        _print_robustness(found)
+        _print_bounds(found)
+    said: tuple[str, ...] = ()
+    if found.nested is not None:
+        said = _print_nested(found.nested, found.alpha)
+    show.warn([message for message in found.warnings if message not in said])
+
+
+def _print_factors(found: AnalysisResult) -> None:
+    rows = [["Factor", "Levels", "Values"]]
+    rows += [
+        [e.term, str(len(e.levels)), ", ".join(e.levels)]
+        for e in found.effects
+        if e.term in found.factors
+    ]
+    show.table(rows, "Factor Information")
+    print()
+
+
+def _anova(found: AnalysisResult) -> list[list[str]]:
+    """Source, DF, Adj SS, Adj MS, F, P; epsilon and the corrected p where there are any."""
+    how = "Seq" if found.anova.type == "I" else "Adj"
+    corrected = any(row.p_gg is not None for row in found.anova.rows)
+    strata = len({row.error for row in found.anova.rows if row.error}) > 1
+    head = ["Source", "DF", f"{how} SS", f"{how} MS", "F-Value", "P-Value"]
+    head += ["Epsilon", "P (G-G)"] if corrected else []
+    head += ["Tested against"] if strata else []
+    rows = [head]
+    for row in found.anova.rows:
+        line = _anova_line(row)
+        line += [_number(row.epsilon_gg, 3), _p(row.p_gg)] if corrected else []
+        line += [row.error or ""] if strata else []
+        rows.append(line)
+    if found.anova.ss_total is not None:
+        blanks = [""] * (len(head) - 3)
+        rows.append(["Total", f"{found.anova.df_total}", _number(found.anova.ss_total), *blanks])
+    return rows
+
+
+def _anova_line(row: Row) -> list[str]:
+    name = "Error" if row.term == "residual" else row.term
+    f = "" if row.f is None else f"{row.f:.2f}" if row.f < 1e4 else f"{row.f:.4g}"
+    return [name, f"{row.df:g}", _number(row.ss), _number(row.ms), f, _p(row.p)]
+
+
+def _number(value: float | None, digits: int = 5) -> str:
+    return "" if value is None else f"{value:.{digits}g}"
+
+
+def _p(p: float | None) -> str:
+    if p is None:
+        return ""
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _print_summary(found: AnalysisResult) -> None:
+    s = found.summary
+    if s is None:
+        return
+    shares = [s.r_sq, s.r_sq_adj, s.r_sq_pred]
+    percent = ["*" if x is None else f"{100 * x:.2f}%" for x in shares]
+    head = ["S", "R-sq", "R-sq(adj)", "R-sq(pred)"]
+    show.table([head, [_number(s.s), *percent]], "Model Summary")
+    print()
+
+
+def _print_effects(found: AnalysisResult) -> None:
+    means = [["Term", "Level", "Mean", "95 % interval"]]
+    for e in found.effects:
+        for i, (level, mean) in enumerate(zip(e.levels, e.mean, strict=True)):
+            ci = None if e.mean_ci95 is None else e.mean_ci95[i]
+            if e.term in found.factors:
+                means.append([e.term, level, _number(mean), _interval(ci)])
+    show.table(means, "Means")
+    print()
+    ratio = any(e.scale == "ratio" for e in found.effects)
+    what = "largest ratio" if ratio else "largest difference"
+    rows = [["Term", what, "95 % interval", "share", "verdict"]]
+    share = {row.term: row.share for row in found.anova.rows}
+    rows += [
+        [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3), e.verdict]
+        for e in found.effects
+    ]
+    show.table(rows, "Effects")
+    print()
+
+
+def _interval(ci: Sequence[float] | None) -> str:
+    return "" if ci is None else f"{ci[0]:.4g} to {ci[1]:.4g}"
+
+
+def _print_checks(found: AnalysisResult) -> None:
+    rows = [["Check", "statistic", "p", "p simulated"]]
+    rj = found.normality
+    if rj is not None and rj.applicable:
+        rows.append(["Ryan-Joiner", _number(rj.rj, 4), str(rj.p_minitab), _p(rj.p_exact)])
+    for test in (found.anderson_darling, found.shapiro_wilk):
+        if test is not None and test.p is not None:
+            rows.append([test.name, _number(test.statistic, 4), _p(test.p), ""])
+    bartlett, levene = found.bartlett, found.levene
+    if bartlett is not None and bartlett.applicable:
+        line = [_number(bartlett.statistic, 4), _p(bartlett.p), _p(bartlett.p_monte_carlo)]
+        rows.append(["Bartlett", *line])
+    if levene is not None and levene.applicable:
+        line = [_number(levene.statistic, 4), _p(levene.p), _p(levene.p_monte_carlo)]
+        rows.append([f"Levene ({levene.center})", *line])
+    tukey = found.non_additivity
+    if tukey is not None and tukey.p is not None:
+        rows.append(["Tukey's non-additivity", _number(tukey.f, 4), _p(tukey.p), ""])
+    for term, sphere in found.sphericity.items():
+        if sphere.p is not None:
+            rows.append([f"Mauchly's sphericity, {term}", _number(sphere.w, 4), _p(sphere.p), ""])
+    if len(rows) > 1:
+        show.table(rows, "Assumptions")
+    if found.influence is not None and found.influence.rows:
+        listed = ", ".join(str(i) for i in found.influence.rows[:10])
+        print(f"rows the fit leans on (Cook's distance > {found.influence.limit:.2g}): {listed}")
+
+
+def _print_robustness(found: AnalysisResult) -> None:
+    table = found.robustness
+    if table is None or not table.p:
+        return
+    methods = list(next(iter(table.p.values())))
+    rows = [["Term", *methods, "below alpha in"]]
+    for term, p in table.p.items():
+        verdict = table.agreement[term].split(" in ", 1)[-1]
+        rows.append([term, *(_p(p[m]) or "n/a" for m in methods), verdict])
+    print()
+    show.table(rows, "p in the defensible analyses")
+    if found.box_cox is not None:
+        low, high = found.box_cox.ci95
+        print(f"Box-Cox exponent {found.box_cox.exponent:.2f} (95 % {low:.2f} to {high:.2f})")
+
+
+def _print_bounds(found: AnalysisResult) -> None:
+    if not found.bounds:
+        return
+    rows = [["Term", "lowest", "highest", "p from", "p to", "verdicts", "holds"]]
+    for b in found.bounds:
+        p = ("", "") if b.p is None else (_p(b.p[0]), _p(b.p[1]))
+        holds = "yes" if b.holds else "no"
+        verdicts = ", ".join(b.verdicts)
+        rows.append([b.term, _number(b.low, 4), _number(b.high, 4), *p, verdicts, holds])
+    print()
+    show.table(rows, "Largest differences, whatever the missing responses are")
+
+
+def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
+    """Print the honest analysis beside the naive one; return the sentences already said."""
+    from study.analysis.nested import sentences
+
+    rows = [["Term", f"F ({nested.unit} as the replicate)", "p", "F (every row)", "p"]]
+    for t in nested.terms:
+        honest = f"F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}"
+        naive = f"F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}"
+        rows.append([t.term, honest, _p(t.p), naive, _p(t.naive_p)])
+    print()
+    show.table(rows, f"What {nested.rows} 'independent' rows would have claimed")
+    said = tuple(sentences(nested, alpha))
+    for sentence in said[:2]:
+        print(f"{sentence}.")
+    return said
