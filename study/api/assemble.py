@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from study.curve import Curve
 from study.design import calibration_factors, equivalent_groups, excluded
 from study.reporting.data import (
+    ANY,
     Check,
     CurvePair,
     Failure,
@@ -178,7 +179,10 @@ def _levels_of_fits(
                 levels[name].add(record.levels[name])
     return {
         key: {
-            name: " or ".join(sorted(some, key=order[name].index)) for name, some in levels.items()
+            name: ANY
+            if len(some) == len(order[name]) > 1
+            else " or ".join(sorted(some, key=order[name].index))
+            for name, some in levels.items()
         }
         for key, levels in found.items()
     }
