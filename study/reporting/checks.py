@@ -26,6 +26,12 @@ class CheckGroup:
         return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
 
     @property
+    def consequence(self) -> str:
+        """What follows, where it is the same for two responses or more; else empty."""
+        said = [check.consequence for check in self.items if check.consequence]
+        return said[0] if len(said) > 1 and len(set(said)) == 1 else ""
+
+    @property
     def agreed(self) -> bool:
         """Whether every response has the same outcome."""
         return len({check.outcome for check in self.items}) == 1

@@ -20,6 +20,8 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+#: level of a factor that a fit does not depend on
+ANY = "any"
 OUTCOMES = ("pass", "caution", "fail", "not applicable")
 
 
@@ -102,7 +104,7 @@ class FittedConstant:
     Parameters
     ----------
     levels : mapping of str to str
-        Levels of the factors that enter the fit.
+        Levels of the factors that enter the fit; ``ANY`` where one fit serves all of them.
     block, specimen : str
         What it was fitted to.
     constant : str

@@ -221,6 +221,22 @@ def is_effect(row: Mapping[str, Any], factors: Sequence[str]) -> bool:
     return set(str(row["term"]).split(":")) <= set(factors)
 
 
+def comparable(data: ReportData, response: str) -> pd.DataFrame:
+    """Rows with the response, of the blocks that every computed cell shares.
+
+    All rows where there are no blocks, or none that all cells share.
+    """
+    known = data.table.dropna(subset=[response])
+    if not data.blocks or "block" not in known or known.empty:
+        return known
+    cell = known[list(data.factors)].astype(str).agg(":".join, axis=1)
+    per_block = cell.groupby(known["block"].astype(str)).nunique()
+    whole = per_block.index[per_block == cell.nunique()]
+    if len(whole) in (0, len(per_block)):
+        return known
+    return known[known["block"].astype(str).isin(whole)]
+
+
 def cells(data: ReportData, response: str) -> pd.DataFrame:
     """Mean response of every cell, best (lowest) first.
 
@@ -228,12 +244,13 @@ def cells(data: ReportData, response: str) -> pd.DataFrame:
     -------
     DataFrame
         The factor columns, ``mean``, ``n``, ``cell`` (the levels joined by ':').
-        A log response is averaged as it is analyzed: by the geometric mean.
+        A log response is averaged as it is analyzed: by the geometric mean. Where some cases
+        failed, only blocks that every cell shares are averaged: cells would differ by theirs.
     """
     import numpy as np
 
     factors = list(data.factors)
-    known = data.table.dropna(subset=[response])
+    known = comparable(data, response)
     log = any(r.name == response and r.transform == "log" for r in data.responses)
     values = known[response].astype(float)
     known = known[factors].astype(str).assign(y=np.log(values) if log else values)

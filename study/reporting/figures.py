@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from study.reporting import captions, style
+from study.reporting import captions, sentences, style
 from study.reporting import figures_constants as constants
 from study.reporting import figures_cost as cost
 from study.reporting import figures_curves as curves
@@ -75,6 +75,9 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
         "residuals": ("Residuals", lambda: _residuals(data, facts)),
         "spread": ("Spread of the cells", lambda: _spread(data, facts)),
     }
+    if not any(effect.difference is not None for effect in facts.terms):
+        # the sentences say that nothing could be estimated
+        del makers["effects"], makers["means"]
     if facts.residuals is None or "residual" not in facts.residuals:
         # nothing is left over by a saturated model
         del makers["residuals"], makers["spread"]
@@ -194,10 +197,21 @@ def _failures(data: ReportData) -> Drawn:
     frame = data.table[[*factors, "status"]].astype(str)
     block = data.table["block"].astype(str) if "block" in data.table else "all"
     frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
+    orders = {**{name: list(levels) for name, levels in data.factors.items()}}
+    orders["block"] = list(data.blocks)
+    frame = frame.sort_values(
+        [*factors, "block"], key=lambda column: column.map(_place_in(orders[str(column.name)]))
+    )
     statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     named = ", ".join(name_of(name, data.labels) for name in factors)
     return (
         frame,
         lambda: cost.draw_failures(frame, statuses),
-        f"Rows are cells ({named}), columns are blocks; a large mark is a case that failed.",
+        f"{sentences.failures(data.failures, len(data.table)).split('. ')[0]}: large marks; rows "
+        f"are cells ({named}), columns are blocks.",
     )
+
+
+def _place_in(order: list[str]) -> Callable[[str], int]:
+    """Index of a label in its order; a label that is not listed comes last."""
+    return lambda label: order.index(label) if label in order else len(order)

@@ -9,6 +9,7 @@ import numpy as np
 from study.reporting.data import ReportData
 from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import RULE, WIDTH_IN, canvas, color_of
+from study.reporting.tables_fits import fit_name, fit_rank
 from study.reporting.text import clean
 
 if TYPE_CHECKING:
@@ -36,11 +37,11 @@ def constant_points(data: ReportData) -> pd.DataFrame:
     if not fits:
         raise ValueError("no constant was fitted")
     every = dict.fromkeys(tuple(fit.levels.items()) for fit in fits)
-    ranked = sorted(every, key=lambda levels: _rank(dict(levels), data))
+    ranked = sorted(every, key=lambda levels: fit_rank(dict(levels), data))
     place = {levels: i for i, levels in enumerate(ranked)}
     frame = pd.DataFrame(
         {
-            "row": [" \N{MIDDLE DOT} ".join(map(clean, fit.levels.values())) for fit in fits],
+            "row": [fit_name(fit, data) for fit in fits],
             "place": [place[tuple(fit.levels.items())] for fit in fits],
             "constant": [fit.constant for fit in fits],
             "block": [fit.block for fit in fits],
@@ -58,11 +59,6 @@ def constant_points(data: ReportData) -> pd.DataFrame:
     return frame[frame["place"] < _MOST_ROWS].sort_values(["constant", "place"], kind="stable")
 
 
-def _rank(levels: dict[str, str], data: ReportData) -> tuple[int, ...]:
-    known = ((data.factors.get(name, ()), level) for name, level in levels.items())
-    return tuple(order.index(level) if level in order else -1 for order, level in known)
-
-
 def draw_constants(frame: pd.DataFrame) -> Canvas:
     """Draw rows of fits; a hollow mark is a constant that the data do not determine."""
     # the constant of most fits first: it is the one that all models share
@@ -75,7 +71,7 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
         _panel(ax, some, color_of(index))
         unit = str(some["unit"].iloc[0])
         ax.set_xlabel(f"{clean(name, 16)} ({unit})" if unit else clean(name, 16))
-    axes[0].set_yticks(rows["place"], [wrap(row, 40, 80) for row in rows["row"]], fontsize=7.5)
+    axes[0].set_yticks(rows["place"], [wrap(row, 46, 90) for row in rows["row"]], fontsize=7.5)
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.data import ReportData
-from study.reporting.facts import MATTERS, NO_DIFFERENCE, Facts, cells
+from study.reporting.facts import MATTERS, NO_DIFFERENCE, Facts, cells, comparable
 from study.reporting.groups import describe, groups
 from study.reporting.style import (
     BAND,
@@ -229,7 +229,7 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     if facts.response.better == "higher":
         ranked = ranked[::-1]
     factors = list(data.factors)
-    known = data.table.dropna(subset=[facts.name])
+    known = comparable(data, facts.name)
     levels = known[factors].astype(str).agg(tuple, axis=1)
     columns = [*factors, *(["block"] if "block" in known else [])]
     parts = []

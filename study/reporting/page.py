@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,9 +21,10 @@ from study.reporting import (
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.facts import Facts, facts
 from study.reporting.figures import Figure
+from study.reporting.folding import folded
 from study.reporting.inputs import grouped_inputs
 from study.reporting.tables import Table
-from study.reporting.text import clean, duration, name_of, plural_of, sentence
+from study.reporting.text import clean, count, duration, name_of, plural_of, sentence
 from study.reporting.verdicts import verdict
 
 _NO_FIGURE = "was not drawn"
@@ -141,6 +143,7 @@ def render(contents: Contents) -> str:
         error_terms=sentences.error_terms(data, contents.found),
         virtual=sentences.VIRTUAL if data.virtual and contents.found else "",
         inputs=grouped_inputs(data.inputs),
+        planned=_planned(data, len(contents.tables["cells"].rows)),
         methods=methods.paragraph(data, contents.found),
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
@@ -151,6 +154,14 @@ def render(contents: Contents) -> str:
     )
     # control and direction characters are no markup, yet no document may hold them
     return clean(text)
+
+
+def _planned(data: ReportData, present: int) -> str:
+    """Count the cells, against those of the design where some have no case yet."""
+    planned = math.prod(len(levels) for levels in data.factors.values()) - len(data.exclusions)
+    if present >= planned:
+        return count(present, "cell")
+    return f"{present:,} of {count(planned, 'cell')} computed"
 
 
 def _provenance(data: ReportData) -> dict[str, str]:
@@ -173,8 +184,8 @@ def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
 
 
 def _warnings(contents: Contents) -> tuple[str, ...]:
-    found = [f"{item.title}: {warning}" for item in contents.found for warning in item.warnings]
-    return tuple(dict.fromkeys((*contents.data.warnings, *found)))
+    found = [(item.title, warning) for item in contents.found for warning in item.warnings]
+    return (*dict.fromkeys(contents.data.warnings), *folded(found, contents.data))
 
 
 def _environment() -> Any:
@@ -194,6 +205,7 @@ def _environment() -> Any:
     environment.filters["slug"] = figures.slug
     environment.filters["sentence"] = sentence
     environment.filters["sub"] = _subscripts
+    environment.globals["groups"] = _groups
     environment.globals["plural_of"] = plural_of
     environment.globals["response_note"] = response_note
     return environment

@@ -123,11 +123,22 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
         if effect.verdict == MATTERS
     ]
     if not strong:
-        return "No interaction was found to matter: each factor may be chosen on its own."
+        return _no_interaction(found)
     facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
     return sentence(
         f"the factors do not act alone: {term_name(effect.term, data.labels)} matters for the "
         f"{facts.title} ({size(effect, facts)})"
+    )
+
+
+def _no_interaction(found: Sequence[Facts]) -> str:
+    every = [effect for facts in found for effect in facts.interactions]
+    open_ones = sum(effect.verdict == CANNOT_TELL for effect in every)
+    if not open_ones:
+        return "No interaction was found to matter: each factor may be chosen on its own."
+    return (
+        f"No interaction is shown to matter, but of {open_ones} of {len(every)} these data cannot "
+        "tell."
     )
 
 
@@ -147,9 +158,22 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
         mean = quantity(ranked[0].mean, facts.unit)
         return sentence(
             f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
-            f"{_tie(data, facts, ranked)}"
+            f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
         )
     return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def _over_fewer(data: ReportData, facts: Facts) -> str:
+    """Say where means are taken over fewer blocks than there are."""
+    from study.reporting.facts import comparable
+
+    if not data.blocks or "block" not in data.table:
+        return ""
+    shared = comparable(data, facts.name)["block"].nunique()
+    if shared == len(data.blocks):
+        return ""
+    blocks = plural_of(clean(data.block) or "block")
+    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
 
 
 def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
@@ -274,6 +298,17 @@ def failures(items: Sequence[Failure], total: int) -> str:
     named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
     share = percent(len(items) / total) if total else MISSING
     return (
-        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}. They are not missing "
-        "at random, so effects of the factors they share are uncertain beyond their intervals."
+        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}.{_in_common(items)} "
+        "Cases that fail are not missing at random, so effects of the factors they share are "
+        "uncertain beyond their intervals."
     )
+
+
+def _in_common(items: Sequence[Failure]) -> str:
+    """Levels that all failed cases have, where they have any."""
+    levels = dict(items[0].levels) if len(items) > 1 else {}
+    for item in items:
+        levels = {k: v for k, v in levels.items() if item.levels.get(k) == v}
+    if not levels:
+        return ""
+    return f" All have {listing([clean(level) for level in levels.values()])}."

@@ -34,7 +34,8 @@ class Table:
     """Plain text in rows.
 
     ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
-    ``raw`` has the unrounded values for the CSV.
+    ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
+    groups of rows.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Table:
     tail: int = 0
     note: str = ""
     raw: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
+    grouped: bool = False
 
 
 def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
@@ -117,7 +119,7 @@ def anova(facts: Facts, data: ReportData) -> Table:
         else:
             cell += [significant(row.get("ss"))]
             cell += [p_value(row.get("p"))] if facts.lenth else []
-        rows.append((*cell, share(row.get("share"))))
+        rows.append((*cell, share(row.get("share")) if row.get("df") else MISSING))
     note = " ".join(_anova_notes(effects, data, tested))
     return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
 
@@ -133,7 +135,9 @@ def _anova_notes(
             f"F > 10,000: the effect is nearly the same {where}, so the error below the line is "
             "nearly zero; read the size of the effect, not its F."
         )
-    if block and tested and any(row.get("f") is None for row in effects):
+    if any(not row.get("df") for row in effects):
+        yield "df 0: not estimable, because cells without any answer leave no such comparison."
+    if block and tested and any(row.get("f") is None and row.get("df") for row in effects):
         yield (
             f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "
             "so there is nothing to test it against."

@@ -2,46 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
-from study.reporting.data import FittedConstant, ReportData
+from study.reporting.data import ANY, FittedConstant, ReportData
 from study.reporting.tables import Table
 from study.reporting.text import MINUS, MISSING, clean, interval, name_of, quantity, share
 
 
+def fit_name(fit: FittedConstant, data: ReportData) -> str:
+    """Name a fit by its levels; a factor that one fit serves is any."""
+    parts = (
+        f"any {name_of(name, data.labels)}" if level == ANY else clean(level)
+        for name, level in fit.levels.items()
+    )
+    return " \N{MIDDLE DOT} ".join(parts)
+
+
+def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
+    """Sort key of a fit: its levels in the order of the design."""
+    known = ((data.factors.get(name, ()), level) for name, level in levels.items())
+    return tuple(order.index(level) if level in order else -1 for order, level in known)
+
+
 def fits(data: ReportData) -> Table:
     """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
-    import numpy as np
-
-    groups: dict[tuple[str, ...], list[Any]] = {}
     names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
-    for fit in data.fits:
-        key = (*(clean(fit.levels.get(name, MISSING)) for name in names), clean(fit.constant))
-        groups.setdefault(key, []).append(fit)
-    rows = []
-    for key, items in sorted(groups.items(), key=lambda group: _place(group[0], names, data)):
-        values = np.array([i.value for i in items if i.value is not None], dtype=float)
-        relative = [
-            abs(i.standard_error / i.value)
-            for i in items
-            if i.standard_error is not None and i.value
-        ]
-        known = sum(item.identifiable for item in items)
-        residual = [i.residual_N for i in items if i.residual_N is not None]
-        rows.append(
-            (
-                *key,
-                quantity(float(np.median(values)), items[0].unit) if values.size else MISSING,
-                interval(float(values.min()), float(values.max()), items[0].unit)
-                if values.size
-                else MISSING,
-                share(float(np.median(relative))) if relative else MISSING,
-                _strongest(items),
-                quantity(float(np.median(residual)), "N", 2) if residual else MISSING,
-                f"{known} of {len(items)}",
-            )
-        )
+    groups: dict[tuple[str, str], list[FittedConstant]] = {}
+    for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
+        groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
+    rows = [(*key, *_summary(items)) for key, items in groups.items()]
     raw = tuple(
         {
             **{name: fit.levels.get(name) for name in names},
@@ -62,7 +51,7 @@ def fits(data: ReportData) -> Table:
         for fit in data.fits
     )
     columns = (
-        *(name_of(name, data.labels) for name in names),
+        "fit",
         "constant",
         "median",
         "range over fits",
@@ -71,7 +60,27 @@ def fits(data: ReportData) -> Table:
         "residual (RMS)",
         "identifiable",
     )
-    return Table("fits", columns, tuple(rows), len(names) + 1, 0, raw=raw)
+    return Table("fits", columns, tuple(rows), 2, 0, raw=raw, grouped=True)
+
+
+def _summary(items: Sequence[FittedConstant]) -> tuple[str, ...]:
+    """Median, range, relative standard error, correlation, residual, share that is determined."""
+    import numpy as np
+
+    values = np.array([i.value for i in items if i.value is not None], dtype=float)
+    unit = items[0].unit
+    relative = [
+        abs(i.standard_error / i.value) for i in items if i.standard_error is not None and i.value
+    ]
+    residual = [i.residual_N for i in items if i.residual_N is not None]
+    return (
+        quantity(float(np.median(values)), unit) if values.size else MISSING,
+        interval(float(values.min()), float(values.max()), unit) if values.size else MISSING,
+        share(float(np.median(relative))) if relative else MISSING,
+        _strongest(items),
+        quantity(float(np.median(residual)), "N", 2) if residual else MISSING,
+        f"{sum(item.identifiable for item in items)} of {len(items)}",
+    )
 
 
 def _strongest(items: Sequence[FittedConstant]) -> str:
@@ -89,42 +98,30 @@ def _strongest(items: Sequence[FittedConstant]) -> str:
     return f"{medians[other]:.3f} with {clean(other, 16)}".replace("-", MINUS)
 
 
-def _place(
-    key: Sequence[str], names: Sequence[str], data: ReportData
-) -> tuple[tuple[int, ...], str]:
-    """Sort key of a fit: its levels in the order of the design, then its constant."""
-    order = []
-    for name, shown in zip(names, key, strict=False):
-        levels = [clean(level) for level in data.factors.get(name, ())]
-        order.append(levels.index(shown) if shown in levels else -1)
-    return tuple(order), key[-1]
-
-
 def every_fit(data: ReportData) -> Table:
     """Every fitted constant with its 95 % interval."""
-    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
     rows = tuple(
         (
-            *(clean(fit.levels.get(name, MISSING)) for name in names),
-            clean(fit.block),
-            clean(fit.specimen),
+            fit_name(fit, data),
             clean(fit.constant),
+            clean(fit.block),
+            clean(fit.specimen) or MISSING,
             quantity(fit.value, fit.unit),
             interval(fit.low, fit.high, fit.unit),
             quantity(fit.residual_N, "N", 2),
             ("yes" if fit.identifiable else "no")
-            + (f": {clean(fit.reason, 160)}" * bool(fit.reason)),
+            + (f": {clean(fit.reason, 160)}" if fit.reason else ""),
         )
-        for fit in data.fits
+        for fit in sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data))
     )
     columns = (
-        *(name_of(name, data.labels) for name in names),
+        "fit",
+        "constant",
         data.block or "block",
         "specimen",
-        "constant",
         "value",
         "95 % interval",
         "residual (RMS)",
         "identifiable",
     )
-    return Table("every-fit", columns, rows, len(names) + 3, 1)
+    return Table("every-fit", columns, rows, 4, 1, grouped=True)

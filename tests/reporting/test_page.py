@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting import checks, figures_interactions, tables
+from study.reporting import checks, figures_interactions, folding, sentences, tables
 from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
-from study.reporting.facts import facts
+from study.reporting.facts import cells, comparable, facts
 from study.reporting.page import Contents, build, missing, prepare, render
 from tests.reporting.example import FACTORS, with_failures
 
@@ -202,6 +202,48 @@ def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
     table = tables.anova(replace(found, rows=rows), data)
     assert "> 10,000" in next(row for row in table.rows if row[0] == "plates")
     assert table.note.startswith("F > 10,000: the effect is nearly the same in every phantom")
+
+
+def test_cells_are_compared_over_the_blocks_they_share():
+    data = with_failures()
+    name = "relative_rms_force_error"
+    failed = set(data.table.loc[data.table[name].isna(), "block"])
+    shared = comparable(data, name)
+    assert set(shared["block"]) == set(data.blocks) - failed
+    frame = cells(data, name)
+    assert len(frame) == 32
+    assert (frame["n"] == len(data.blocks) - len(failed)).all()
+
+
+def test_where_no_block_is_whole_every_row_counts(data: ReportData):
+    table = data.table.copy()
+    for i, block in enumerate(data.blocks):
+        table.loc[table.index[table["block"] == block][i], "mu0"] = np.nan
+    assert len(comparable(replace(data, table=table), "mu0")) == len(table) - len(data.blocks)
+
+
+def test_failures_name_the_levels_they_share():
+    items = (
+        Failure("a", {"material": "m", "plates": "p"}, "1", "timeout"),
+        Failure("b", {"material": "m", "plates": "q"}, "2", "timeout"),
+    )
+    assert "All have m. Cases" in sentences.failures(items, 9)
+    assert "All have" not in sentences.failures(items[:1], 9)
+
+
+def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData):
+    found = [
+        ("error", "material: 1 of 3 degrees of freedom are not estimable"),
+        ("error", "model.space: 1 of 1 degrees of freedom are not estimable"),
+        ("modulus", "material: 1 of 3 degrees of freedom are not estimable"),
+        ("error", "rows: 3 are missing"),
+        ("modulus", "rows: 4 are missing"),
+    ]
+    assert folding.folded(found, data) == (
+        "Error and modulus: material and space: 1 of 3 degrees of freedom are not estimable.",
+        "Error: rows: 3 are missing.",
+        "Modulus: rows: 4 are missing.",
+    )
 
 
 def test_smallest_possible_report():
