@@ -25,7 +25,7 @@ _HOME = {
     "solve": "study.api.single",
     "calibrate": "study.api.calibration",
     "choose_energy": "study.api.calibration",
-    "converge": "study.api.single",
+    "converge": "study.api.convergence",
     "virtual": "study.api.single",
 }
 __all__ = list(_HOME)  # noqa: PLE0605

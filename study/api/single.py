@@ -1,4 +1,4 @@
-"""One simulation, one refinement series, virtual measurements."""
+"""One simulation, virtual measurements."""
 
 from __future__ import annotations
 
@@ -6,11 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.places import RESULTS
-from study.errors import Fault, InputError
-
 if TYPE_CHECKING:
-    from study.analysis import ConvergenceResult
     from study.forward.problem import Problem
     from study.forward.solve import Solution
 
@@ -86,83 +82,6 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     }
     made: dict[str, Any] = plain(content, "solution", {})
     return made
-
-
-def converge(
-    source: str | Path | None = None,
-    *,
-    values: Sequence[float] = (),
-    sizes: Sequence[float] = (),
-    formal_order: float | None = None,
-    tolerance: float = 0.0,
-    overrides: Sequence[str] = (),
-    results: Path = RESULTS,
-    progress: Callable[[str], None] | None = None,
-) -> ConvergenceResult | dict[str, Any]:
-    """Judge a refinement series: of plain numbers, of a problem, or of a finished study.
-
-    Parameters
-    ----------
-    source : str or Path, optional
-        Problem file (solved on every mesh), or a design or results folder (the stored
-        refinement of its cells).
-    values, sizes : sequence of float
-        Values and mesh sizes, where no source is given.
-
-    Returns
-    -------
-    ConvergenceResult
-        Or, for a study, ``{"cells": [...]}``.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to judge.
-    """
-    from study.analysis import grid_convergence
-
-    if source is None:
-        if not values or not sizes:
-            mend = "give a file, or --values and --sizes"
-            raise InputError(Fault("converge", "needs something to judge", mend))
-        return grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
-    if values or sizes:
-        raise InputError(Fault("converge", "takes a file or numbers, not both"))
-    if _is_study(Path(source)):
-        return _stored_series(source, results)
-    return _problem_series(source, overrides, formal_order, tolerance, progress)
-
-
-def _is_study(path: Path) -> bool:
-    from study.design import file_kind
-
-    return not path.is_file() or file_kind(path) == "design"
-
-
-def _stored_series(source: str | Path, results: Path) -> dict[str, Any]:
-    from study.api.studies import open_study
-    from study.runner.series import stored_convergence
-
-    study = open_study(source, results)
-    found = stored_convergence(study.numerical)
-    if not found:
-        rule = "no refinement is stored of this study"
-        raise InputError(Fault(str(source), rule, "run it without --no-refine"))
-    return {"cells": found}
-
-
-def _problem_series(
-    source: str | Path,
-    overrides: Sequence[str],
-    formal_order: float | None,
-    tolerance: float,
-    progress: Callable[[str], None] | None,
-) -> ConvergenceResult:
-    from study.design import load_problem
-    from study.runner.series import problem_series
-
-    config = load_problem(source, overrides)
-    return problem_series(config, formal_order, tolerance, progress)
 
 
 def virtual(

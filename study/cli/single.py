@@ -1,16 +1,17 @@
-"""Verbs about one thing: new, solve, converge, virtual, doctor (calibrate has its own file)."""
+"""Verbs about one thing: new, solve, virtual, doctor (calibrate, converge: own files)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from study.cli import show
 from study.cli.calibration import calibrate
-from study.cli.studies import RESULTS, Json, Results, Set
+from study.cli.convergence import converge
+from study.cli.studies import Json, Set
 from study.errors import Fault, InputError
 
 
@@ -54,60 +55,6 @@ def solve(
         print(f"{found['dofs']} unknowns, {total:.2f} s, {found['solver']}")
     if found["status"] != "converged":
         raise typer.Exit(1)
-
-
-def converge(
-    file: Annotated[Path | None, typer.Argument(help="Problem file, or a finished study.")] = None,
-    values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",
-    sizes: Annotated[str, typer.Option(help="Mesh sizes of these values, with commas.")] = "",
-    formal_order: Annotated[float | None, typer.Option(help="Order that elements promise.")] = None,
-    tolerance: Annotated[float, typer.Option(help="Algebraic error of a value.")] = 0.0,
-    settings: Set = None,
-    results: Results = RESULTS,
-    as_json: Json = False,
-) -> None:
-    """Judge mesh convergence: observed order, extrapolated value, GCI."""
-    import sys
-
-    from study import api
-
-    found = api.converge(
-        file,
-        values=_numbers(values, "--values"),
-        sizes=_numbers(sizes, "--sizes"),
-        formal_order=formal_order,
-        tolerance=tolerance,
-        overrides=settings or (),
-        results=results,
-        progress=lambda text: print(text, file=sys.stderr),
-    )
-    document = found if isinstance(found, dict) else found.to_json()
-    if as_json:
-        show.print_json(document)
-        return
-    for cell in document.get("cells", [document]):
-        _print_series(cell)
-
-
-def _numbers(text: str, option: str) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        rule = f"must be numbers with commas, got {text!r}"
-        raise InputError(Fault(option, rule)) from None
-
-
-def _print_series(cell: dict[str, Any]) -> None:
-    title = f"{cell['qoi']} {cell.get('note', '')}".strip().removeprefix("value")
-    rows = [["mesh size", f"value [{cell['unit']}]" if cell["unit"] else "value"]]
-    pairs = zip(cell["mesh_size"], cell["value"], strict=True)
-    rows += [[f"{size:.5g}", f"{value:.8g}"] for size, value in pairs]
-    show.table(rows, title)
-    print(cell["verdict"])
-    if cell["gci_fine"] is not None:
-        print(f"order {cell['observed_order']:.4g}, extrapolated {cell['extrapolated']:.8g}, "
-              f"GCI {100 * cell['gci_fine']:.4g} %")  # fmt: skip
-    print()
 
 
 def virtual(

@@ -19,7 +19,7 @@ from study.design.measured import read_measurements_table
 from study.design.reader import Bad, Faults, Section, choice, number, shown
 from study.design.resolve import calibration_spec, resolve_problem
 from study.design.sections import CONSTANT
-from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec
+from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec, Response
 from study.errors import Fault, InputError
 from study.material import constant_names
 
@@ -274,7 +274,7 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         config=tables,
         factors=factors,
         exclusions=read_exclusions(tables.get("exclude"), factors, declared, faults),
-        responses=settings.read_responses(tables.get("response"), faults),
+        responses=_responses(tables, faults),
         measurements=_base_measurements(tables),
         calibration=_base_calibration(tables),
         analysis=settings.read_analysis(tables.get("analysis"), faults, declared),
@@ -287,6 +287,13 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
     if factors:
         check_cells(design, presets, faults)
     return design
+
+
+def _responses(tables: Mapping[str, Any], faults: Faults) -> tuple[Response, ...]:
+    """Read ``[[response]]``; a mesh study alone, without measurements, needs none."""
+    if "response" not in tables and "measurements" not in tables and "converge" in tables:
+        return ()
+    return settings.read_responses(tables.get("response"), faults)
 
 
 def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:

@@ -56,20 +56,26 @@ class Numerical:
     series: tuple[float, ...] = ()
 
 
-def refinement_work(work: Work) -> Work:
+def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
     """List the refined cases of a study, as work like any other.
 
     Parameters
     ----------
     work : Work
         The study.
+    bases : sequence of CaseJob
+        Cases to be refined as often as ``[converge] levels`` says; by default those of
+        :func:`chosen`, twice where that is cheap and once elsewhere.
     """
     fits: dict[str, FitJob] = {}
     jobs: list[CaseJob] = []
     costs = Costs()
-    for base in chosen(work):
+    for base in bases or chosen(work):
         size = base_size_mm(base.case)
-        for level in range(1, _levels(work.design, base.case, size, costs) + 1):
+        finer = max(2, work.design.converge.levels - 1)
+        if not bases:
+            finer = _levels(work.design, base.case, size, costs)
+        for level in range(1, finer + 1):
             case = _refined(base.case, size / work.design.converge.ratio**level)
             facts = {"purpose": PURPOSE, "of": base.case.case_id, "level": level}
             jobs.append(case_job(case, work.data, fits, work.responses, facts))
@@ -90,6 +96,11 @@ def chosen(work: Work) -> list[CaseJob]:
     return list(groups.values())
 
 
+def every_cell(work: Work) -> list[CaseJob]:
+    """List the case of every cell in the first block."""
+    return [job for job in work.jobs if job.case.block in (None, *work.blocks[:1])]
+
+
 def base_size_mm(case: Case) -> float:
     """Element size of a case, named or given, in mm."""
     from study.forward.mesh import mesh_size
@@ -100,7 +111,11 @@ def base_size_mm(case: Case) -> float:
 
 
 def numerical(
-    work: Work, refinement: Work, records: Mapping[str, Record], responses: Sequence[str]
+    work: Work,
+    refinement: Work,
+    records: Mapping[str, Record],
+    responses: Sequence[str],
+    bases: Sequence[CaseJob] = (),
 ) -> list[Numerical]:
     """Uncertainty of every response for every kind of discretization.
 
@@ -110,25 +125,33 @@ def numerical(
         Records of the study and of its refinement, by case id.
     responses : sequence of str
         Names of the responses wanted.
+    bases : sequence of CaseJob
+        Cells that were refined by name; their rows carry all their levels.
     """
     found = []
-    for base in chosen(work):
+    for base in bases or chosen(work):
         series = [records.get(base.case.case_id)]
         series += [
             records.get(job.case.case_id)
             for job in refinement.jobs
             if job.extra.get("of") == base.case.case_id
         ]
-        found += [_one(work, base, series, name) for name in responses if name != "seconds"]
+        levels = dict(base.case.levels) if bases else _discretization_levels(work.design, base.case)
+        found += [_one(work, base, series, name, levels) for name in responses if name != "seconds"]
     return found
 
 
-def _one(work: Work, base: CaseJob, series: Sequence[Record | None], name: str) -> Numerical:
+def _one(
+    work: Work,
+    base: CaseJob,
+    series: Sequence[Record | None],
+    name: str,
+    levels: Mapping[str, str],
+) -> Numerical:
     good = [(k, r) for k, r in enumerate(series) if r is not None and r.converged]
     values = [(k, r.responses.get(name, {}).get("value")) for k, r in good]
     known = [(k, float(v)) for k, v in values if v is not None]
     ratio, unit = work.design.converge.ratio, work.responses.get(name, "")
-    levels = _discretization_levels(work.design, base.case)
     where = base.case.label
     if not known or known[0][0] != 0 or len(known) < 2:
         note = f"no second mesh gave an answer ({where})"

@@ -1,0 +1,158 @@
+"""``study converge``: of plain numbers, of a problem, or of every cell of a design."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.api.places import RESULTS, data_root
+from study.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.analysis import ConvergenceResult
+    from study.runner.refine_series import Budget, Series, Solver
+
+Progress = Callable[[str], None]
+
+
+def converge(
+    source: str | Path | None = None,
+    *,
+    values: Sequence[float] = (),
+    sizes: Sequence[float] = (),
+    formal_order: float | None = None,
+    tolerance: float = 0.0,
+    overrides: Sequence[str] = (),
+    data: str | Path | None = None,
+    jobs: int | None = None,
+    memory_MB: float | None = None,  # noqa: N803
+    results: Path = RESULTS,
+    progress: Progress | None = None,
+) -> ConvergenceResult | dict[str, Any]:
+    """Judge a refinement series: of plain numbers, of a problem, or of a study.
+
+    Solutions are kept under ``results``: running again continues where it stopped.
+
+    Parameters
+    ----------
+    source : str or Path, optional
+        Problem file, design (every cell is refined; cases that its study has solved are
+        reused), or results folder (its stored series are judged).
+    values, sizes : sequence of float
+        Values and mesh sizes, where no source is given.
+    formal_order : float, optional
+        Order that the elements promise; that of the problem by default.
+    tolerance : float
+        Algebraic error of a value, in its unit; that of the solver by default.
+    jobs : int, optional
+        Workers for the cells of a design.
+    memory_MB : float, optional
+        Memory that one solution may take; most of what is free by default.
+
+    Returns
+    -------
+    ConvergenceResult
+        Of plain numbers. A problem gives a dictionary with the same keys and more, a design
+        ``{"cells": [...]}``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to judge.
+    """
+    from study.analysis import grid_convergence
+    from study.design import file_kind
+
+    say = progress or (lambda _: None)
+    if source is None:
+        if not len(values) or not len(sizes):
+            mend = "give a file, or --values and --sizes"
+            raise InputError(Fault("converge", "needs something to judge", mend))
+        return grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
+    if len(values) or len(sizes):
+        raise InputError(Fault("converge", "takes a file or numbers, not both"))
+    if not Path(source).is_file():
+        return stored(source, results)
+    if file_kind(source) != "design":
+        return problem(
+            source, overrides, formal_order, tolerance, results=results, progress=say,
+            memory_MB=memory_MB,
+        )  # fmt: skip
+    from study.api.convergence_cells import design_series
+
+    return design_series(
+        source, overrides, data_root(source, data), jobs=jobs, results=results, progress=say,
+        memory_MB=memory_MB,
+    )  # fmt: skip
+
+
+def stored(source: str | Path, results: Path = RESULTS) -> dict[str, Any]:
+    """Judge the series that a finished study keeps.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    from study.api.studies import open_study
+    from study.runner.series import stored_convergence
+
+    study = open_study(source, results)
+    found = stored_convergence(study.numerical)
+    if not found:
+        rule = "no refinement is stored of this study"
+        raise InputError(Fault(str(source), rule, "run it without --no-refine"))
+    return {"cells": found}
+
+
+def problem(
+    source: str | Path | Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    formal_order: float | None = None,
+    tolerance: float = 0.0,
+    *,
+    results: Path = RESULTS,
+    progress: Progress = lambda _: None,
+    memory_MB: float | None = None,  # noqa: N803
+    solve: Solver | None = None,
+) -> dict[str, Any]:
+    """Refine one problem until its meshes are enough, and study the other errors beside."""
+    from study.design import load_problem
+    from study.runner import build, refine_judge
+    from study.runner.refine_formal import FormalOrder
+    from study.runner.refine_formal import formal_order as promised
+    from study.runner.refine_series import refine, series_of
+    from study.runner.refine_store import in_process, kept
+
+    config = source if isinstance(source, Mapping) else load_problem(source, overrides)
+    refine_judge.quantity(config["converge"].qoi)
+    formal = promised(build.problem(config))
+    if formal_order is not None:
+        formal = FormalOrder(formal_order, "as given")
+    name = "problem" if isinstance(source, Mapping) else Path(source).stem
+    solver = solve or kept(in_process, results, name)
+    series = series_of(config, config["converge"])
+    budget = budget_of(config["converge"].budget_s, memory_MB)
+    refine([series], solver, budget, lambda one: refine_judge.settled(one, formal.order), progress)
+    made = refine_judge.document(series, formal, tolerance or None)
+    if not made["quantities"]:
+        return made
+    progress("load steps and solver tolerance")
+    return with_sources(made, series, solver)
+
+
+def with_sources(made: dict[str, Any], series: Series, solver: Solver) -> dict[str, Any]:
+    """Add the table of the three errors to the document of a series."""
+    from study.runner.refine_sources import one_table, other_sources, remarks
+
+    rows, said = other_sources(series.config, series.good[0].mesh_size_mm, solver)
+    table = one_table(made, rows)
+    return made | {"sources": table, "warnings": [*made["warnings"], *said, *remarks(table)]}
+
+
+def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
+    """Budget of a command, from now on."""
+    from study.runner.refine_series import Budget
+
+    return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)

@@ -1,0 +1,226 @@
+"""Refinement series: which mesh comes next, what it will cost, and when there are enough."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from study.curve import Curve
+from study.runner import build
+from study.runner.refine_solve import solve_task, task_key
+
+if TYPE_CHECKING:
+    from study.design import ConvergeSpec
+
+#: an order needs as many meshes, and no series gets longer than this
+FEWEST, MOST = 3, 10
+#: part of the free memory that a solution may take
+MEMORY_SHARE = 0.7
+#: exponents of time in the unknowns where only one mesh is known (numerics.md)
+_TIME_EXPONENT = {"axisymmetric": 1.2, "3d": 1.95}
+_MEMORY_EXPONENT = 1.35
+
+Solver = Callable[[Sequence[Mapping[str, Any]]], list[dict[str, Any]]]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One mesh of a series: what was predicted and what came out."""
+
+    mesh_size_mm: float
+    status: str
+    message: str
+    curve: Curve
+    elements: int
+    dofs: int
+    seconds: float
+    memory_MB: float
+    base_MB: float = 0.0
+    predicted_seconds: float | None = None
+    predicted_MB: float | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether it has an answer."""
+        return self.status == "converged"
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the curve."""
+        return {
+            "mesh_size": self.mesh_size_mm,
+            "status": self.status,
+            "message": self.message,
+            "elements": self.elements,
+            "unknowns": self.dofs,
+            "seconds": self.seconds,
+            "memory_MB": self.memory_MB,
+            "predicted_seconds": self.predicted_seconds,
+            "predicted_MB": self.predicted_MB,
+        }
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When a series must stop: seconds from ``began``, and memory."""
+
+    seconds: float | None = None
+    memory_MB: float = field(default_factory=lambda: MEMORY_SHARE * free_MB())
+    began: float = field(default_factory=time.monotonic)
+
+    def refuses(self, seconds: float | None, memory: float | None) -> str:
+        """Why a solution of this predicted cost is not begun; empty if it may."""
+        left = None if self.seconds is None else self.seconds - (time.monotonic() - self.began)
+        if left is not None and (seconds or 0.0) > left:
+            return f"the next mesh would take {seconds or 0:.3g} s of {max(left, 0):.3g} s left"
+        if memory is not None and memory > self.memory_MB:
+            return f"the next mesh would take {memory:.0f} MB of {self.memory_MB:.0f} MB"
+        return ""
+
+
+@dataclass
+class Series:
+    """Refinement of one problem, coarse to fine.
+
+    Parameters
+    ----------
+    config : mapping
+        Resolved problem.
+    spec : ConvergeSpec
+        Ratio, number of meshes, wanted accuracy.
+    first_mm : float
+        Element size of the problem, the coarsest of the series.
+    levels_of : mapping of str to str
+        Levels of the factors, where the problem is a cell.
+    """
+
+    config: Mapping[str, Any]
+    spec: ConvergeSpec
+    first_mm: float
+    levels_of: Mapping[str, str] = field(default_factory=dict)
+    levels: list[Level] = field(default_factory=list)
+    stopped: str = ""
+
+    @property
+    def good(self) -> list[Level]:
+        """Meshes with an answer."""
+        return [level for level in self.levels if level.converged]
+
+    def advance(self, budget: Budget, settled: Callable[[Series], bool]) -> float | None:
+        """Size of the next mesh, or None where the series has ended (``stopped`` says why)."""
+        if not self.stopped:
+            self.stopped = self._end(budget, settled)
+        return None if self.stopped else float(self.first_mm / self.spec.ratio ** len(self.levels))
+
+    def _end(self, budget: Budget, settled: Callable[[Series], bool]) -> str:
+        """Why no further mesh is solved; empty while one is wanted."""
+        count, wanted = len(self.levels), max(FEWEST, self.spec.levels)
+        if count >= wanted and len(self.good) >= FEWEST:
+            if self.spec.tolerance is None:
+                return f"{count} meshes were asked for"
+            if settled(self):
+                return "every quantity has the wanted accuracy"
+        if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
+            return f"{count} meshes are enough"
+        return budget.refuses(*self.predicted()) if count else ""
+
+    def predicted(self) -> tuple[float | None, float | None]:
+        """Seconds and MB of the next mesh, from what the meshes so far took."""
+        known = [level for level in self.good if level.dofs > 0]
+        if not known:
+            return None, None
+        last, space = known[-1], self.config["model"].get("space", "axisymmetric")
+        growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
+        time_exponent = _TIME_EXPONENT[space]
+        if len(known) > 1 and known[-2].dofs < last.dofs:
+            growth = last.dofs / known[-2].dofs
+            time_exponent = _exponent(known[-2], last, time_exponent)
+        own = max(last.memory_MB - last.base_MB, 1.0)
+        memory = last.base_MB + own * growth**_MEMORY_EXPONENT
+        return last.seconds * growth**time_exponent, memory
+
+    def add(self, size_mm: float, result: Mapping[str, Any]) -> None:
+        """Take the result of a solution."""
+        seconds, memory = self.predicted()
+        curve = result.get("curve") or {"displacement_mm": [], "force_N": []}
+        self.levels.append(
+            Level(
+                size_mm,
+                str(result["status"]),
+                str(result.get("message", "")),
+                Curve.from_dict(curve),
+                int(result.get("elements", 0)),
+                int(result.get("dofs", 0)),
+                float(result.get("seconds", 0.0)),
+                float(result.get("memory_MB", 0.0)),
+                float(result.get("base_MB", 0.0)),
+                seconds,
+                memory,
+            )
+        )
+
+
+def _exponent(before: Level, last: Level, usual: float) -> float:
+    """Power of the unknowns that the time followed; small times say nothing."""
+    import math
+
+    if before.seconds < 0.02 or last.seconds <= before.seconds:
+        return usual
+    found = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
+    return min(max(found, 1.0), 3.0)
+
+
+def free_MB() -> float:  # noqa: N802
+    """Memory that is free on this machine, in MB."""
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
+    except (ValueError, OSError):
+        return 4096.0
+
+
+def refine(
+    series: Sequence[Series],
+    solve: Solver,
+    budget: Budget,
+    settled: Callable[[Series], bool],
+    progress: Callable[[str], None] = lambda _: None,
+) -> None:
+    """Solve mesh after mesh of every series, all series of one round together.
+
+    Parameters
+    ----------
+    solve : callable
+        Results of a list of tasks, in its order.
+    settled : callable
+        Whether a series has the wanted accuracy.
+    progress : callable
+        Told of every round.
+    """
+    while True:
+        due = [(one, size) for one in series if (size := one.advance(budget, settled)) is not None]
+        if not due:
+            return
+        progress(_round(due))
+        results = solve([solve_task(one.config, size) for one, size in due])
+        for (one, size), result in zip(due, results, strict=True):
+            one.add(size, result)
+
+
+def _round(due: Sequence[tuple[Series, float]]) -> str:
+    seconds = [one.predicted()[0] for one, _ in due]
+    known = [s for s in seconds if s is not None]
+    sizes = ", ".join(dict.fromkeys(f"{size:.3g}" for _, size in due[:4]))
+    cost = f", about {sum(known):.2g} s of computing" if known else ""
+    return f"mesh size {sizes} mm: {len(due)} solution{'s' if len(due) > 1 else ''}{cost}"
+
+
+def series_of(config: Mapping[str, Any], spec: ConvergeSpec, **options: Any) -> Series:
+    """Series of a problem from its own mesh size."""
+    from study.forward.mesh import mesh_size
+
+    return Series(config, spec, float(mesh_size(build.problem(config))), **options)
+
+
+__all__ = ["Budget", "Level", "Series", "refine", "series_of", "task_key"]

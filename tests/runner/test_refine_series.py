@@ -1,0 +1,260 @@
+"""Refinement series of problems: which meshes, when they end, what is said (fake solver)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.api.convergence import problem
+from study.design import loads_problem
+from study.errors import InputError
+from study.runner import build, refine_store
+from study.runner.refine_formal import clamped_corner, formal_order
+from study.runner.refine_series import Budget
+from study.runner.refine_solve import perform, solve_task, task_key
+
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "3 mm"
+steps = 5
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+bulk_modulus = "10 MPa"
+[model]
+element_order = "linear"
+mesh_size = "4 mm"
+[converge]
+ratio = 1.5
+"""
+
+
+class Fake:
+    """Force 10 (1 + error h^order) d: a solver whose error is known; counts its solutions."""
+
+    def __init__(self, order: float = 1.2, error: float = 1e-3, **wish: Any) -> None:
+        self.order, self.error, self.wish = order, error, wish
+        self.sizes: list[float] = []
+
+    def __call__(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return [self.one(task) for task in tasks]
+
+    def one(self, task: Mapping[str, Any]) -> dict[str, Any]:
+        config = task["config"]
+        h, steps = config["model"]["mesh_size_mm"], config["test"]["steps"]
+        if steps == 5 and task["looser"] == 1.0:
+            self.sizes.append(h)
+        if any(abs(h - bad) < 1e-9 for bad in self.wish.get("fails", ())):
+            return {"status": "not-converged", "message": "stopped at 1 mm of 3 mm"}
+        d = 3.0 * np.arange(1, steps + 1) / steps
+        scale = 10 * (1 + self.error * h**self.order)
+        scale *= 1 + self.wish.get("loose", 1e-9) * (task["looser"] - 1)
+        scale *= 1 + self.wish.get("stepping", 0.0) / steps
+        curve = {
+            "displacement_mm": d.tolist(), "force_N": (scale * d).tolist(),
+            "stiffness_N_per_mm": np.full(steps, scale).tolist(),
+        }  # fmt: skip
+        elements = self.wish.get("elements") or round(1e4 / h**2)
+        return {
+            "status": "converged", "message": "", "curve": curve, "elements": elements,
+            "dofs": 3 * elements, "seconds": 1e-3 * elements, "memory_MB": 100 + 0.01 * elements,
+            "base_MB": 100.0,
+        }  # fmt: skip
+
+
+def converged(fake: Fake, text: str = "", **options: Any) -> dict[str, Any]:
+    return problem(loads_problem(PROBLEM + text, "p.toml"), solve=fake, **options)
+
+
+def test_three_meshes_give_order_limit_and_interval() -> None:
+    fake = Fake()
+    found = converged(fake)
+    # the studies of steps and tolerance begin with the first mesh again
+    assert fake.sizes == pytest.approx([4, 4 / 1.5, 4 / 2.25, 4])
+    assert found["behaviour"] == "monotone"
+    # elements are whole numbers: sizes differ from the nominal ones by up to 1e-4
+    assert found["observed_order"] == pytest.approx(1.2, abs=0.01)
+    assert found["extrapolated"] == pytest.approx(30, rel=1e-4)
+    # bonded plates, nu = 0.49975: 2 lambda (Williams 1952)
+    assert found["formal_order"] == pytest.approx(2 * 0.5946, abs=1e-3)
+    assert "corner" in found["formal_reason"]
+    assert set(found["quantities"]) == {"peak_force", "curve_rms", "work"}
+    assert found["stopped"] == "3 meshes were asked for"
+    assert found["mesh_size"] == sorted(found["mesh_size"])
+    given = found["given_mesh"]
+    assert given["mesh_size"] == pytest.approx(4, rel=1e-3)
+    assert abs(given["value"] - 30) < given["u_num"]
+
+
+def test_refines_until_the_wanted_accuracy() -> None:
+    fake = Fake()
+    found = converged(fake, 'tolerance = "0.1 %"')
+    assert found["stopped"] == "every quantity has the wanted accuracy"
+    assert len(fake.sizes) > 3
+    assert found["settled"]
+    assert found["u_num"] <= 1e-3 * found["value"][0]
+    # one mesh earlier it was not there yet
+    assert found["quantities"]["work"]["u_num"] <= 1e-3 * found["quantities"]["work"]["value"][0]
+    coarser = converged(Fake(), 'tolerance = "3 %"')
+    assert len(coarser["mesh_size"]) == 3
+
+
+def test_the_needed_size_follows_from_the_order() -> None:
+    found = converged(Fake(), 'tolerance = "0.1 %"\nbudget = "5 s"')
+    assert "left" in found["stopped"]
+    assert not found["settled"]
+    assert any("not within 0.1 %" in w for w in found["warnings"])
+    needed = found["mesh_size_needed"]
+    u = found["u_num"] * (needed / found["mesh_size"][0]) ** found["order_used"]
+    assert u == pytest.approx(1e-3 * found["extrapolated"], rel=1e-9)
+
+
+def test_stops_before_the_memory_runs_out() -> None:
+    found = converged(Fake(), memory_MB=120.0)
+    assert "MB of 120 MB" in found["stopped"]
+    assert found["behaviour"] == "inconclusive"
+    assert "there are 2" in found["verdict"]
+
+
+def test_costs_are_predicted_from_the_first_meshes() -> None:
+    found = converged(Fake())
+    finest = found["meshes"][0]
+    assert found["meshes"][-1]["predicted_seconds"] is None
+    # the fake's time is linear in its elements
+    assert finest["predicted_seconds"] == pytest.approx(finest["seconds"], rel=0.02)
+    assert finest["predicted_MB"] >= finest["memory_MB"]
+
+
+def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
+    found = converged(Fake(fails=(4.0,)))
+    assert any("4 mm gave no answer: stopped at 1 mm" in w for w in found["warnings"])
+    assert len(found["mesh_size"]) == 3
+    assert found["meshes"][-1]["status"] == "not-converged"
+
+
+def test_too_many_failures_leave_no_order() -> None:
+    sizes = [4 / 1.5**k for k in range(10)]
+    found = converged(Fake(fails=sizes[:4]))
+    assert found["behaviour"] == "inconclusive"
+    assert found["observed_order"] is None
+    assert "needs three meshes" in found["verdict"]
+
+
+def test_equal_numbers_of_elements_are_no_refinement() -> None:
+    found = converged(Fake(elements=120))
+    assert found["behaviour"] == "inconclusive"
+    assert any("the same 120 elements" in w for w in found["warnings"])
+
+
+def test_divergence_is_an_answer() -> None:
+    found = converged(Fake(order=-1.0, error=0.5))
+    assert found["behaviour"] == "divergent"
+    assert found["gci_fine"] is None
+    assert found["u_num"] is None
+    assert not found["settled"]
+
+
+def test_one_table_of_mesh_steps_and_tolerance() -> None:
+    found = converged(Fake(stepping=0.05, loose=1e-6))
+    rows = {(r["source"], r["quantity"]): r for r in found["sources"]}
+    assert len(rows) == 9
+    steps = rows["load steps", "peak_force"]
+    assert steps["setting"] == [20, 10, 5]
+    # first order in 1/steps: 5 steps are 1 % off, and the interval holds that
+    assert steps["relative"] >= 0.0099
+    loose = rows["solver tolerance", "peak_force"]
+    assert loose["relative"] == pytest.approx(9e-6, rel=0.1)
+    assert any("raise test.steps" in w for w in found["warnings"])
+    assert not any("tolerance" in w for w in found["warnings"])
+
+
+def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
+    first, second = Fake(), Fake()
+    config = loads_problem(PROBLEM, "p.toml")
+    one = problem(config, solve=refine_store.kept(first, tmp_path, "p"))
+    two = problem(config, solve=refine_store.kept(second, tmp_path, "p"))
+    assert len(first.sizes) == 3
+    assert second.sizes == []
+    assert one == two
+    finer = loads_problem(PROBLEM + "levels = 4", "p.toml")
+    problem(finer, solve=refine_store.kept(second, tmp_path, "p"))
+    assert second.sizes == pytest.approx([4 / 1.5**3])
+
+
+def test_a_quantity_that_needs_measurements_is_refused() -> None:
+    with pytest.raises(InputError, match="needs measured curves"):
+        converged(Fake(), 'qoi = "relative_rms_force_error"')
+
+
+def test_keys_of_solutions_tell_everything_apart() -> None:
+    config = loads_problem(PROBLEM, "p.toml")
+    tasks = [solve_task(config, 4), solve_task(config, 3), solve_task(config, 4, more_steps=2),
+             solve_task(config, 4, looser=10)]  # fmt: skip
+    assert len({task_key(t) for t in tasks}) == 4
+    assert task_key(solve_task(config, 4.0)) == task_key(tasks[0])
+
+
+def test_one_real_solution() -> None:
+    result = perform(solve_task(loads_problem(PROBLEM, "p.toml"), 6.0))
+    assert result["status"] == "converged"
+    assert result["elements"] > 10
+    assert result["seconds"] > 0
+    assert result["memory_MB"] >= result["base_MB"] > 10
+
+
+def test_budget_counts_from_its_start() -> None:
+    import time
+
+    spent = Budget(10.0, 1e6, began=time.monotonic() - 8)
+    assert "of 2" in spent.refuses(5.0, None) or "of 1.9" in spent.refuses(5.0, None)
+    assert spent.refuses(1.0, None) == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "order", "why"),
+    [
+        ({}, 2 * 0.5946, "corner"),
+        ({"test": {"interface": "frictionless"}}, 2.0, "linear elements"),
+        ({"model": {"space": "3d"}, "test": {"interface": "frictionless"}}, 2.0, "elements"),
+        (
+            {"test": {"interface": "frictionless"}, "model": {"element_order": "quadratic"}},
+            4.0, "quadratic elements",
+        ),
+        (
+            {"test": {"kind": "indentation", "indenter": {"shape": "flat", "radius_mm": 3.0}}},
+            1.0, "sharp edge",
+        ),
+        (
+            {
+                "test": {"kind": "indentation", "indenter": {"shape": "sphere", "radius_mm": 3.0}},
+                "model": {"element_order": "quadratic"},
+            },
+            2.0, "rim of the contact",
+        ),
+    ],
+)  # fmt: skip
+def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str) -> None:
+    config = loads_problem(PROBLEM, "p.toml")
+    for name, section in change.items():
+        config = {**config, name: {**config[name], "base": None, **section}}
+    found = formal_order(build.problem(config))
+    assert found.order == pytest.approx(order, abs=1e-3)
+    assert why in found.why
+
+
+def test_williams_exponents() -> None:
+    """Published: 0.7112 for nu = 0.3 (butt joint); 0.5946 for nu = 0.5; none for nu = 0."""
+    assert clamped_corner(0.3) == pytest.approx(0.7112, abs=1e-4)
+    assert clamped_corner(0.5) == pytest.approx(0.5946, abs=1e-4)
+    assert clamped_corner(0.0) == pytest.approx(1.0, abs=1e-6)
