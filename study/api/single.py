@@ -40,22 +40,27 @@ def solve(
 def _problem(
     problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]
 ) -> Problem:
-    import numpy as np
-
     from study.design import load_problem
     from study.forward.problem import Problem
-    from study.material import check
     from study.runner import build
 
-    if isinstance(problem, Problem):
-        return problem
-    config = problem if isinstance(problem, Mapping) else load_problem(problem, overrides)
-    made = build.problem(config)
-    height = build.height_mm(config["specimen"])
-    compressed = made.test.kind == "compression" and height is not None
-    depth = made.test.displacement_mm
-    check(made.material, np.linspace(1 - depth / height, 1, 41) if compressed and height else None)
-    return made
+    if not isinstance(problem, Problem):
+        config = problem if isinstance(problem, Mapping) else load_problem(problem, overrides)
+        problem = build.problem(config)
+    _judge(problem)
+    return problem
+
+
+def _judge(problem: Problem) -> None:
+    """Refuse constants that are unstable on the way, before anything is meshed."""
+    import numpy as np
+
+    from study.material import check
+
+    height = float(getattr(problem.specimen, "height_mm", 0.0))
+    depth = problem.test.displacement_mm
+    compressed = problem.test.kind == "compression" and depth < height
+    check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:

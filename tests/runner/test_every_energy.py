@@ -1,0 +1,96 @@
+"""From a file to a force for every energy: what `study solve` reads, refuses and reports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.api import solve
+from study.api.single import solution_json
+from study.errors import InputError
+from study.forward.problem import Cylinder, Model, Problem, Test
+from study.material import Material
+from study.material.homogeneous import uniaxial
+
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "3 mm"
+steps = 2
+[material]
+{material}
+{compressibility}
+[model]
+space = "{space}"
+mesh_size = "5 mm"
+element_order = "linear"
+"""
+ENERGIES = {
+    "linear-elastic": 'model = "linear-elastic"\nyoungs_modulus = "30 kPa"',
+    "neo-hookean": 'model = "neo-hookean"\nC10 = "5 kPa"',
+    "mooney-rivlin": 'model = "mooney-rivlin"\nC10 = "4 kPa"\nC01 = "1 kPa"',
+    "reduced-polynomial": 'model = "reduced-polynomial"\nC10 = "5 kPa"\nC20 = "1 kPa"',
+    "polynomial": 'model = "polynomial"\nC10 = "4 kPa"\nC01 = "1 kPa"\nC11 = "200 Pa"',
+    "ogden": 'model = "ogden"\nmu = ["6 kPa", "3 kPa", "1 kPa"]\nalpha = [1.3, 5.0, -2.0]',
+}
+COMPRESSIBILITY = {
+    "nearly": "poisson_ratio = 0.4995",
+    "bulk": 'bulk_modulus = "10 MPa"',
+    "fully": "incompressible = true",
+}
+
+
+def write(folder: Path, material: str, compressibility: str, space: str = "axisymmetric") -> Path:
+    path = folder / "problem.toml"
+    path.write_text(PROBLEM.format(material=material, compressibility=compressibility, space=space))
+    return path
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("kept", COMPRESSIBILITY)
+@pytest.mark.parametrize("energy", ENERGIES)
+def test_solve_from_a_file(energy: str, kept: str, space: str, tmp_path: Path) -> None:
+    """Force of the closed form, one gradient for every constant, and plain JSON."""
+    path = write(tmp_path, ENERGIES[energy], COMPRESSIBILITY[kept], space)
+    solution = solve(path)
+    assert solution.warm is not None
+    material = solution.warm.system.material
+    stress = uniaxial(material, np.array([0.85, 0.7]))
+    np.testing.assert_allclose(solution.curve.force_N, -stress * np.pi * 100, rtol=1e-8)
+    found = solution_json(solution)
+    assert found["status"] == "converged"
+    assert list(found["force_gradient"]) == list(material.names) == list(found["parameters"])
+    assert np.isfinite(list(found["force_gradient"].values())).all()
+
+
+@pytest.mark.parametrize(
+    ("material", "said"),
+    [
+        ('model = "ogden"\nmu = ["10 kPa"]\nalpha = [0.0]', "alpha"),
+        ('model = "ogden"\nmu = ["10 kPa", "2 kPa"]\nalpha = [2.0]', "one for every term"),
+        ('model = "ogden"\nmu = ["10 kPa", "-12 kPa"]\nalpha = [2.0, 4.0]', "must be positive"),
+        ('model = "ogden"\nmu = ["12 kPa", "-2 kPa"]\nalpha = [2.0, 9.0]', "unstable"),
+        ('model = "reduced-polynomial"\nC10 = "5 kPa"\nC20 = "-5 kPa"', "unstable"),
+        ('model = "linear-elastic"\nyoungs_modulus = "-3 kPa"', "youngs_modulus"),
+    ],
+)
+def test_refused_before_meshing(material: str, said: str, tmp_path: Path) -> None:
+    """F26: the message names the key or the stretch."""
+    with pytest.raises(InputError, match=said):
+        solve(write(tmp_path, material, COMPRESSIBILITY["nearly"]))
+
+
+def test_a_problem_made_in_python_is_judged_too() -> None:
+    unstable = Material("ogden", {"mu1": 12.0, "alpha1": 2.0, "mu2": -2.0, "alpha2": 9.0},
+                        incompressible=True)  # fmt: skip
+    test = Test("compression", 3.0)
+    with pytest.raises(InputError, match="unstable"):
+        solve(Problem(Cylinder(10, 10), test, unstable, Model(mesh_size_mm=5.0)))
