@@ -109,13 +109,14 @@ def _abaqus(material: Material) -> Converted:
     if material.family == "linear-elastic":
         nu = poisson_from_bulk(material.mu0, material.bulk)
         return Converted("abaqus", "*Elastic", {**material.constants, "poisson_ratio": nu})
-    keyword = {
+    keywords = {
         "neo-hookean": "*Hyperelastic, neo hooke",
         "mooney-rivlin": "*Hyperelastic, mooney-rivlin",
         "reduced-polynomial": f"*Hyperelastic, reduced polynomial, n={len(material.names)}",
         "polynomial": "*Hyperelastic, polynomial",
         "ogden": f"*Hyperelastic, ogden, n={len(material.names) // 2}",
-    }[material.model]
+    }
+    keyword = keywords.get(material.model, keywords[material.family])
     return Converted(
         "abaqus", keyword, {**material.constants, "D1": abaqus_d1(material.bulk)},
     )  # fmt: skip

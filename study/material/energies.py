@@ -8,7 +8,24 @@ the volumetric part U = K/2 (J - 1)^2:
 * Ogden family: W = sum 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3)
 * linear-elastic: W = mu e:e + (K/2 - mu/3) (tr e)^2, small strain on purpose
 
-A new member of a family is one :class:`Energy` added to :data:`ENERGIES`.
+Adding an energy
+----------------
+One :class:`Energy` in :data:`ENERGIES`, about ten lines, is all for a member of a family: for
+example Yeoh's model with its own name is ::
+
+    Energy(
+        "yeoh",
+        "polynomial",
+        lambda order: ("C10", "C20", "C30"),
+        "C10|C20|C30",
+        _bounds_reduced,
+    )
+
+Design files, fits, closed forms, the stability check, and the solver with its tangent and
+gradients then know it (a test declares just this one and solves with it). A formula outside
+the three families also needs a family: its principal stresses and their derivatives in
+``material/principal.py``, and the same, compiled, in ``forward/ogden.py``, whose spectral
+tangent serves any energy of principal stretches.
 """
 
 from __future__ import annotations
