@@ -245,7 +245,8 @@ class InverseFem:
         self._base: Curve | None = None
         self._last: Any = None
         self._newton = 0
-        self._solves = 0
+        #: simulations so far
+        self.solves = 0
         #: solved curve at every set of constants
         self.curves: dict[bytes, Curve] = {}
 
@@ -266,7 +267,7 @@ class InverseFem:
             solution = solve(problem, gradients=True, warm=self._last)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
-        self._solves += 1
+        self.solves += 1
         self._newton += int(sum(solution.newton_iterations))
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
@@ -291,7 +292,7 @@ class InverseFem:
             "mesh": mesh_facts(self._last),
             "solver": {"name": str(self._last.solver), "min_j": float(self._last.min_j)},
             "newton_iterations": self._newton,
-            "solves": self._solves,
+            "solves": self.solves,
         }
 
 
