@@ -19,6 +19,11 @@ from tests.forward.manufactured import Manufactured
 
 NEARLY = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
+OGDEN = Material(
+    "ogden",
+    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
+    bulk_modulus=1000.0,
+)
 SOFT = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=2.0)
 SPACES, ORDERS, SHAPES = ("axisymmetric", "3d"), ("linear", "quadratic"), ("simplex", "tensor")
 PAIRS = list(itertools.product(SPACES, ORDERS, SHAPES))
@@ -58,9 +63,13 @@ def test_rates_in_axisymmetric_space(order: str, shape: str) -> None:
     check_rates("axisymmetric", order, shape, NEARLY)
 
 
+def test_rates_of_ogden() -> None:
+    check_rates("axisymmetric", "quadratic", "simplex", OGDEN)
+
+
 @pytest.mark.slow
 @pytest.mark.verify
-@pytest.mark.parametrize("material", [NEARLY, MOONEY], ids=["neo-hookean", "mooney-rivlin"])
+@pytest.mark.parametrize("material", [NEARLY, MOONEY, OGDEN], ids=lambda m: m.model)
 @pytest.mark.parametrize(("space", "order", "shape"), PAIRS)
 def test_rates(space: str, order: str, shape: str, material: Material) -> None:
     check_rates(space, order, shape, material)
