@@ -1,0 +1,361 @@
+"""`study calibrate`: several tests and specimens at once, verdicts, resuming, bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study import api
+from study.cli.app import run
+from study.errors import InputError
+from study.material import Material
+from study.runner import closed_form
+from study.runner.calibration_result import CalibrationResult
+
+SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+RP2 = {"C10": 7e-3, "C20": 1.5e-3}
+HEAD = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[model]
+mesh = "coarse"
+[material]
+model = "{model}"
+{order}
+poisson_ratio = 0.4995
+"""
+TEST = """
+[[tests]]
+role = "{role}"
+test = {{ kind = "compression", interface = "frictionless" }}
+measurements = {{ file = "{file}", columns = {{ displacement = "d", force = "f" }}, \
+units = {{ displacement = "mm", force = "N" }}, points = {points}, range = {range}{more} }}
+weight = {weight}
+"""
+
+
+def write(
+    path: Path,
+    model: str,
+    constants: dict[str, float],
+    *,
+    noise: float = 0.0,
+    depth: float = 9.0,
+    specimens: dict[str, float] | None = None,
+    repeats: int = 1,
+    factor: float = 1.0,
+    seed: int = 2011,
+) -> None:
+    """Write closed-form compression tests; ``specimens`` maps labels to stiffness factors."""
+    d = np.linspace(0.0, depth, 181)
+    material = Material(model, constants, poisson_ratio=0.4995)
+    force = closed_form.compression(SPECIMEN, material, d).force_N
+    rng = np.random.default_rng(seed)
+    rows = ["s,r,d,f"]
+    for label, stiffness in (specimens or {"A": 1.0}).items():
+        for repeat in range(repeats):
+            measured = factor * (stiffness * force + noise * rng.normal(size=d.size))
+            pairs = zip(d, measured, strict=True)
+            rows += [f"{label},{repeat},{x:.6f},{y:.9f}" for x, y in pairs]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def case(
+    tmp_path: Path, tests: list[dict[str, Any]], model: str = "reduced-polynomial",
+    order: str = "order = 2", more: str = "",
+) -> Path:  # fmt: skip
+    usual = {"role": "fit", "file": "a.csv", "points": 40, "range": '["1 %", "30 %"]',
+             "more": ', average = ["r"]', "weight": '"equal"'}  # fmt: skip
+    text = HEAD.format(model=model, order=order)
+    text += "".join(TEST.format(**{**usual, **test}) for test in tests) + more
+    path = tmp_path / "calibration.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def calibrated(path: Path, **options: Any) -> CalibrationResult:
+    return api.calibrate(path, data=path.parent, **options)
+
+
+def test_constants_come_back_and_are_judged(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=3)
+    found = calibrated(case(tmp_path, [{}]), profiles=True)
+    assert found.status == "converged"
+    assert found.fit.identifiable
+    assert found.stable
+    assert found.fit.constants() == pytest.approx(RP2, abs=2e-5)
+    assert found.lack_of_fit is not None
+    assert found.lack_of_fit.verdict == "adequate"
+    for i, name in enumerate(found.fit.names):
+        # the force is linear in the constants up to the 3e-4 of the volume change
+        assert found.profiles[name].interval == pytest.approx(tuple(found.fit.ci95[i]), rel=1e-2)
+    document = found.to_json()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["parameters"]["C10"]["unit"] == "kPa"
+    assert document["mu0"] == pytest.approx(14.0, abs=0.05)
+    assert found.converted("abaqus").constants["D1"] == pytest.approx(
+        2 / found.material.bulk  # type: ignore[union-attr]
+    )
+
+
+def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None:
+    """The thesis's range: through the API, and the command that prints it."""
+    constants = {"C10": 7e-3, "C01": 1e-3}
+    write(tmp_path / "a.csv", "mooney-rivlin", constants, noise=0.01)
+    path = case(tmp_path, [{"range": '["1 %", "14 %"]'}], "mooney-rivlin", "")
+    found = calibrated(path)
+    assert found.converged
+    assert not found.fit.identifiable
+    assert "C10 and C01 move together: correlation -0.999" in found.fit.reason
+    assert "only their sum is determined" in found.fit.reason
+    assert sum(found.fit.values) == pytest.approx(8e-3, rel=5e-3)
+
+
+def test_the_command_prints_it_and_writes_its_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "a.csv", "mooney-rivlin", {"C10": 7e-3, "C01": 1e-3}, noise=0.01)
+    path = case(tmp_path, [{"range": '["1 %", "14 %"]'}], "mooney-rivlin", "")
+    results = tmp_path / "results"
+    shared = ["calibrate", str(path), "--data", str(tmp_path), "--results", str(results)]
+    assert run([*shared, "--json", "--convention", "febio"]) == 0
+    captured = capsys.readouterr()
+    document = json.loads(captured.out)
+    assert document["identifiable"] is False
+    assert document["converted"]["constants"]["c1"] == pytest.approx(
+        1e-3 * document["parameters"]["C10"]["value"]
+    )
+    assert "iteration 1, cost" in captured.err
+    folder = results / "calibration"
+    assert json.loads((folder / "calibration.json").read_text())["model"] == "mooney-rivlin"
+    assert (folder / "calibration.svg").read_text().startswith("<svg")
+    assert not (folder / "calibration.checkpoint.json").exists()
+    assert run(shared) == 0
+    assert "not identifiable: C10 and C01 move together" in capsys.readouterr().out
+    assert run([*shared, "--convention", "abacus"]) == 2
+    assert "abaqus" in capsys.readouterr().err
+
+
+def test_energies_are_weighed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    path = case(tmp_path, [{"range": '["1 %", "30 %"]'}])
+    choice = api.choose_energy(path, data=tmp_path)
+    assert choice.best == "reduced-polynomial-2"
+    assert sum(choice.weights.values()) == pytest.approx(1)
+    assert choice.weights["neo-hookean"] < 1e-6  # C20 stiffens the force by several percent
+    assert run(["calibrate", str(path), "--data", str(tmp_path), "--energies"]) == 0
+    assert "AICc prefers reduced-polynomial-2" in capsys.readouterr().out
+
+
+def test_specimens_pooled_each_and_left_out(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=2,
+          specimens={"A": 1.0, "B": 1.1, "C": 0.9})  # fmt: skip
+    tests = [{"more": ', average = ["r"], block = "s"'}]
+    more = '[calibration]\nspecimens = "each"\nleave_out = "specimen"\n'
+    found = calibrated(case(tmp_path, tests, more=more))
+    # the mean of the three factors is 1
+    assert found.fit.constants() == pytest.approx(RP2, abs=1e-4)
+    assert [one.label for one in found.specimens] == ["A", "B", "C"]
+    own = [one.fit.values[0] for one in found.specimens]
+    assert own == pytest.approx([7e-3, 7.7e-3, 6.3e-3], rel=5e-3)
+    assert found.same_constants_p is not None
+    assert found.same_constants_p < 1e-10
+    left = {one.label: one for one in found.cross_validation}
+    assert left["B"].fit.values[0] == pytest.approx(6.65e-3, rel=5e-3)  # of A and C
+    held = [c for c in left["B"].curves if c.role == "held-out"]
+    assert [c.specimen for c in held] == ["B"]
+    # 0.95 predicts 1.1: 13.6 % too soft
+    assert held[0].as_dict()["relative_rms_force_error"] == pytest.approx(13.6, abs=0.3)
+
+
+def test_equal_specimens_share_their_constants(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05,
+          specimens={"A": 1.0, "B": 1.0})  # fmt: skip
+    tests = [{"more": ', average = ["r"], block = "s"'}]
+    found = calibrated(case(tmp_path, tests, more='[calibration]\nspecimens = "each"\n'))
+    assert found.same_constants_p is not None
+    assert found.same_constants_p > 0.01
+
+
+def test_tests_are_fitted_together_held_out_and_left_out(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, seed=1)
+    write(tmp_path / "b.csv", "reduced-polynomial", RP2, noise=0.02, seed=2)
+    write(tmp_path / "c.csv", "reduced-polynomial", RP2, factor=1.1, seed=3)
+    tests = [{}, {"file": "b.csv", "weight": 2.0}, {"file": "c.csv", "role": "held-out"}]
+    found = calibrated(case(tmp_path, tests, more='[calibration]\nleave_out = "test"\n'))
+    assert found.fit.n == 80
+    assert found.fit.constants() == pytest.approx(RP2, abs=5e-5)
+    errors = [c.as_dict()["relative_rms_force_error"] for c in found.curves]
+    assert errors[2] == pytest.approx(100 * (1 - 1 / 1.1), abs=0.1)
+    assert [one.label for one in found.cross_validation] == ["tests[0]", "tests[1]"]
+    assert all(
+        c.as_dict()["relative_rms_force_error"] < 0.5
+        for one in found.cross_validation
+        for c in one.curves
+    )
+
+
+def test_scatter_weights_are_one_over_the_error_of_the_mean(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, repeats=8)
+    found = calibrated(case(tmp_path, [{"weight": '"scatter"'}]))
+    # chi^2 / 38 of means over their own standard errors of 7 degrees of freedom: mean 7/5
+    assert 0.7 < found.fit.reduced_chi_square < 2.8
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
+    path = case(tmp_path, [{"weight": '"scatter"'}])
+    with pytest.raises(InputError, match="a single test has no scatter"):
+        calibrated(path)
+
+
+def test_doubled_weights_change_nothing(tmp_path: Path) -> None:
+    """P22 through the file: only ratios of weights count."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05)
+    one, two = (calibrated(case(tmp_path, [{"weight": w}])) for w in ("1.0", "2.0"))
+    assert two.fit.values == pytest.approx(one.fit.values, rel=1e-8)
+    assert two.fit.ci95 == pytest.approx(one.fit.ci95, rel=1e-8)
+
+
+def test_misfit_is_told_from_noise(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.005, repeats=4)
+    found = calibrated(case(tmp_path, [{}], "neo-hookean", ""))
+    assert found.lack_of_fit is not None
+    assert found.lack_of_fit.verdict == "lack-of-fit"
+    assert found.pattern is not None
+    assert found.pattern.lag1 > 0.5
+    assert any("misfit rather than noise" in warning for warning in found.warnings)
+
+
+def test_uneven_tests_with_equal_weights_are_told(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    write(tmp_path / "b.csv", "reduced-polynomial", RP2, noise=0.002)
+    tests = [{}, {"file": "b.csv", "range": '["1 %", "3 %"]'}]
+    found = calibrated(case(tmp_path, tests))
+    assert any("hardly count at these weights" in warning for warning in found.warnings)
+
+
+def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "ogden", {"mu1": 12e-3, "alpha1": 5.0}, noise=0.02)
+    path = case(tmp_path, [{}], "ogden", "order = 1")
+    whole: list[Any] = []
+    through = calibrated(path, progress=whole.append)
+    assert len(whole) > 4
+
+    def stop(step: Any) -> None:
+        if step.iteration.iteration == 3:
+            raise KeyboardInterrupt
+
+    results = tmp_path / "results"
+    with pytest.raises(KeyboardInterrupt):
+        calibrated(path, results=results, progress=stop)
+    kept = results / "calibration" / "calibration.checkpoint.json"
+    assert kept.is_file()
+    rest: list[Any] = []
+    resumed = calibrated(path, results=results, progress=rest.append)
+    assert rest[0].iteration.x.tolist() == whole[3].iteration.x.tolist()
+    assert resumed.fit.values == pytest.approx(through.fit.values, rel=1e-10)
+    assert len(rest) == len(whole) - 3
+    assert not kept.exists()
+
+
+def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    path, results = case(tmp_path, [{}]), tmp_path / "results"
+    kept = results / "calibration" / "calibration.checkpoint.json"
+    kept.parent.mkdir(parents=True)
+    for text in ('{"key": "x", "stages": {"wanted mesh": 3}}', "{", "[]", '{"key": 1}'):
+        kept.write_text(text)
+        assert calibrated(path, results=results).converged
+
+
+@pytest.mark.parametrize(
+    ("write_options", "test", "words"),
+    [
+        ({"factor": -1.0}, {}, "sign"),
+        ({"factor": 0.0}, {}, "constant"),
+        ({}, {"points": 2, "range": '["1 %", "2 %"]', "model": "rp3"}, "2 points cannot determine"),
+        ({}, {"range": '["1 %", "60 %"]'}, "ends at"),
+    ],
+)
+def test_data_that_cannot_answer(
+    tmp_path: Path, write_options: dict[str, Any], test: dict[str, Any], words: str
+) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, **write_options)
+    order = "order = 3" if test.pop("model", "") else "order = 2"
+    with pytest.raises(InputError) as caught:
+        calibrated(case(tmp_path, [test], order=order))
+    assert words in str(caught.value)
+
+
+def test_a_fault_of_the_data_is_exit_code_2_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=-1.0)
+    path, results = case(tmp_path, [{}]), tmp_path / "results"
+    shared = ["calibrate", str(path), "--data", str(tmp_path), "--results", str(results)]
+    assert run(shared) == 2
+    assert "sign" in capsys.readouterr().err
+    assert not results.exists()
+
+
+@pytest.mark.parametrize("factor", [1e4, 1e-4])
+def test_units_that_make_the_modulus_implausible(
+    tmp_path: Path, factor: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """140 MPa or 1.4 Pa is no soft solid: a status, and exit code 1."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, factor=factor)
+    path = case(tmp_path, [{}])
+    found = calibrated(path)
+    assert found.status == "implausible"
+    assert "check the units" in found.message
+    assert run(["calibrate", str(path), "--data", str(tmp_path),
+                "--results", str(tmp_path / "r")]) == 1  # fmt: skip
+    assert "implausible: " in capsys.readouterr().out
+
+
+def test_bounds_hold_or_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    held = calibrated(
+        case(tmp_path, [{}], more='[calibration.bounds]\nC20 = ["-1 kPa", "0.5 kPa"]\n')
+    )
+    assert held.fit.values[1] == pytest.approx(0.5e-3)
+    assert "C20 ended at a bound" in held.fit.reason
+    with pytest.raises(InputError, match=r"calibration.bounds.C10: .* excludes the start"):
+        calibrated(case(tmp_path, [{}], more='[calibration.bounds]\nC10 = ["1 Pa", "2 Pa"]\n'))
+    with pytest.raises(InputError, match="no constant of this fit"):
+        calibrated(case(tmp_path, [{}], more='[calibration.bounds]\nC01 = ["1 Pa", "2 Pa"]\n'))
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ('specimens = "each"', "only one specimen"),
+        ('leave_out = "specimen"', "there is only one"),
+        ('leave_out = "test"', "there is only one"),
+        ('leave_out = "tset"', "'test'"),
+        ("bounds = { C10 = 1 }", "two values"),
+    ],
+)
+def test_what_cannot_be_split_is_told(tmp_path: Path, more: str, words: str) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
+    with pytest.raises(InputError, match=words):
+        calibrated(case(tmp_path, [{}], more=f"[calibration]\n{more}\n"))
+
+
+def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> None:
+    """Constants that soften until no load is carried: a status with the reason, no number."""
+    write(tmp_path / "a.csv", "reduced-polynomial", {"C10": 7e-3, "C20": 0.0}, depth=15.0)
+    path = case(tmp_path, [{"range": '["1 %", "50 %"]', "points": 10}])
+    text = path.read_text().replace("order = 2\n", 'C10 = "1 kPa"\nC20 = "-5 kPa"\n')
+    path.write_text(text.replace('"frictionless"', '"bonded"'), encoding="utf-8")
+    found = calibrated(path)
+    assert found.status == "not-converged"
+    assert "no answer at the start values (unstable: " in found.message
+    assert not found.fit.identifiable
+    assert found.to_json()["parameters"]["C10"]["standard_error"] is None
+    assert found.curves[0].as_dict()["rms_force_error"] is None
