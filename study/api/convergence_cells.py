@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from study.design import Design
+    from study.record import Store
     from study.runner.expand import CaseJob, Work
     from study.runner.refine_series import Series
 
@@ -176,6 +177,7 @@ def measured_cells(
     from study.runner import refine
     from study.runner.batch import run_batch
     from study.runner.expand import expand
+    from study.runner.identity import digest
     from study.runner.refine_cells import documents
 
     work = expand(design, data)
@@ -190,14 +192,25 @@ def measured_cells(
     records = {record.case_id: record for record in store.records(hashes)}
     names = [response.name for response in design.responses]
     rows = refine.numerical(work, finer, records, names, bases) if bases else []
+    stored = {"of": digest(work.input_hashes), "rows": [asdict(row) for row in rows]}
     with store.lock():
-        store.write_json("numerical-cells", [asdict(row) for row in rows])
+        store.write_json("numerical-cells", stored)
     found = documents(work, bases, finer, records)
     skipped = [
         {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
         for job in left_out
     ]
     return {"cells": found, "left_out": skipped}
+
+
+def stored_cells(store: Store, cases: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Numerical uncertainty of every cell as ``study converge`` found it for these very cases."""
+    from study.runner.identity import digest
+
+    found = store.read_json("numerical-cells")
+    if not isinstance(found, dict) or found.get("of") != digest(cases):
+        return []
+    return list(found["rows"])
 
 
 def _said(progress: Progress) -> Callable[[Any], None]:

@@ -152,6 +152,11 @@ def run(
     if refine:
         _refine(work, store, jobs, progress, timeout_s)
         clock.mark("mesh refinement")
+        if loaded.uncertainty:
+            from study.api.validation import validate
+
+            validate(work, store, jobs, progress, timeout_s)
+            clock.mark("uncertain inputs")
     _write_manifest(store, work, clock.parts, summary)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
@@ -218,6 +223,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     InputError
         If there are none.
     """
+    from study.api.convergence_cells import stored_cells
     from study.runner.refine import Numerical
 
     folder = results_folder(path, results)
@@ -228,7 +234,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
     design = loads(manifest["design"], manifest["source"])
     records = tuple(store.records(manifest["cases"]))
-    rows = store.read_json("numerical") or []
+    rows = [*(store.read_json("numerical") or []), *stored_cells(store, manifest["cases"])]
     numerical = tuple(Numerical(**row) for row in rows)
     missing = len(manifest["cases"]) - len(records)
     warnings += [note for note in manifest["notes"] if SORTED in note]

@@ -89,7 +89,7 @@ def chosen(work: Work) -> list[CaseJob]:
         config = job.case.config
         if job.case.block not in (None, *work.blocks[:1]) or build.is_homogeneous(config):
             continue
-        key = case_id(_discretization(config))
+        key = discretization_key(config)
         best = groups.get(key)
         if best is None or _constants(job) < _constants(best):
             groups[key] = job
@@ -221,6 +221,11 @@ def _refined(case: Case, size: float) -> Case:
         config["calibration"] = {**config["calibration"], "problem": changed}
     name = case_id({**config, "block": case.block, "purpose": PURPOSE})
     return replace(case, config=config, case_id=name)
+
+
+def discretization_key(config: Mapping[str, Any]) -> str:
+    """Name of a kind of discretization: cells that share it share their mesh error."""
+    return case_id(_discretization(config))
 
 
 def _discretization(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,115 @@
+"""Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from study.curve import Curve
+    from study.record import Record, Store
+    from study.runner.batch import Progress
+    from study.runner.expand import Work
+
+Array = NDArray[np.float64]
+
+
+def validate(
+    work: Work,
+    store: Store,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+) -> list[dict[str, Any]]:
+    """Move the uncertain inputs, compare every case, and store the rows as ``validation``.
+
+    Parameters
+    ----------
+    work : Work
+        A study whose cases and refinement are computed.
+    """
+    from study.runner.batch import run_batch
+    from study.runner.refine_inputs import input_work
+
+    moved = input_work(work)
+    if moved.jobs:
+        run_batch(moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+    rows = compared(work, moved, store)
+    with store.lock():
+        store.write_json("validation", rows)
+    return rows
+
+
+def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
+    """One row for every case: E and its uncertainty along the curve."""
+    from study.runner import refine
+    from study.runner.refine_inputs import input_shares, mesh_shares, physics_of
+
+    finer = refine.refinement_work(work)
+    hashes = {**work.input_hashes, **finer.input_hashes, **moved.input_hashes}
+    records = {record.case_id: record for record in store.records(hashes)}
+    bases = refine.chosen(work)
+    mesh = mesh_shares(bases, finer, records, work.design.converge.ratio)
+    inputs = input_shares(work, moved, records)
+    of_model = {refine.discretization_key(b.case.config): mesh.get(b.case.case_id) for b in bases}
+    rows = []
+    for job in work.jobs:
+        record = records.get(job.case.case_id)
+        if record is None or not record.converged:
+            continue
+        share = numerical_share(job.case.config, of_model)
+        rows.append(
+            _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
+        )
+    return rows
+
+
+def numerical_share(config: Mapping[str, Any], of_model: Mapping[str, Array | None]) -> Any:
+    """Relative u_num of a cell: none where the deformation is the same everywhere."""
+    from study.runner import build
+    from study.runner.refine import discretization_key
+
+    return 0.0 if build.is_homogeneous(config) else of_model.get(discretization_key(config))
+
+
+def _row(
+    record: Record, mesh: Any, inputs: Array | None, uncertainty: Mapping[str, float]
+) -> dict[str, Any]:
+    from study.analysis.convergence_validation import compare
+    from study.runner.refine_inputs import places_of
+
+    fact = record.extra["directions"][0]
+    measured = record.curves[f"measured:{fact['score']}"]
+    predicted = record.curves[f"predicted:{fact['score']}"]
+    d = places_of(measured)
+    force = predicted.force_at(d)
+    found = compare(
+        d, force, measured.force_at(d),
+        None if mesh is None else mesh * np.abs(force),
+        None if inputs is None else inputs * np.abs(force),
+        _data(measured, d, fact.get("scatter_N"), uncertainty),
+    )  # fmt: skip
+    facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
+    return facts | {"label": fact["score"], "role": fact["role"]} | found.to_json()
+
+
+def _data(
+    measured: Curve, d: Array, scatter: Any, uncertainty: Mapping[str, float]
+) -> Array | None:
+    """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
+
+    The scatter is that of one repeat, not of their mean: repeats on one specimen are no
+    independent evidence.
+    """
+    parts = []
+    if scatter is not None:
+        parts.append(np.interp(d, measured.displacement_mm, np.asarray(scatter, float)))
+    if uncertainty.get("measurements.force"):
+        parts.append(np.full(d.size, float(uncertainty["measurements.force"])))
+    if uncertainty.get("measurements.displacement"):
+        slope = np.gradient(measured.force_at(d), d)
+        parts.append(np.abs(slope) * float(uncertainty["measurements.displacement"]))
+    return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else None

@@ -1,0 +1,190 @@
+"""What the uncertainty of the inputs does: cases computed again with one input moved.
+
+One cell of every combination of the factors that are no discretization, the one that costs
+least, in the first block, is computed again for every input of ``[uncertainty]``, calibration
+and all; the change is carried to the other discretizations in proportion to their force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+from study.design import Case, MeasurementSpec, Range, case_id
+from study.errors import Fault, InputError
+from study.record import Record
+from study.runner import build
+from study.runner.costs import Costs
+from study.runner.expand import CaseJob, FitJob, Work, case_job
+
+PURPOSE = "input"
+#: places along a curve where it is compared, from its first measured point to its last
+PLACES = np.linspace(0.0, 1.0, 21)
+_SUFFIXES = ("", "_mm", "_MPa", "_deg", "_N", "_s")
+Array = NDArray[np.float64]
+
+
+def input_work(work: Work) -> Work:
+    """List the cases with one input moved by its standard uncertainty, as work like any other.
+
+    Raises
+    ------
+    InputError
+        If an input has no value in the design that could be moved.
+    """
+    fits: dict[str, FitJob] = {}
+    jobs = []
+    for base in representatives(work):
+        for key, amount in moved_inputs(work).items():
+            case = _moved(base.case, key, amount)
+            facts = {"purpose": PURPOSE, "of": base.case.case_id, "input": key}
+            jobs.append(case_job(case, work.data, fits, work.responses, facts))
+    return replace(work, jobs=tuple(jobs), fits=fits)
+
+
+def moved_inputs(work: Work) -> dict[str, float]:
+    """List the uncertain inputs of the simulation; those of the data move no case."""
+    return {
+        k: float(u)
+        for k, u in work.design.uncertainty.items()
+        if u and not k.startswith("measurements.")
+    }
+
+
+def representatives(work: Work) -> list[CaseJob]:
+    """List the cheapest cell for every combination of the other factors, in the first block."""
+    costs = Costs()
+    best: dict[Any, tuple[float, CaseJob]] = {}
+    for job in work.jobs:
+        if job.case.block in (None, *work.blocks[:1]):
+            key = physics_of(job.case.levels)
+            price = costs.case_seconds(job)
+            if key not in best or price < best[key][0]:
+                best[key] = (price, job)
+    return [job for _, job in best.values()]
+
+
+def physics_of(levels: Mapping[str, str]) -> tuple[tuple[str, str], ...]:
+    """Levels of the factors that are no discretization."""
+    return tuple(
+        sorted((k, v) for k, v in levels.items() if k != "model" and not k.startswith("model."))
+    )
+
+
+def _moved(case: Case, key: str, amount: float) -> Case:
+    """Copy a case with one input moved; the measured points stay where they are."""
+    config = shifted(_fixed_range(case.config), key, amount)
+    own = (config.get("calibration") or {}).get("problem")
+    if own and key.split(".")[0] in own:
+        inner = shifted(_fixed_range(own), key, amount)
+        config["calibration"] = {**config["calibration"], "problem": inner}
+    name = case_id({**config, "block": case.block, "purpose": PURPOSE})
+    return replace(case, config=config, case_id=name)
+
+
+def shifted(config: Mapping[str, Any], key: str, amount: float) -> dict[str, Any]:
+    """Copy of a configuration with one value moved, named as in the file.
+
+    Examples
+    --------
+    >>> shifted({"specimen": {"height_mm": 30.0}}, "specimen.height", 0.5)
+    {'specimen': {'height_mm': 30.5}}
+    """
+    path = key.split(".")
+    return _shifted(config, path, amount, key)
+
+
+def _shifted(
+    section: Mapping[str, Any], path: Sequence[str], amount: float, key: str
+) -> dict[str, Any]:
+    if len(path) > 1 and isinstance(section.get(path[0]), Mapping):
+        inner = _shifted(section[path[0]], path[1:], amount, key)
+        return {**section, path[0]: inner}
+    constants = section.get("constants")
+    if isinstance(constants, Mapping) and path[-1] in constants:
+        return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
+    for suffix in _SUFFIXES:
+        name = path[-1] + suffix
+        if isinstance(section.get(name), (int, float)):
+            return {**section, name: float(section[name]) + amount}
+    rule = "has no value in the design that could be uncertain"
+    raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
+
+
+def _fixed_range(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Say the measured range in mm, so that another height does not move it."""
+    spec, height = config.get("measurements"), build.height_mm(config.get("specimen") or {})
+    if spec is None or height is None:
+        return dict(config)
+    made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
+    if made.range is None or made.range.kind == "mm":
+        return dict(config)
+    low, high = made.range.in_mm(height)
+    return {**config, "measurements": replace(made, range=Range("mm", low, high))}
+
+
+def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Any, Array]:
+    """Relative standard uncertainty of the force from all inputs, at :data:`PLACES`.
+
+    Returns
+    -------
+    dict
+        By :func:`physics_of`; a cell without an answer is left out.
+    """
+    found: dict[Any, Array] = {}
+    for base in representatives(work):
+        record = records.get(base.case.case_id)
+        if record is None or not record.converged:
+            continue
+        force = _force(record)
+        changes = [
+            _force(other) - force
+            for job in moved.jobs
+            if job.extra["of"] == base.case.case_id
+            and (other := records.get(job.case.case_id)) is not None
+            and other.converged
+        ]
+        if force is not None and changes:
+            squares = np.sum([change**2 for change in changes], axis=0)
+            found[physics_of(base.case.levels)] = np.sqrt(squares) / np.abs(force)
+    return found
+
+
+def mesh_shares(
+    bases: Sequence[CaseJob], finer: Work, records: Mapping[str, Record], ratio: float
+) -> dict[str, Array]:
+    """Relative numerical uncertainty of the force at :data:`PLACES`, by name of the base case."""
+    from study.runner.refine import series_uncertainty, two_mesh_uncertainty
+
+    found: dict[str, Array] = {}
+    for base in bases:
+        jobs = [base, *(j for j in finer.jobs if j.extra.get("of") == base.case.case_id)]
+        kept = [records.get(job.case.case_id) for job in jobs]
+        forces = [_force(r) for r in kept if r is not None and r.converged]
+        if len(forces) < 2:
+            continue
+        columns = np.array(forces).T
+        if len(forces) == 2:
+            u = [two_mesh_uncertainty(a, b, ratio) for a, b in columns]
+        else:
+            u = [series_uncertainty(list(column), ratio)[1] for column in columns]
+        found[base.case.case_id] = np.array(u) / np.abs(columns[:, 0])
+    return found
+
+
+def places_of(measured: Curve) -> Array:
+    """Displacements of :data:`PLACES` on a measured curve, mm."""
+    d = measured.displacement_mm
+    return np.asarray(d[0] + PLACES * (d[-1] - d[0]))
+
+
+def _force(record: Record) -> Array:
+    """Predicted force of the first direction at the places, N."""
+    label = next(k.removeprefix("predicted:") for k in record.curves if k.startswith("predicted:"))
+    measured = record.curves[f"measured:{label}"]
+    return record.curves[f"predicted:{label}"].force_at(places_of(measured))

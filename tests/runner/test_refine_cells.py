@@ -1,0 +1,134 @@
+"""Every cell of a study refined, and its comparison with the data (fake solver)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.analysis.convergence_validation import compare
+from study.api import convergence_cells, validation
+from study.api.studies import _write_manifest, open_study
+from study.design import Design, loads
+from study.errors import InputError
+from study.record import Store
+from study.runner import refine, refine_inputs
+from study.runner.batch import run_batch
+from study.runner.expand import expand
+
+from .conftest import DESIGN, FAKE
+
+#: the fake solver is too stiff by this part of the mesh size between bonded plates
+ERROR = 1e-3
+
+
+def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    found = convergence_cells.measured_cells(
+        design, one_mix, 2, results, lambda _: None, command=FAKE
+    )
+    cells = {tuple(c["levels"].values()): c for c in found["cells"]}
+    assert len(cells) == 4
+    bonded = cells["neo-hookean", "bonded"]
+    # forces follow 1 + 1e-3 h: first order, undone by the calibration, which mu0 pays for
+    mu0 = bonded["quantities"]["mu0"]
+    assert (bonded["behaviour"], mu0["behaviour"]) == ("noise-floor", "monotone")
+    assert mu0["observed_order"] == pytest.approx(1, abs=0.05)
+    exact = mu0["value"][0] * (1 + ERROR * mu0["mesh_size"][0])
+    assert mu0["extrapolated"] == pytest.approx(exact, rel=1e-5)
+    assert {"peak_force", "work", "curve_rms", "C10"} <= set(bonded["quantities"])
+    assert cells["neo-hookean", "frictionless"]["behaviour"] == "noise-floor"
+    assert found["left_out"] == []
+
+    # and the study reads it
+    work, store = expand(design, one_mix), Store(results / design.name)
+    _write_manifest(store, work, {}, None)
+    rows = open_study(store.path).numerical
+    assert {tuple(r.levels) for r in rows} == {("material", "plates")}
+    assert len({tuple(r.levels.values()) for r in rows}) == 4
+    # of other cases it knows nothing
+    assert convergence_cells.stored_cells(store, {"other": "hash"}) == []
+
+
+def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
+    design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
+    work = expand(design, one_mix)
+    kept, left = convergence_cells.affordable(work, refine.every_cell(work), 1)
+    assert len(kept) + len(left) == 4
+    assert left
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("specimen.height", 0.5, 30.5),
+        ("specimen.radius", -1.0, 24.0),
+    ],
+)
+def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
+    config = {"specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}}
+    moved = refine_inputs.shifted(config, key, value)
+    assert moved["specimen"][key.split(".")[1] + "_mm"] == expected
+    assert config["specimen"]["height_mm"] == 30.0
+
+
+def test_constants_and_indenters_are_moved_too() -> None:
+    config = {
+        "material": {"constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
+        "test": {"indenter": {"half_angle_deg": 30.0}},
+    }
+    assert refine_inputs.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
+        "C10": pytest.approx(5.1e-3)
+    }
+    assert refine_inputs.shifted(config, "material.bulk_modulus", 1)["material"][
+        "bulk_modulus_MPa"
+    ] == pytest.approx(11)
+    moved = refine_inputs.shifted(config, "test.indenter.half_angle", 2)
+    assert moved["test"]["indenter"]["half_angle_deg"] == 32
+    with pytest.raises(InputError, match="no value in the design"):
+        refine_inputs.shifted(config, "specimen.height", 1)
+
+
+def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:
+    """The radius enters the force of given constants as its square: u_input = 2 u(R) / R."""
+    text = DESIGN.replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
+    text = text.replace(
+        'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "8 kPa"\nC01 = "0.5 kPa"'
+    )  # noqa: E501
+    text = text.replace(
+        '[[response]]\nname = "mu0"\ntransform = "log"\npractical = "10 % of mean"\n', ""
+    )  # noqa: E501
+    text += '[calibration]\nmethod = "none"\n[uncertainty]\n'
+    text += '"specimen.radius" = "0.1 mm"\n"measurements.force" = "0.02 N"\n'
+    design = loads(text, "small.toml")
+    work, store = expand(design, one_mix), Store(tmp_path / "results")
+    run_batch(work, store, jobs=2, command=FAKE)
+    run_batch(refine.refinement_work(work), store, jobs=2, command=FAKE)
+    moved = refine_inputs.input_work(work)
+    assert {job.extra["input"] for job in moved.jobs} == {"specimen.radius"}
+    run_batch(moved, store, jobs=2, command=FAKE)
+    rows = {tuple(r["levels"].values()): r for r in validation.compared(work, moved, store)}
+    assert len(rows) == 4
+    row = rows["neo-hookean", "bonded"]
+    force = np.array(row["simulated_N"])
+    np.testing.assert_allclose(row["u_input_N"], force * 2 * 0.1 / 25, rtol=5e-3)
+    # two equal repeats: no scatter, so the load cell's uncertainty alone
+    np.testing.assert_allclose(row["u_data_N"], 0.02, rtol=1e-6)
+    h = refine.base_size_mm(refine.chosen(work)[0].case)
+    share = np.array(row["u_num_N"]) / force
+    assert (share > ERROR * h / (1 + ERROR * h)).all()
+    squares = sum(np.square(row[k]) for k in ("u_num_N", "u_input_N", "u_data_N"))
+    np.testing.assert_allclose(row["u_val_N"], np.sqrt(squares))
+    np.testing.assert_allclose(row["error_N"], force - np.array(row["measured_N"]), atol=1e-12)
+    assert rows["neo-hookean", "frictionless"]["u_num_N"][-1] == 0
+    assert "the model is off by E" in row["verdict"]
+
+
+def test_comparison_says_what_is_unknown() -> None:
+    found = compare([1.0, 2.0], [1.0, 2.0], [1.0, 1.99], None, 0.05)
+    assert found.unknown == ("numerics", "data")
+    assert "within u_val" in found.verdict
+    assert "numerics, data not known" in found.verdict
+    assert compare([1.0], [1.0], [0.5]).verdict.startswith("no uncertainty")
+    assert compare([1.0, 2.0], [1.0, 2.5], [1.0, 2.0], 0.1, 0.0, 0.0).outside == 0.5
