@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,7 +164,7 @@ def ryan_joiner(
     n = int(x.size)
     basis = span(np.ones((n, 1)) / math.sqrt(n) if model_matrix is None else _unit(model_matrix))
     rj = statistic(x)
-    count = simulations or int(min(_MAX_SIMULATIONS, _MAX_NUMBERS / n))
+    count = simulations or default_simulations(n)
     p_exact = exact_p(rj, basis, count, seed) if exact else None
     p_text = minitab_p(rj, n)
     df = n - basis.shape[1]
@@ -180,6 +181,11 @@ def ryan_joiner(
         _decision(p_text, p_exact, alpha),
         warning,
     )
+
+
+def default_simulations(n: int) -> int:
+    """Give the number of simulated designs of the exact p, min(100,000, 3e7 / n)."""
+    return int(min(_MAX_SIMULATIONS, _MAX_NUMBERS / n))
 
 
 def _unit(matrix: Array) -> Array:
@@ -222,14 +228,17 @@ def exact_p(rj: float, basis: Array, simulations: int, seed: int) -> float:
     simulations : int
         Number of simulated designs.
     """
+    below = sum(int(np.count_nonzero(chunk <= rj)) for chunk in null_rj(basis, simulations, seed))
+    return (1 + below) / (simulations + 1)
+
+
+def null_rj(basis: Array, simulations: int, seed: int) -> Iterator[Array]:
+    """RJ of the residuals of standard normal data, in pieces that fit the memory."""
     n = basis.shape[0]
     rng = np.random.default_rng(seed)
     chunk = max(1, int(2e6 // n))
-    below = 0
     for start in range(0, simulations, chunk):
-        z = rng.standard_normal((min(chunk, simulations - start), n))
-        below += int(np.count_nonzero(simulated_rj(z, basis) <= rj))
-    return (1 + below) / (simulations + 1)
+        yield simulated_rj(rng.standard_normal((min(chunk, simulations - start), n)), basis)
 
 
 def simulated_rj(z: Array, basis: Array) -> Array:

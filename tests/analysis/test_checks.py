@@ -5,14 +5,12 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from study.analysis import analyze, bartlett, lenth, levene, ryan_joiner
-from study.analysis.matrix import Layout, model_matrix, terms_of
-from study.analysis.normality import anderson_darling, exact_p, shapiro_wilk, simulated_rj
+from study.analysis import bartlett, lenth, levene, ryan_joiner
+from study.analysis.matrix import Layout, terms_of
+from study.analysis.normality import anderson_darling, shapiro_wilk
 from study.analysis.sphericity import epsilon_gg, sphericity
-from study.analysis.sums import span
 from study.analysis.tukey import studentized_range_quantile
 from study.analysis.unreplicated import half_normal_scores, orthonormal_contrasts
 
@@ -31,43 +29,6 @@ def test_ryan_joiner_guards(values, reason: str) -> None:
 def test_saturated_residuals_are_not_applicable() -> None:
     result = ryan_joiner([1.0, 2, 3, 5], model_matrix=np.eye(4))
     assert "no residual degrees of freedom" in result.reason
-
-
-def full_grid(*sizes: int, repeats: int = 1) -> np.ndarray:
-    cells = np.repeat(np.array(list(itertools.product(*map(range, sizes)))), repeats, axis=0)
-    names = "abc"[: len(sizes)]
-    layout = Layout(
-        {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)},
-        {n: cells[:, i] for i, n in enumerate(names)},
-    )
-    return model_matrix(layout, terms_of(names, 2)).columns
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("design", ["replicated 2x3", "nearly saturated 2x3x2", "n = 500"])
-def test_exact_p_holds_its_size(design: str) -> None:
-    """5 % +- 0.3 of 50,000 simulated designs each (Monte-Carlo sd 0.1 %)."""
-    matrix = {
-        "replicated 2x3": full_grid(2, 3, repeats=2),
-        "nearly saturated 2x3x2": full_grid(2, 3, 2),
-        "n = 500": np.ones((500, 1)),
-    }[design]
-    basis = span(matrix / np.linalg.norm(matrix, axis=0))
-    rng = np.random.default_rng(77)
-    n = matrix.shape[0]
-    observed = np.concatenate(
-        [simulated_rj(rng.standard_normal((2500, n)), basis) for _ in range(20)]
-    )
-    # the critical value that exact_p implies: its own null quantile from another seed
-    null = np.concatenate(
-        [
-            simulated_rj(np.random.default_rng(s).standard_normal((2500, n)), basis)
-            for s in range(24)
-        ]
-    )
-    cut = float(np.quantile(null, 0.05))
-    assert exact_p(cut, basis, 60_000, 2011) == pytest.approx(0.05, abs=0.003)
-    assert np.mean(observed <= cut) == pytest.approx(0.05, abs=0.003)
 
 
 @pytest.mark.parametrize("m", [3, 7, 15])
@@ -168,31 +129,3 @@ def test_studentized_range_against_scipy() -> None:
     for k, df in [(3, 2), (4, 24), (9, 180)]:
         theirs = studentized_range.ppf(0.95, k, df)
         assert studentized_range_quantile(0.95, k, df) == pytest.approx(theirs, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_own_interaction_holds_its_size_among_copies() -> None:
-    """Null of a real 4-level factor, 9 blocks x 32 cells of near-copies: 4 to 6 %."""
-    rng = np.random.default_rng(12)
-    cells = list(itertools.product("abcd", "pq", "st", "uv"))
-    base = pd.DataFrame(cells * 9, columns=["m", "pl", "sp", "or"])
-    base["mix"] = np.repeat([f"x{i}" for i in range(9)], 32)
-    level = base["m"].map({c: i for i, c in enumerate("abcd")}).to_numpy()
-    block = np.repeat(np.arange(9), 32)
-    rejected = 0
-    studies = 400
-    for _ in range(studies):
-        y = rng.normal(size=9)[block] + 0.3 * rng.normal(size=(9, 4))[block, level]
-        y = y + 1e-4 * rng.normal(size=y.size)
-        result = analyze(
-            base.assign(y=y),
-            "y",
-            ["m", "pl", "sp", "or"],
-            block="mix",
-            records=True,
-            model=["m"],
-            exact=False,
-        )
-        rejected += (result.anova.row("m").p_gg or 1.0) < 0.05
-    # binomial sd at 400 studies is 1.1 %
-    assert rejected / studies == pytest.approx(0.05, abs=0.033)

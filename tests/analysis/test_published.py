@@ -208,3 +208,51 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert any("independent would have given F(2, 135)" in w for w in nested.warnings)
     # R's sf.test is the same statistic squared, with ppoints(): 3/8 and 1/4 as here
     assert result.normality.rj == pytest.approx(expected["ryan_joiner_residuals"], rel=1e-7)
+
+
+def simon_lesage(pairs: int, large: float) -> pd.DataFrame:
+    """Simon and Lesage sets of NIST (SmLs): nine treatments, ``1 + 2 * pairs`` values each.
+
+    A treatment is ``c, c - 0.1, c + 0.1, ...`` about 1.4, then 1.3 and 1.5 in turn, plus a
+    large integer; the values are the doubles nearest to the printed decimals.
+    """
+    rows = []
+    for treatment in range(9):
+        center = 4 if treatment == 0 else 3 if treatment % 2 else 5
+        tenths = [center, *([center - 1, center + 1] * pairs)]
+        rows += [(str(treatment + 1), float(f"{large + 1:.0f}.{t}")) for t in tenths]
+    return pd.DataFrame(rows, columns=["treatment", "y"])
+
+
+@pytest.mark.parametrize(
+    ("name", "pairs", "large", "f", "digits"),
+    [
+        ("SmLs01", 10, 0.0, 21.0, 12),
+        ("SmLs02", 100, 0.0, 201.0, 12),
+        ("SmLs03", 1000, 0.0, 2001.0, 12),
+        ("SmLs04", 10, 999_999.0, 21.0, 10),
+        ("SmLs05", 100, 999_999.0, 201.0, 10),
+        ("SmLs06", 1000, 999_999.0, 2001.0, 10),
+        ("SmLs07", 10, 999_999_999_999.0, 21.0, 4),
+        ("SmLs08", 100, 999_999_999_999.0, 201.0, 4),
+        ("SmLs09", 1000, 999_999_999_999.0, 2001.0, 4),
+    ],
+)
+def test_the_whole_nist_family(name: str, pairs: int, large: float, f: float, digits: int) -> None:
+    """Certified F of all nine sets, six of which are shared."""
+    table = simon_lesage(pairs, large)
+    row = analyze(table, "y", ["treatment"], exact=False).anova.row("treatment")
+    assert row.f is not None
+    assert log_relative_error(row.f, f) >= digits
+
+
+@pytest.mark.parametrize(
+    ("name", "pairs", "large"),
+    [("SmLs01", 10, 0.0), ("SmLs06", 1000, 999_999.0), ("SmLs09", 1000, 999_999_999_999.0)],
+)
+def test_the_nist_family_is_made_as_nist_made_it(
+    name: str, pairs: int, large: float, data_dir: Path
+) -> None:
+    shared = nist_table(data_dir / "nist_anova" / f"{name}.dat")
+    made = simon_lesage(pairs, large)
+    assert np.array_equal(np.sort(shared["y"].to_numpy()), np.sort(made["y"].to_numpy()))
