@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material import Material
-from study.material.homogeneous import uniaxial, uniaxial_gradient
+from study.material.homogeneous import response
 from study.runner import build
 
 Array = NDArray[np.float64]
@@ -48,12 +48,9 @@ def compression(specimen: Mapping[str, Any], material: Material, displacement_mm
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
         raise InputError(Fault("test.displacement", rule))
     stretch = 1 - d / height
-    gradient = uniaxial_gradient(material, stretch)
-    return Curve(
-        d,
-        -area * np.asarray(uniaxial(material, stretch)),
-        force_gradient={name: -area * np.asarray(g) for name, g in gradient.items()},
-    )
+    state = response(material, "uniaxial", stretch)
+    gradient = {name: -area * slope for name, slope in state.gradient.items()}
+    return Curve(d, -area * state.stress, force_gradient=gradient)
 
 
 def neo_hookean_start(
