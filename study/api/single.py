@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.errors import Fault, InputError
+
 if TYPE_CHECKING:
     from study.forward.problem import Problem
     from study.forward.solve import Solution
@@ -87,6 +89,25 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     }
     made: dict[str, Any] = plain(content, "solution", {})
     return made
+
+
+def write_picture(solution: Solution, path: str | Path) -> None:
+    """Draw the mesh of a solution before and after its deformation.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw, or the file cannot be written.
+    """
+    from study.reporting.figures_mesh import picture
+
+    try:
+        svg, _ = picture(solution.points, solution.cells, solution.displacement)
+        Path(path).write_text(svg + "\n", encoding="utf-8")
+    except ValueError as error:
+        raise InputError(Fault(str(path), f"no picture: {error}")) from None
+    except OSError as error:
+        raise InputError(Fault(str(path), f"cannot be written ({error.strerror})")) from None
 
 
 def virtual(

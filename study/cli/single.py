@@ -36,13 +36,19 @@ def new(
 def solve(
     file: Annotated[Path, typer.Argument(help="Problem file.")],
     settings: Set = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single import solution_json
+    from study.api.single import solution_json, write_picture
 
-    found = solution_json(api.solve(file, overrides=settings or ()))
+    solution = api.solve(file, overrides=settings or ())
+    if picture is not None:
+        write_picture(solution, picture)
+    found = solution_json(solution)
     if as_json:
         show.print_json(found)
     else:
