@@ -181,11 +181,16 @@ def _with_units(
 def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: Options) -> Outcome:
     """Table and effects of one analysis, before the checks of its assumptions."""
     out = _start(table, response, factors, options)
-    data = out.data
-    if float(np.ptp(data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(data.y)):
+    if float(np.ptp(out.data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(out.data.y)):
         return out.constant()
-    notes = refuse_fake_replicates(data, table, records=out.records, tolerance=out.tolerance)
+    notes = refuse_fake_replicates(out.data, table, records=out.records, tolerance=out.tolerance)
     _refuse_undeclared(out)
+    plots = whole_plots(out.data, options.whole_plot)
+    if _repeats_in_blocks(out.data, plots):
+        out = _averaged(out, table, options)
+        notes.append("repeats of a cell within a block are averaged: they are nested in it")
+        plots = whole_plots(out.data, options.whole_plot)
+    data = out.data
     y = _transformed(data, response, out.transform)
     limit = threshold(options.practical)
     scale = _scale(y, data, out.transform, limit, out.u_raw, out.records)
@@ -193,7 +198,6 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     out = replace(out, copies=_copies(out))
     copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
     how = error_term.method(options.error, data.block, out.records, copies=copied)
-    plots = whole_plots(data, options.whole_plot)
     if how == error_term.OWN:
         tested = _own(out, options, plots)
         if tested is not None:
@@ -234,6 +238,27 @@ def _replicates(table: pd.DataFrame, data: Data, options: Options) -> str:
         if column in table.columns and column not in (*data.factors, *data.blocks):
             return kind
     return "auto" if options.records else "runs"
+
+
+def _repeats_in_blocks(data: Data, plots: Plots | None) -> bool:
+    """Whether a cell has several rows in one block, which are no independent trials."""
+    if data.block is None:
+        return False
+    if plots is not None and set(plots.between) == set(data.factors):
+        return False  # the strata tell blocks and rows within them apart by themselves
+    _, counts = np.unique(data.layout.cell([*data.factors, *data.blocks]), return_counts=True)
+    return bool(counts.max() > 1)
+
+
+def _averaged(out: Outcome, table: pd.DataFrame, options: Options) -> Outcome:
+    """Outcome of the means of the cells in each block; missing rows stay counted."""
+    first, *others = out.data.blocks
+    means = nested.average_units(
+        table, out.response, out.data.factors, first, block=others, transform=out.transform
+    )
+    start = _start(means, out.response, out.data.factors, options)
+    data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
+    return replace(start, data=data, tolerance=out.tolerance)
 
 
 def _refuse_undeclared(out: Outcome) -> None:

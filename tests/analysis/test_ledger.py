@@ -172,3 +172,18 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     pooled = analyze(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", exact=False)
     assert row["interactions pooled"] == pytest.approx(pooled.anova.row("a").p, rel=1e-9)
     assert len(row) == 4
+
+
+def test_repeats_within_a_block_are_never_independent() -> None:
+    """Five rows on each of four specimens in every cell: 3 x 4 - 3 - 4 + 1 = 6 residual df."""
+    table = grid({"a": 3, "s": 4}, 5, 11)
+    result = analyze(table, "y", ["a"], block="s", exact=False)
+    assert result.anova.row("residual").df == 6
+    assert any("repeats of a cell within a block are averaged" in w for w in result.warnings)
+    means = table.groupby(["a", "s"])["y"].mean().reset_index()
+    by_hand = analyze(means, "y", ["a"], block="s", exact=False)
+    assert result.anova.row("a").f == pytest.approx(by_hand.anova.row("a").f, rel=1e-9)
+    table.loc[3, "y"] = np.nan
+    lost = analyze(table, "y", ["a"], block="s", exact=False)
+    assert any("y is missing in 1 of 60 rows" in w for w in lost.warnings)
+    assert lost.bounds
