@@ -154,7 +154,7 @@ def _predict(config: Config, direction: Mapping[str, Any]) -> _Prediction:
     """Predicted curve of the scored test with the constants of the fit."""
     fit, measured = direction["fit"], Curve.from_dict(direction["measured"])
     problem = fits.fit_problem(config)
-    if fit is not None and problem.method == "inverse-fem" and problem.shares_scored_problem:
+    if fit is not None and "curve" in fit and problem.shares_scored_problem:
         # the last solution of the fit is the prediction: same geometry, same constants
         return _Prediction(
             Curve.from_dict(fit["curve"]), 0.0, dict(fit.get("mesh", {})), dict(fit["solver"])

@@ -15,6 +15,7 @@ from study.runner import build
 from study.runner.execute import Direction
 from study.runner.fits import FitProblem, fit_key, fit_problem, start_problem
 from study.runner.identity import code_version, digest
+from study.runner.leave_out import LeftOut, distinct_tests, left_out
 from study.runner.scoring import UNITS, is_plain
 
 Config = Mapping[str, Any]
@@ -110,7 +111,7 @@ def expand(design: Design, data_root: Path) -> Work:
     InputError
         If data are missing or malformed, or the blocks differ between treatments.
     """
-    data = DataCache(data_root)
+    data = DataCache(data_root, distinct_tests([t.config for t in treatments(design)]))
     found = _blocks(design, data)
     all_cases = _distinct(cases(design, found))
     fits: dict[str, FitJob] = {}
@@ -164,6 +165,8 @@ def _directions(
     if problem.method == "none":
         _, test = scored.pairs(case.block)[0]
         return [_direction(test, scored.score, None, None)]
+    if case.config["calibration"].get("leave_out"):
+        return [_left_out(one, fits, case) for one in left_out(case, scored, data)]
     own = data.calibrated(case.config)
     if own is not None:
         fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
@@ -179,6 +182,11 @@ def _directions(
         role = "fit" if fit_where == score_where else "score"
         out.append(_direction(score, score_where, key, fit_where, role))
     return out
+
+
+def _left_out(one: LeftOut, fits: dict[str, FitJob], case: Case) -> Direction:
+    key = _add_fit(one.problem, one.measured, fits, case)
+    return replace(_direction(one.test, one.score_where, key, None), fit_label=one.label)
 
 
 def _direction(
@@ -217,8 +225,8 @@ def _block_in(found: Measurements, block: str | None) -> str | None:
 class DataCache:
     """Measured tests of a study, each specification read once."""
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, tests: Sequence[Config] = ()) -> None:
+        self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
 
     def scored(self, config: Config) -> Measurements | None:

@@ -37,9 +37,10 @@ class FitProblem:
     Parameters
     ----------
     method : str
-        ``"closed-form"``, ``"inverse-fem"`` or ``"none"``.
+        ``"closed-form"``, ``"inverse-fem"``, ``"together"`` (several tests) or ``"none"``.
     config : mapping
-        The sections that enter, and nothing else.
+        The sections that enter, and nothing else; for several tests ``material`` and
+        ``tests``, each with its own ``method``.
     shares_scored_problem : bool
         Whether the calibrated test is also the one that is scored.
     """
@@ -68,6 +69,25 @@ def fit_problem(config: Config) -> FitProblem:
         merged.pop("model", None)
         merged["test"] = {"kind": "compression", "interface": "frictionless"}
     return FitProblem(method, merged, shared)
+
+
+def together(config: Config, tests: Sequence[Config]) -> FitProblem:
+    """One fit to several tests, with the material and model of a configuration."""
+    asked = {"method": (config.get("calibration") or {}).get("method") or "auto"}
+    parts = []
+    for test in tests:
+        found = fit_problem({**config, **test, "calibration": asked})
+        sections = {k: v for k, v in found.config.items() if k != "material"}
+        parts.append({"method": found.method, **sections})
+    return FitProblem("together", {"material": _written(config["material"]), "tests": parts}, False)
+
+
+def _parts_of(problem: FitProblem) -> list[tuple[str, Config]]:
+    """List method and configuration of every test of a fit."""
+    if problem.method != "together":
+        return [(problem.method, problem.config)]
+    shared = {"material": problem.config["material"]}
+    return [(test["method"], {**shared, **test}) for test in problem.config["tests"]]
 
 
 def _written(material: Config) -> dict[str, Any]:
@@ -108,7 +128,8 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     thus a function of the case alone.
     """
     section = problem.config["material"]
-    if problem.method != "inverse-fem" or section.get("constants"):
+    simulated = any(method == "inverse-fem" for method, _ in _parts_of(problem))
+    if not simulated or section.get("constants"):
         return None
     if section["model"] in ("neo-hookean", "linear-elastic"):
         return None
@@ -159,12 +180,18 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     if start is not None and start.get("status") != "converged":  # it cannot be fitted alone
         why = f"the fit that starts it did not converge: {start.get('message', '')}"
         return {"status": str(start.get("status", "failed")), "message": why}
+    tests = _parts_of(FitProblem(task["method"], config, False))
+    config = tests[0][1]
     names, first = start_values(config, measured, (start or {}).get("values"))
-    data = tuple(MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured))
-    done = staged_fit([Part(task["method"], config, data)], names, first, model)
-    result = described(done.fit, config, names, measured)
+    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
+    if len(tests) == 1:
+        parts = [Part(*tests[0], tuple(data))]
+    else:
+        parts = [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
+    done = staged_fit(parts, names, first, model)
+    result = described(done.fit, config, names, measured[:1] if len(tests) > 1 else measured)
     predict = done.models[0]
-    if isinstance(predict, InverseFem):
+    if isinstance(predict, InverseFem) and task["method"] == "inverse-fem":
         result |= predict.provenance(done.fit.values)
     result["method"] = task["method"]
     result["seconds"] = time.perf_counter() - began

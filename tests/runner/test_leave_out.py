@@ -1,0 +1,129 @@
+"""`calibration.leave_out`: constants from everything but what is scored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study import design
+from study.errors import InputError
+from study.material import Material
+from study.runner import closed_form, fits
+from study.runner.expand import Work, expand
+
+DESIGN = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+[material]
+poisson_ratio = 0.4995
+[model]
+mesh = "coarse"
+[measurements]
+file = "a.csv"
+columns = {{ displacement = "d", force = "f" }}
+units = {{ displacement = "mm", force = "N" }}
+{block}
+points = 30
+range = ["1 %", "20 %"]
+[calibration]
+leave_out = "{kind}"
+[presets.material.rp2]
+model = "reduced-polynomial"
+order = 2
+[presets.material.nh]
+model = "neo-hookean"
+{presets}
+[factors]
+material = ["rp2", "nh"]
+{factors}
+[[response]]
+name = "mu0"
+[analysis]
+model = 1
+"""
+BLOCK = 'block = "s"'
+HEIGHTS = """
+[presets.height.low]
+"specimen.height" = "30 mm"
+[presets.height.high]
+"specimen.height" = "40 mm"
+[presets.height.higher]
+"specimen.height" = "50 mm"
+"""
+
+
+def measured(path: Path, stiffness: dict[str, float]) -> None:
+    d = np.linspace(0, 12, 121)
+    specimen = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+    material = Material("reduced-polynomial", {"C10": 7e-3, "C20": 1e-3}, poisson_ratio=0.4995)
+    force = closed_form.compression(specimen, material, d).force_N
+    rows = ["s,d,f"]
+    for label, factor in stiffness.items():
+        rows += [f"{label},{x:.5f},{factor * y:.8f}" for x, y in zip(d, force, strict=True)]
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def expanded(folder: Path, kind: str, **text: str) -> Work:
+    usual = {"block": BLOCK, "presets": "", "factors": ""}
+    return expand(design.loads(DESIGN.format(kind=kind, **{**usual, **text})), folder)
+
+
+def constants(work: Work, key: str) -> dict[str, Any]:
+    job = work.fits[key]
+    start = None if job.start is None else constants(work, job.start)
+    return fits.perform(fits.payload(job.problem, job.measured, start))
+
+
+def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:
+    measured(tmp_path / "a.csv", {"A": 1.0, "B": 1.2, "C": 0.9})
+    work = expanded(tmp_path, "specimen")
+    job = next(j for j in work.jobs if j.case.block == "B" and j.case.levels["material"] == "rp2")
+    (direction,) = job.directions
+    assert direction.fit_label == "all but B"
+    assert direction.role == "score"
+    # the scored curve is B's own, the fitted ones are A's and C's
+    fitted = work.fits[direction.fit_key or ""].measured
+    ratios = [float(c.force_N[-1] / direction.measured.force_N[-1]) for c in fitted]
+    assert ratios == pytest.approx([1 / 1.2, 0.9 / 1.2])
+    found = constants(work, direction.fit_key or "")
+    assert found["status"] == "converged"
+    assert found["n"] == 60
+    assert found["values"] == pytest.approx(
+        {"C10": 0.95 * 7e-3, "C20": 0.95e-3},
+        abs=3e-6,  # the curve is resampled linearly
+    )
+    # three blocks and two energies: a fit each, none of them shared
+    assert len({d.fit_key for j in work.jobs for d in j.directions}) == 6
+
+
+def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) -> None:
+    measured(tmp_path / "a.csv", {"A": 1.0, "B": 1.2})
+    work = expanded(tmp_path, "test", presets=HEIGHTS, factors='height = ["low", "high", "higher"]')
+    levels = {"material": "rp2", "height": "high"}
+    job = next(j for j in work.jobs if j.case.block == "A" and j.case.levels == levels)
+    (direction,) = job.directions
+    assert direction.fit_label == "all other tests"
+    problem = work.fits[direction.fit_key or ""].problem
+    assert problem.method == "together"
+    assert [t["specimen"]["height_mm"] for t in problem.config["tests"]] == [30.0, 50.0]
+    assert [t["method"] for t in problem.config["tests"]] == ["closed-form", "closed-form"]
+    found = constants(work, direction.fit_key or "")
+    assert found["status"] == "converged"
+    # one force for two heights: 20 % of each, so that the constants lie between both
+    assert 7e-3 < found["values"]["C10"] < 7e-3 * 5 / 3
+
+
+@pytest.mark.parametrize(("kind", "block"), [("specimen", ""), ("specimen", BLOCK), ("test", "")])
+def test_nothing_else_to_fit_is_told(tmp_path: Path, kind: str, block: str) -> None:
+    measured(tmp_path / "a.csv", {"A": 1.0})
+    with pytest.raises(InputError, match="calibration.leave_out"):
+        expanded(tmp_path, kind, block=block)
