@@ -1,0 +1,50 @@
+"""Folders with the small study: untouched, finished, and a copy to change."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.small import Edit, Finished, study, write_files
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Working folder with the files, and nothing computed."""
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """One run for all tests that only read."""
+    folder = tmp_path_factory.mktemp("finished")
+    write_files(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        answer = study("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
+    return Finished(folder, answer)
+
+
+@pytest.fixture
+def done(finished: Finished, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Copy of the finished study, for tests that change something."""
+    folder = tmp_path / "copy"
+    shutil.copytree(finished.folder, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+@pytest.fixture
+def edit(home: Path) -> Edit:
+    """Replace a piece of the design."""
+
+    def change(old: str, new: str) -> None:
+        text = (home / "small.toml").read_text()
+        assert old in text
+        (home / "small.toml").write_text(text.replace(old, new, 1))
+
+    return change

@@ -1,0 +1,187 @@
+"""A study that runs in seconds, its measurements, and the command line as a function."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from study.cli.app import run
+
+DESIGN = """
+schema = 1
+[study]
+name = "small"
+question = "Does the energy or the range matter?"
+seed = 2011
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+[material]
+incompressible = true
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.mooney-rivlin]
+model = "mooney-rivlin"
+[presets.range.small]
+measurements.range = ["1 %", "10 %"]
+[presets.range.large]
+measurements.range = ["1 %", "20 %"]
+[measurements]
+file = "tests.csv"
+columns = { displacement = "d_mm", force = "f_N" }
+units = { displacement = "mm", force = "N" }
+block = "mix"
+average = ["repeat"]
+points = 30
+fit = { specimen = "A" }
+score = { specimen = "B" }
+[calibration]
+method = "analytic"
+[factors]
+material = ["neo-hookean", "mooney-rivlin"]
+range = ["small", "large"]
+[[response]]
+name = "relative_rms_force_error"
+practical = "0.5 pp"
+[report]
+format = ["csv"]
+"""
+
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "1 mm"
+steps = 2
+[material]
+model = "neo-hookean"
+C10 = "10 kPa"
+incompressible = true
+[model]
+space = "axisymmetric"
+mesh_size = "5 mm"
+"""
+
+CALIBRATION = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[material]
+model = "mooney-rivlin"
+incompressible = true
+[model]
+space = "axisymmetric"
+[[tests]]
+role = "fit"
+weight = "equal"
+test = { kind = "compression", interface = "frictionless" }
+[tests.measurements]
+file = "one.csv"
+columns = { displacement = "d_mm", force = "f_N" }
+units = { displacement = "mm", force = "N" }
+average = ["repeat"]
+range = ["1 %", "20 %"]
+"""
+
+#: C10 and C01 in kPa of the two specimens of each mix
+TRUTH = {
+    ("M1", "A"): (8.0, 0.5),
+    ("M1", "B"): (8.4, 0.4),
+    ("M2", "A"): (5.0, 0.2),
+    ("M2", "B"): (5.1, 0.3),
+    ("M3", "A"): (6.0, 0.3),
+    ("M3", "B"): (5.8, 0.3),
+}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        """Document on stdout; a bare NaN is no JSON."""
+        return json.loads(self.out, parse_constant=_refuse)
+
+
+def _refuse(word: str) -> None:
+    raise AssertionError(f"{word} is no JSON")
+
+
+def study(*arguments: object) -> Answer:
+    """Run the program in this process, as ``study ARGUMENTS`` does."""
+    out, err = io.StringIO(), io.StringIO()
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with redirect_stdout(out), redirect_stderr(err):
+            code = run([str(argument) for argument in arguments])
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return Answer(code, out.getvalue(), err.getvalue())
+
+
+def incompressible_force(c10_kPa: float, c01_kPa: float, d_mm: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]  # noqa: N803
+    """Force in N of the cylinder between frictionless plates (Mooney 1940), by hand."""
+    stretch = 1 - d_mm / 30.0
+    nominal_kPa = 2 * (c10_kPa + c01_kPa / stretch) * (stretch**-2 - stretch)  # noqa: N806
+    area: float = np.pi * 25.0**2
+    return np.asarray(1e-3 * nominal_kPa * area)
+
+
+def measured_rows() -> list[str]:
+    """Rows of the measurements: six specimens, two repeats with a known difference."""
+    d = np.linspace(0.0, 6.5, 66)
+    rows = ["mix,specimen,repeat,d_mm,f_N"]
+    for (mix, specimen), constants in TRUTH.items():
+        for repeat, scale in ((1, 0.995), (2, 1.005)):
+            force = scale * incompressible_force(*constants, d)
+            rows += [
+                f"{mix},{specimen},{repeat},{x:.4f},{f:.10f}" for x, f in zip(d, force, strict=True)
+            ]
+    return rows
+
+
+def write_files(home: Path) -> None:
+    """Design, problem, calibration and measurements in one folder."""
+    (home / "small.toml").write_text(DESIGN)
+    (home / "problem.toml").write_text(PROBLEM)
+    (home / "calibration.toml").write_text(CALIBRATION)
+    (home / "data").mkdir()
+    rows = measured_rows()
+    (home / "data" / "tests.csv").write_text("\n".join(rows) + "\n")
+    one = [row.split(",", 2)[2] for row in rows if row.startswith(("mix", "M1,A"))]
+    (home / "data" / "one.csv").write_text("\n".join(one) + "\n")
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A study that ran once in its own folder, and what the run printed."""
+
+    folder: Path
+    answer: Answer
+
+
+Edit = Callable[[str, str], None]

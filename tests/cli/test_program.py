@@ -1,0 +1,85 @@
+"""The program as a process: help, pipes, interruption; and what the README promises."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from study import design
+from study.cli.app import app
+from tests.cli.small import study
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PROGRAM = (sys.executable, "-c", "from study.cli import main; main()")
+
+
+def test_help_names_every_verb() -> None:
+    done = subprocess.run([*PROGRAM, "--help"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for verb in verbs():
+        assert verb in done.stdout
+
+
+def verbs() -> set[str]:
+    return {str(info.callback.__name__) for info in app.registered_commands if info.callback}
+
+
+def test_readers_that_leave_early_are_no_error(home: Path) -> None:
+    command = " ".join(f"'{part}'" for part in PROGRAM) + " plan small.toml --data data | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr
+    assert done.stdout.startswith("small:")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
+    with subprocess.Popen(
+        [*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        # a shell in the background hands on that Ctrl-C is ignored
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as process:  # fmt: skip
+        assert process.stderr is not None
+        # the first line of progress: the first computation is stored
+        assert any("/24 computations" in line for line in process.stderr)
+        process.send_signal(number)
+        _, words = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "run again to resume" in words
+    assert "Traceback" not in words
+    state = study("status", "small", "--json").json
+    # what is finished is kept, and nothing half-finished counts
+    assert state["cases"]["done"] + state["cases"]["missing"] == 12
+    assert study("run", "small.toml", "--data", "data", "--jobs", "1").code == 0
+    assert state["running"] is None
+
+
+def test_the_design_of_the_readme_loads() -> None:
+    (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
+    loaded = design.loads(text, "README.md")
+    assert [factor.name for factor in loaded.factors] == ["material", "test.interface"]
+
+
+def test_every_verb_of_the_readme_exists() -> None:
+    named = set(re.findall(r"(?:^|`)study ([a-z]+)\b", README, re.MULTILINE))
+    assert named
+    assert named <= verbs()
+
+
+def test_every_file_that_the_readme_names_exists() -> None:
+    named = re.findall(r"\]\(([^)#:]+)\)", README) + re.findall(r"designs/[\w-]+\.toml", README)
+    assert named
+    for name in named:
+        assert (ROOT / name).is_file(), name
+
+
+def test_every_target_of_the_readme_exists() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"^make ([a-z]+)", README, re.MULTILINE):
+        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target

@@ -1,0 +1,191 @@
+"""The verbs about studies on a real one: plan, run, status, report, analyze, why."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.errors import InputError
+from tests.cli.small import TRUTH, Answer, Finished, incompressible_force, study
+
+STUDY_KEYS = {"study", "cases", "predicted_seconds", "report", "verdicts", "warnings"}
+COUNTS = {"total", "done", "failed", "missing"}
+VERDICT_KEYS = {"response", "factor", "verdict", "effect", "ci95", "practical", "u_num", "p"}
+
+
+def good(answer: Answer) -> Answer:
+    assert answer.code == 0, answer.err
+    return answer
+
+
+def stamps(folder: Path) -> dict[str, int]:
+    """When each file of the records was last written."""
+    files = [p for p in (folder / "results" / "small" / "cases").rglob("*") if p.is_file()]
+    return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in files}
+
+
+def test_plan_counts_cases_and_writes_nothing(home: Path) -> None:
+    found = good(study("plan", "small.toml", "--data", "data", "--json")).json
+    assert set(found) >= STUDY_KEYS
+    # 2 energies x 2 ranges x 3 mixes
+    assert found["cases"] == {"total": 12, "done": 0, "failed": 0, "missing": 12}
+    assert found["blocks"] == ["M1", "M2", "M3"]
+    assert found["predicted_seconds"] > 0
+    assert found["warnings"] == []
+    assert sorted(p.name for p in home.iterdir()) == [
+        "calibration.toml", "data", "problem.toml", "small.toml",
+    ]  # fmt: skip
+
+
+def test_plan_in_words(home: Path) -> None:
+    words = good(study("plan", "small.toml", "--data", "data")).out
+    assert "Does the energy or the range matter?" in words
+    assert "mooney-rivlin / large" in words
+    assert "12 cases: 0 done, 0 failed, 12 missing" in words
+    assert "3 blocks: M1, M2, M3" in words
+    assert "predicted:" in words
+
+
+def test_plan_without_the_measurements_counts_cells_and_says_so(home: Path) -> None:
+    answer = good(study("plan", "small.toml", "--json"))
+    assert answer.json["cases"]["total"] == 4
+    assert answer.json["predicted_seconds"] is None
+    assert "no file 'tests.csv'" in answer.err
+    assert "--data DIR" in answer.err
+
+
+def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
+    found = good(finished.answer).json
+    assert set(found) >= STUDY_KEYS
+    assert set(found["cases"]) == COUNTS
+    assert found["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert (finished.folder / found["report"]).is_file()
+    assert {row["factor"] for row in found["verdicts"]} >= {"material", "range"}
+    assert all(set(row) >= VERDICT_KEYS for row in found["verdicts"])
+    assert "24/24 computations" in finished.answer.err
+
+
+def test_run_scores_what_was_measured(finished: Finished) -> None:
+    table = api.open_study(finished.folder / "results" / "small").table
+    d = np.linspace(0.3, 6.0, 30)
+    for mix in ("M1", "M2", "M3"):
+        a, b = (incompressible_force(*TRUTH[mix, s], d) for s in "AB")
+        expected = 100 * np.sqrt(np.mean((a - b) ** 2) / np.mean(b**2))
+        rows = table[(table.material == "mooney-rivlin") & (table.range == "large")]
+        got = rows.set_index("block").relative_rms_force_error[mix]
+        # the samples every 0.1 mm are joined by straight lines: some 1e-4 of the force
+        assert got == pytest.approx(expected, rel=5e-3)
+
+
+def test_running_again_computes_only_what_is_missing(done: Path) -> None:
+    before = stamps(done)
+    gone = sorted((done / "results" / "small" / "cases").iterdir())[:3]
+    for case in gone:
+        shutil.rmtree(case)
+    plan = study("plan", "small.toml", "--data", "data", "--json").json
+    assert plan["cases"] == {"total": 12, "done": 9, "failed": 0, "missing": 3}
+    assert plan["fits"] == 0
+    answer = good(study("run", "small.toml", "--data", "data", "--jobs", 1, "--json"))
+    assert answer.json["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert "3/3 computations" in answer.err
+    after = stamps(done)
+    assert after.keys() == before.keys()
+    changed = {Path(name).parts[3] for name in after if after[name] != before[name]}
+    assert changed == {case.name for case in gone}
+
+
+@pytest.mark.parametrize("path", ["small", "results/small", "small.toml"])
+def test_status_by_name_folder_and_design(done: Path, path: str) -> None:
+    found = good(study("status", path, "--json")).json
+    assert set(found) >= STUDY_KEYS
+    assert found["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert found["running"] is None
+    assert "12 cases: 12 done" in good(study("status", path)).out
+
+
+def test_report_again_without_computing(done: Path) -> None:
+    before = stamps(done)
+    shutil.rmtree(done / "reports")
+    answer = good(study("report", "small", "--format", "csv", "--json"))
+    assert (done / answer.json["report"]).is_file()
+    assert stamps(done) == before
+
+
+def test_report_in_an_unknown_format(done: Path) -> None:
+    answer = study("report", "small", "--format", "docx")
+    assert answer.code == 2
+    assert "docx" in answer.err
+    assert "html" in answer.err
+
+
+def test_analyze_a_study(done: Path) -> None:
+    found = good(study("analyze", "small", "--json")).json
+    terms = [row["term"] for row in found["anova"]["rows"]]
+    assert {"material", "range", "material:range"} <= set(terms)
+    other = study("analyze", "small", "--response", "work_eror")
+    assert other.code == 2
+    assert "did you mean 'work_error'?" in other.err
+
+
+def test_why_explains_a_case(done: Path) -> None:
+    case = sorted((done / "results" / "small" / "cases").iterdir())[0].name
+    words = good(study("why", case[:8])).out
+    assert f"case {case} of small: converged" in words
+    for name in ("material = ", "range = ", "block = M", "relative_rms_force_error", "calibration"):
+        assert name in words
+    record = good(study("why", case, "--json")).json
+    assert record["case_id"] == case
+    assert record["status"] == "converged"
+
+
+@pytest.mark.parametrize("prefix", ["zzz", ""])
+def test_why_of_an_unknown_case_lists_the_known_ones(done: Path, prefix: str) -> None:
+    answer = study("why", prefix)
+    assert answer.code == 2
+    assert "no case has an id that begins with" in answer.err
+    assert sorted((done / "results" / "small" / "cases").iterdir())[0].name in answer.err
+
+
+@pytest.mark.parametrize("verb", ["status", "report", "analyze"])
+def test_no_results_say_where_they_were_looked_for(home: Path, verb: str) -> None:
+    answer = study(verb, "small")
+    assert answer.code == 2
+    assert "looked in small, results/small" in answer.err
+    assert "run the design first" in answer.err
+
+
+def test_cases_stopped_by_the_clock_are_failures_with_a_reason(home: Path) -> None:
+    path = home / "data" / "tests.csv"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(x for x in lines if x.startswith(("mix", "M1"))))
+    answer = study("run", "small.toml", "--data", "data", "--jobs", 1, "--timeout", 1e-4, "--json")
+    assert answer.code == 1, answer.err
+    assert answer.json["cases"] == {"total": 4, "done": 0, "failed": 4, "missing": 0}
+    state = study("status", "small", "--json").json
+    assert sum(state["failures"].values()) == 4
+    case = sorted((home / "results" / "small" / "cases").iterdir())[0].name
+    assert "timeout" in study("why", case).out
+
+
+def test_an_override_changes_one_run(home: Path) -> None:
+    found = study("plan", "small.toml", "--data", "data", "--json", "-s", "study.name=other").json
+    assert found["study"] == "other"
+
+
+def test_sorted_rows_are_a_warning_not_a_secret(home: Path) -> None:
+    path = home / "data" / "tests.csv"
+    lines = path.read_text().splitlines()
+    lines[10], lines[11] = lines[11], lines[10]
+    path.write_text("\n".join(lines) + "\n")
+    answer = good(study("plan", "small.toml", "--data", "data", "--json"))
+    assert "out of order sorted by displacement (in 1 of 12 tests)" in answer.err
+
+
+def test_missing_data_stop_a_run_before_anything_is_written(home: Path) -> None:
+    with pytest.raises(InputError, match=r"no file 'tests\.csv'"):
+        api.run("small.toml")
+    assert not (home / "results").exists()
