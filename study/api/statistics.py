@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from study.analysis import AnalysisResult
     from study.design import Design, Response
     from study.record import Record
+    from study.runner.refine import Numerical
 
 __all__ = ["analyze", "analyze_records", "anova", "bartlett", "grid_convergence", "ryan_joiner"]
 
@@ -99,6 +101,25 @@ def analyze_records(
     )
 
 
+def largest_u_num(
+    numerical: Sequence[Numerical], records: Sequence[Record], response: str, transform: str
+) -> float | None:
+    """Largest numerical uncertainty of a response, in its unit.
+
+    On the log scale an uncertainty counts by its share of the value: that of the refined block
+    is carried to the geometric mean of all, for a stiff block's in kPa would drown a soft one's.
+    """
+    rows = [r for r in numerical if r.response == response and r.u_num is not None]
+    if transform != "log":
+        return max((float(r.u_num) for r in rows if r.u_num is not None), default=None)
+    shares = [abs(r.u_num / r.value) for r in rows if r.u_num is not None and r.value]
+    values = [r.response(response) for r in records]
+    known = [math.log(v) for v in values if math.isfinite(v) and v > 0]
+    if not shares or not known:
+        return None
+    return max(shares) * math.exp(math.fsum(known) / len(known))
+
+
 def _is_csv(path: Path) -> bool:
     if path.suffix == ".toml" or path.is_dir():
         return False
@@ -146,7 +167,6 @@ def _study(
     if name not in known:
         raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
     asked, spec = by_name.get(name), study.design.analysis
-    u_num = [r.u_num for r in study.numerical if r.response == name and r.u_num is not None]
     blocked = block or ("block" if len(study.manifest["blocks"]) > 1 else None)
     merged = {
         "type": spec.type,
@@ -156,7 +176,9 @@ def _study(
         "seed": study.design.seed,
         "practical": None if asked is None else asked.practical,
         "transform": "none" if asked is None else asked.transform,
-        "u_num": max(u_num, default=None),
+        "u_num": largest_u_num(
+            study.numerical, study.records, name, "none" if asked is None else asked.transform
+        ),
     } | {k: v for k, v in options.items() if v is not None}
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
     return anova(study.table, name, names, block=blocked, records=True, **merged)

@@ -253,14 +253,13 @@ def _analyses(
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     from study.analysis import threshold
-    from study.api.statistics import analyze_records
+    from study.api.statistics import analyze_records, largest_u_num
     from study.reporting.data import ResponseAnalysis
 
     found = []
     for response in design.responses:
         limit = threshold(response.practical)
-        known = [r.u_num for r in numerical if r.response == response.name and r.u_num is not None]
-        u_num = max(known, default=None)
+        u_num = largest_u_num(numerical, records, response.name, response.transform)
         result, refused = None, ""
         try:
             result = analyze_records(design, records, response, u_num)
