@@ -28,6 +28,7 @@ def converge(
     jobs: int | None = None,
     memory_MB: float | None = None,  # noqa: N803
     results: Path = RESULTS,
+    reports: Path | None = None,
     progress: Progress | None = None,
 ) -> ConvergenceResult | dict[str, Any]:
     """Judge a refinement series: of plain numbers, of a problem, or of a study.
@@ -49,6 +50,8 @@ def converge(
         Workers for the cells of a design.
     memory_MB : float, optional
         Memory that one solution may take; most of what is free by default.
+    reports : Path, optional
+        Where a page with figures goes; the document names it as ``report``.
 
     Returns
     -------
@@ -76,14 +79,14 @@ def converge(
         return stored(source, results)
     if file_kind(source) != "design":
         return problem(
-            source, overrides, formal_order, tolerance, results=results, progress=say,
-            memory_MB=memory_MB,
+            source, overrides, formal_order, tolerance, results=results, reports=reports,
+            progress=say, memory_MB=memory_MB,
         )  # fmt: skip
     from study.api.convergence_cells import design_series
 
     return design_series(
-        source, overrides, data_root(source, data), jobs=jobs, results=results, progress=say,
-        memory_MB=memory_MB,
+        source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
+        progress=say, memory_MB=memory_MB,
     )  # fmt: skip
 
 
@@ -113,6 +116,7 @@ def problem(
     tolerance: float = 0.0,
     *,
     results: Path = RESULTS,
+    reports: Path | None = None,
     progress: Progress = lambda _: None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
@@ -136,10 +140,14 @@ def problem(
     budget = budget_of(config["converge"].budget_s, memory_MB)
     refine([series], solver, budget, lambda one: refine_judge.settled(one, formal.order), progress)
     made = refine_judge.document(series, formal, tolerance or None)
-    if not made["quantities"]:
-        return made
-    progress("load steps and solver tolerance")
-    return with_sources(made, series, solver)
+    if made["quantities"]:
+        progress("load steps and solver tolerance")
+        made = with_sources(made, series, solver)
+    if reports is not None:
+        from study.api.convergence_report import write_page
+
+        made["report"] = str(write_page(name, "", made, [config], reports))
+    return made
 
 
 def with_sources(made: dict[str, Any], series: Series, solver: Solver) -> dict[str, Any]:

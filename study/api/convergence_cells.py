@@ -26,6 +26,7 @@ def design_series(
     jobs: int | None,
     results: Path,
     progress: Progress,
+    reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
 ) -> dict[str, Any]:
     """Refine every cell of a design: whole cases where it has measurements, else problems."""
@@ -35,8 +36,10 @@ def design_series(
     design = load(source, overrides)
     workers = jobs or default_jobs()
     if design.measurements is None:
-        return problem_cells(design, workers, results, progress, memory_MB)
-    return measured_cells(design, data, workers, results, progress)
+        return problem_cells(
+            design, workers, results, progress, reports=reports, memory_MB=memory_MB
+        )
+    return measured_cells(design, data, workers, results, progress, reports=reports)
 
 
 def problem_cells(
@@ -44,6 +47,8 @@ def problem_cells(
     jobs: int,
     results: Path,
     progress: Progress,
+    *,
+    reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
     command: Sequence[str] | None = None,
 ) -> dict[str, Any]:
@@ -74,7 +79,23 @@ def problem_cells(
         with_sources(made, one, solver) if made["quantities"] else made
         for made, one in zip(documents, cells, strict=True)
     ]
-    return {"cells": documents} | cost_front(cells, documents, spec.tolerance or USUAL_ACCURACY)
+    found = {"cells": documents}
+    found |= cost_front(cells, documents, spec.tolerance or USUAL_ACCURACY)
+    return _with_page(found, design, [one.config for one in cells], reports)
+
+
+def _with_page(
+    found: dict[str, Any],
+    design: Design,
+    configs: Sequence[Mapping[str, Any]],
+    reports: Path | None,
+) -> dict[str, Any]:
+    if reports is None:
+        return found
+    from study.api.convergence_report import write_page
+
+    page = write_page(design.name, design.question, found, configs, reports)
+    return found | {"report": str(page)}
 
 
 def cost_front(
@@ -167,9 +188,15 @@ def _answer(ranked: Sequence[Any], accuracy: float, u: float | None, value: floa
 
 
 def measured_cells(
-    design: Design, data: Path, jobs: int, results: Path, progress: Progress,
+    design: Design,
+    data: Path,
+    jobs: int,
+    results: Path,
+    progress: Progress,
+    *,
+    reports: Path | None = None,
     command: Sequence[str] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     from dataclasses import asdict, replace
 
@@ -200,7 +227,8 @@ def measured_cells(
         {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
         for job in left_out
     ]
-    return {"cells": found, "left_out": skipped}
+    made = {"cells": found, "left_out": skipped}
+    return _with_page(made, design, [base.case.config for base in bases], reports)
 
 
 def stored_cells(store: Store, cases: Mapping[str, str]) -> list[dict[str, Any]]:

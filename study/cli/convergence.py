@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from study.cli import show
-from study.cli.studies import RESULTS, Data, Json, Results, Set
+from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results, Set
 from study.errors import Fault, InputError
 
 
@@ -27,6 +27,7 @@ def converge(
     memory: Annotated[float | None, typer.Option(help="MB that one solution may take.")] = None,
     settings: Set = None,
     results: Results = RESULTS,
+    reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
     """Judge mesh convergence: observed order, extrapolated value, GCI, verdict."""
@@ -43,6 +44,7 @@ def converge(
         jobs=jobs,
         memory_MB=memory,
         results=results,
+        reports=reports,
         progress=lambda text: print(text, file=sys.stderr, flush=True),
     )
     document = found if isinstance(found, dict) else found.to_json()
@@ -54,6 +56,8 @@ def converge(
             _print_series(cell)
         for front in document.get("fronts", ()):
             _print_front(front)
+        if document.get("report"):
+            print(f"report: {document['report']}")
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
 

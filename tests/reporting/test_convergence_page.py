@@ -1,0 +1,86 @@
+"""The page of a convergence study: complete, safe, and with its numbers beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.analysis import grid_convergence
+from study.reporting import figures_convergence as drawing
+from study.reporting.convergence_page import convergence_figures, write_convergence
+
+
+def cell(order: float, label: str = "quadratic / mixed") -> dict[str, Any]:
+    h = np.array([1.0, 1.5, 2.25, 3.4])
+    found = grid_convergence(h, 9 + 0.05 * h**order, formal_order=1.19, qoi="peak_force", unit="N")
+    row = {"source": "mesh", "quantity": "peak_force", "unit": "N", "u": 0.1, "relative": 0.01}
+    return found.to_json() | {
+        "levels": {"model.element_order": label},
+        "quantities": {"peak_force": found.to_json(), "work": found.to_json()},
+        "formal_reason": "a corner", "sources": [row], "warnings": ["beware"],
+    }  # fmt: skip
+
+
+def document() -> dict[str, Any]:
+    points = [
+        {"cell": "P2", "mesh_size": h, "unknowns": 100, "seconds": 1 / h, "memory_MB": 10.0,
+         "value": 9.0, "error": 0.02 * h}
+        for h in (1.0, 0.5, 0.25)
+    ]  # fmt: skip
+    front = {
+        "reference": 9.0, "reference_u": 0.01, "accuracy": 0.01, "points": points, "ranking": [],
+        "answer": "P2 gives 1 % error for the least time",
+    }  # fmt: skip
+    return {"cells": [cell(1.2), cell(0.3, "linear")], "fronts": [front]}
+
+
+TRIANGLE = ("fine", np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0, 1, 2]]))
+
+
+def test_the_page_has_every_figure_and_its_data(tmp_path: Path) -> None:
+    page = write_convergence(
+        "mesh study", "Which?", document(), tmp_path, [TRIANGLE], [[0, 0], [1, 1]]
+    )
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 4
+    assert "Figure missing" not in text
+    assert "P2 gives 1 % error for the least time." in text
+    assert "beware" in text
+    assert "limited by a corner" in text
+    beside = {path.name for path in (tmp_path / "mesh-study-convergence-data").iterdir()}
+    assert {"figure-convergence-values.csv", "table-series.csv", "table-errors-by-source.csv"} <= (
+        beside
+    )
+
+
+def test_names_from_outside_are_escaped(tmp_path: Path) -> None:
+    evil = document()
+    evil["cells"][0]["levels"] = {"a": "<script>alert(1)</script>"}
+    evil["fronts"][0]["points"][0]["cell"] = "<img src=x onerror=alert(1)>"
+    page = write_convergence("<b>x</b>", "", evil, tmp_path)
+    text = page.read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert "<img" not in text
+    assert page.parent == tmp_path
+
+
+def test_errors_are_distances_to_the_limit() -> None:
+    frame = drawing.error_points([cell(1.2)])
+    expected = 0.05 * frame["mesh_size"] ** 1.2 / 9
+    np.testing.assert_allclose(frame["error"], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("order", [-1.0, 0.0])
+def test_series_without_an_order_are_drawn_without_a_fit(order: float) -> None:
+    found = convergence_figures([cell(order)])
+    assert [figure.name for figure in found] == ["convergence-values"]
+    assert not found[0].missing
+
+
+def test_the_caption_says_how_many_converge() -> None:
+    text = drawing.value_caption([cell(1.2), cell(-1.0)])
+    assert text.startswith("1 of 2 series have an interval")
+    assert drawing.error_caption([cell(-1.0)]) == "No series has an order."
