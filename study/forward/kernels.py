@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from study.forward.law import add_pressure, cofactor, linear_stress, polynomial_stress
-from study.forward.ogden import BY_EXPONENT, STRESS, ogden_stress
+from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress
 
 Array = NDArray[np.float64]
 
@@ -210,7 +210,7 @@ def element_residuals(
     nu = dim * na
     m = nu + n_p
     f, stress = np.empty(9), np.empty(9)
-    work, tangent = np.zeros((12, 9)), np.empty((9, 9))
+    work, tangent = np.zeros((WORK_ROWS, 9)), np.empty((9, 9))
     Kl, Rl = np.empty((m, m)), np.empty(m)
     shared = pressure_shape.shape[0] == 1
     curvature = 0.0 if family == LINEAR else 1.0

@@ -22,10 +22,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+#: fused multiply-add, but keep NaN: an inverted element must still be seen
+_FAST = {"contract", "reassoc", "arcp", "nsz"}
+
 #: what a column of constants does: stress of W, or of dW/dalpha
 STRESS, BY_EXPONENT = 0, 1
 
-_SQUARE_ROOT_HALF = math.sqrt(0.5)
+#: scratch rows of nine numbers that every law can do with
+WORK_ROWS = 27
 
 
 @njit(cache=True)
@@ -84,7 +88,7 @@ def principal_axes(c: Array, axes: Array) -> None:
 @njit(cache=True)
 def _rotate(c: Array, axes: Array, p: int, q: int) -> None:
     a = c[3 * p + q]
-    if a == 0.0:
+    if a * a <= 1e-35 * abs(c[4 * p] * c[4 * q]):
         return
     theta = 0.5 * (c[4 * q] - c[4 * p]) / a
     t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
@@ -160,7 +164,7 @@ def ogden_stress(
     what : int
         ``STRESS``, or ``BY_EXPONENT`` for the sum of d(stress)/dalpha over the rows
         (without a tangent).
-    work : ndarray, shape (12, 9)
+    work : ndarray, shape (WORK_ROWS, 9)
         Scratch; row 0 is left alone.
     stress : ndarray, shape (9,)
         Overwritten.
@@ -188,31 +192,67 @@ def ogden_stress(
 
 @njit(cache=True)
 def _tangent(terms: Array, work: Array, tangent: Array) -> None:
-    lam, x, tau = work[6, 0:3], work[6, 3:6], work[6, 6:9]
+    """Sum of dyad times image over the nine dyads n_a x N_b."""
+    dyads, images = work[9:18], work[18:27]
     vectors, axes = work[7], work[5]
+    for a in range(3):
+        for b in range(3):
+            for i in range(3):
+                for j in range(3):
+                    dyads[3 * a + b, 3 * i + j] = vectors[3 * a + i] * axes[3 * b + j]
+    _images(terms, work, dyads, images)
+    _product(dyads, images, tangent)
+
+
+@njit(cache=True, fastmath=_FAST)
+def _product(D: Array, Q: Array, A: Array) -> None:
+    """Write D' Q into A, 9 x 9 arrays, in scalars so that it vectorizes."""
+    for n in range(9):
+        t0 = t1 = t2 = t3 = t4 = t5 = t6 = t7 = t8 = 0.0
+        for m in range(9):
+            d = D[m, n]
+            t0 += d * Q[m, 0]
+            t1 += d * Q[m, 1]
+            t2 += d * Q[m, 2]
+            t3 += d * Q[m, 3]
+            t4 += d * Q[m, 4]
+            t5 += d * Q[m, 5]
+            t6 += d * Q[m, 6]
+            t7 += d * Q[m, 7]
+            t8 += d * Q[m, 8]
+        A[n, 0], A[n, 1], A[n, 2] = t0, t1, t2
+        A[n, 3], A[n, 4], A[n, 5] = t3, t4, t5
+        A[n, 6], A[n, 7], A[n, 8] = t6, t7, t8
+
+
+@njit(cache=True)
+def _images(terms: Array, work: Array, dyads: Array, images: Array) -> None:
+    """Write what the tangent makes of each dyad: a block of stretches, and three pairs."""
+    lam, x, tau = work[6, 0:3], work[6, 3:6], work[6, 6:9]
     slope, pair = work[8, 0:3], work[8, 3:6]
     _slopes(x, terms, slope, pair)
-    for n in range(9):
-        for o in range(9):
-            tangent[n, o] = 0.0
-    _add_stretching(lam, tau, slope, work, tangent)
+    mean = (slope[0] + slope[1] + slope[2]) / 9.0
+    for a in range(3):
+        for n in range(9):
+            images[4 * a, n] = 0.0
+        for b in range(3):
+            h = mean - (slope[a] + slope[b]) / 3.0
+            if a == b:
+                h += slope[a] - tau[a]
+            h /= lam[a] * lam[b]
+            for n in range(9):
+                images[4 * a, n] += h * dyads[4 * b, n]
     for a in range(2):
         for b in range(a + 1, 3):
             half = 0.5 * (x[a] - x[b])
             growth = pair[a + b - 1] * math.cosh(half) / sinh_ratio(half)
-            middle = 0.5 * (tau[a] + tau[b])
+            shear = (growth - 0.5 * (tau[a] + tau[b])) / (lam[a] * lam[b])
             spin = (tau[a] / lam[a] + tau[b] / lam[b]) / (lam[a] + lam[b])
-            shear = (growth - middle) / (lam[a] * lam[b])
-            for i in range(3):
-                for j in range(3):
-                    first = vectors[3 * a + i] * axes[3 * b + j]
-                    second = vectors[3 * b + i] * axes[3 * a + j]
-                    work[9, 3 * i + j] = _SQUARE_ROOT_HALF * (first + second)
-                    work[10, 3 * i + j] = _SQUARE_ROOT_HALF * (first - second)
+            same, other = 0.5 * (shear + spin), 0.5 * (shear - spin)
             for n in range(9):
-                p, q = shear * work[9, n], spin * work[10, n]
-                for o in range(9):
-                    tangent[n, o] += p * work[9, o] + q * work[10, o]
+                first, second = dyads[3 * a + b, n], dyads[3 * b + a, n]
+                images[3 * a + b, n] = same * first + other * second
+                images[3 * b + a, n] = other * first + same * second
 
 
 @njit(cache=True)
@@ -228,24 +268,3 @@ def _slopes(x: Array, terms: Array, slope: Array, pair: Array) -> None:
                 middle = math.exp(0.5 * alpha * (x[a] + x[b]))
                 ratio = sinh_ratio(0.5 * alpha * (x[a] - x[b]))
                 pair[a + b - 1] += 2.0 * mu * middle * ratio
-
-
-@njit(cache=True)
-def _add_stretching(lam: Array, tau: Array, slope: Array, work: Array, tangent: Array) -> None:
-    """Add dP_a/dl_b on the dyads n_a x N_a."""
-    vectors, axes = work[7], work[5]
-    mean = (slope[0] + slope[1] + slope[2]) / 9.0
-    for a in range(3):
-        for i in range(3):
-            for j in range(3):
-                work[1 + a, 3 * i + j] = vectors[3 * a + i] * axes[3 * a + j]
-    for a in range(3):
-        for b in range(3):
-            h = mean - (slope[a] + slope[b]) / 3.0
-            if a == b:
-                h += slope[a] - tau[a]
-            h /= lam[a] * lam[b]
-            for n in range(9):
-                p = h * work[1 + a, n]
-                for o in range(9):
-                    tangent[n, o] += p * work[1 + b, o]

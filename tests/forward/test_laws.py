@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from study.forward.internal import Law, law_of, law_rate
 from study.forward.kernels import isochoric
-from study.forward.ogden import exponential_ratio, principal_axes, sinh_ratio
+from study.forward.ogden import WORK_ROWS, exponential_ratio, principal_axes, sinh_ratio
 from study.material import Material
 from study.material.homogeneous import confined
 from study.material.tensor import first_piola
@@ -44,7 +44,7 @@ def name(material: Material) -> str:
 
 def evaluate(law: Law, F: Array, *, tangent: bool = True) -> tuple[Array, Array, float]:
     """Isochoric nominal stress, tangent and J of the compiled law."""
-    P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((12, 9))
+    P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((WORK_ROWS, 9))
     f = np.ascontiguousarray(F, dtype=float).ravel()
     J = isochoric(law.family, f, law.constants, work, P, A, tangent)
     return P.reshape(3, 3), A, J
