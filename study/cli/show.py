@@ -68,7 +68,7 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
         made.add_column(escape(name), overflow="fold")
     for row in rows[1:]:
         made.add_row(*(escape(cell) for cell in row))
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)  # "s:a:b" is a term, not a picture
     if not console.is_terminal:
         console.width = 160  # a file has no width: lines must not be folded at 80
     console.print(made)
