@@ -7,19 +7,23 @@ p never decides alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from study.analysis.comparisons import letters
 from study.analysis.matrix import Array, Layout, Term, grid, model_matrix, term_name
-from study.analysis.results import Effect
+from study.analysis.results import Effect, PairDifference
 from study.analysis.sums import Factored
 from study.analysis.tukey import studentized_range_quantile
 
 MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
 CANNOT_TELL = "cannot tell"
+# beyond this nobody reads all pairs
+_MOST_LEVELS = 20
 
 
 @dataclass(frozen=True)
@@ -203,6 +207,7 @@ def size(estimate: TermEstimate, scale: Scale) -> Effect:
     if half is not None:
         interval = (largest - half[top, bottom], largest + half[top, bottom])
     verdict, why = decide(estimate, largest, interval, half, scale)
+    pairs, tags = _pairs(estimate, half, back)
     resolved = None if not scale.u_num else _resolved(largest / scale.u_num)
     return Effect(
         term_name(estimate.term),
@@ -220,6 +225,8 @@ def size(estimate: TermEstimate, scale: Scale) -> Effect:
         resolved,
         estimate.p,
         why,
+        pairs,
+        tags,
     )
 
 
@@ -282,17 +289,19 @@ def _decide_without_error(largest: float, unresolved: bool, scale: Scale) -> tup
     return CANNOT_TELL, "the difference and the threshold are within the numerical uncertainty"
 
 
-def pair_table(estimate: TermEstimate) -> list[tuple[str, str, float, float | None]]:
-    """All pairwise differences with their simultaneous half-widths."""
-    half = _half_widths(estimate)
-    names: Sequence[str] = estimate.levels
-    return [
-        (
-            names[i],
-            names[j],
-            float(estimate.component[i] - estimate.component[j]),
-            None if half is None else float(half[i, j]),
-        )
-        for i in range(len(names))
-        for j in range(i)
-    ]
+def _pairs(
+    estimate: TermEstimate, half: Array | None, back: Callable[[float], float]
+) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
+    """Differences of all pairs of levels of a factor, and the letters of the levels."""
+    k = len(estimate.levels)
+    if half is None or len(estimate.term) != 1 or k > _MOST_LEVELS:
+        return (), ()
+    found = []
+    for i, j in combinations(range(k), 2):
+        d, h = float(estimate.component[i] - estimate.component[j]), float(half[i, j])
+        names = estimate.levels[i], estimate.levels[j]
+        found.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
+    apart = {frozenset((pair.first, pair.second)) for pair in found if pair.different}
+    order = np.argsort(-estimate.component, kind="stable")
+    by_level = letters([estimate.levels[i] for i in order], apart)
+    return tuple(found), tuple(by_level[level] for level in estimate.levels)

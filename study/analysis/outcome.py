@@ -12,6 +12,7 @@ from study.analysis.copies import CopyGroups
 from study.analysis.effects import Scale
 from study.analysis.matrix import Array, Codes, Term, terms_of
 from study.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
+from study.analysis.power import PowerRow, planned
 from study.analysis.remedies import BoxCoxResult, Sensitivity, influence, influential
 from study.analysis.results import AnalysisResult, Anova, Effect, ErrorTerm, ModelSummary
 from study.analysis.sphericity import SphericityResult
@@ -144,7 +145,23 @@ def assemble(out: Outcome) -> AnalysisResult:
         None if fit is None else influential(fit),
         out.robustness,
         out.box_cox,
+        power=_power(out),
     )
+
+
+def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
+    """Tell what other numbers of blocks or replicates would find, by factor."""
+    counts = np.bincount(out.data.cell)
+    cells = counts[counts > 0]
+    blocked = out.crossed is not None
+    replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
+    if not blocked and not replicated:
+        return {}
+    n = len(out.crossed.blocks) if blocked else round(float(cells.mean()))
+    names = [f for f in out.data.factors if (f,) in out.terms]
+    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
+    ratio = out.transform == "log"
+    return planned(terms, n, cells.size, blocked=blocked, alpha=out.alpha, ratio=ratio)
 
 
 def _copies_sentence(out: Outcome) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from study.analysis.results import Row
 from study.errors import Fault, InputError
 
 
@@ -44,14 +46,75 @@ def power_of(
     lambda = n d^2 / (2 sd^2).
     """
     _check(sd, n, levels)
+    return _power(n * difference**2 / (2 * sd**2), _df(n, levels, blocked), alpha)
+
+
+def planned(
+    terms: Mapping[str, tuple[Row, int]],
+    n: int,
+    cells: int,
+    *,
+    blocked: bool,
+    alpha: float,
+    ratio: bool = False,
+) -> dict[str, tuple[PowerRow, ...]]:
+    """Tell what other numbers of blocks, or of replicates in a cell, would find.
+
+    Parameters
+    ----------
+    terms : mapping of str to (Row, int)
+        Row of each factor and the number of its levels.
+    n : int
+        Blocks, or replicates in a cell, of this study.
+    cells : int
+        Cells of the design.
+    blocked : bool
+        Whether each factor is tested against its own interaction with the blocks.
+    ratio : bool
+        Whether the response is a logarithm, so that a difference is reported as a ratio.
+
+    Notes
+    -----
+    Each level is a mean over ``cells / levels`` cells, so its error variance in one block is
+    the error mean square over that number.
+    """
+    counts = sorted({max(2, math.ceil(n / 2)), n, 2 * n, 4 * n} - {1})
+    found = {}
+    for name, (row, levels) in terms.items():
+        if row.f is None or not row.f > 0 or row.ms is None:
+            continue
+        each = cells / levels
+        sd = math.sqrt(row.ms / row.f / each)
+        rows = []
+        for count in counts:
+            df2 = (levels - 1) * (count - 1) if blocked else cells * (count - 1)
+            size = _detectable(sd, count, (levels - 1, df2), alpha, 0.8)
+            value = math.exp(size) if ratio else size
+            rows.append(PowerRow(count, value, (levels - 1, df2)))
+        found[name] = tuple(rows)
+    return found
+
+
+def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: float) -> float:
+    """Smallest largest difference that is found with the wanted power."""
+    from scipy.optimize import brentq
+
+    def gap(d: float) -> float:
+        return _power(n * d**2 / 2, df, alpha) - power
+
+    high = 1.0
+    while gap(high) < 0:
+        high *= 2
+    found: float = brentq(gap, 0.0, high)
+    return found * sd
+
+
+def _power(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
     from scipy.special import fdtri, ncfdtr
 
-    df1, df2 = _df(n, levels, blocked)
-    cut = float(fdtri(df1, df2, 1 - alpha))
-    noncentrality = n * difference**2 / (2 * sd**2)
     if noncentrality == 0:
         return alpha
-    return 1 - float(ncfdtr(df1, df2, noncentrality, cut))
+    return 1 - float(ncfdtr(*df, noncentrality, float(fdtri(*df, 1 - alpha))))
 
 
 def _df(n: int, levels: int, blocked: bool) -> tuple[int, int]:
@@ -91,20 +154,10 @@ def detectable(
     >>> [round(r.detectable, 3) for r in detectable(1.0, [3, 9])]
     [4.616, 1.509]
     """
-    from scipy.optimize import brentq
-
     rows = []
     for n in counts:
         _check(sd, n, levels)
-
-        def gap(d: float, n: int = n) -> float:
-            got = power_of(d * sd, sd, n, levels=levels, blocked=blocked, alpha=alpha)
-            return got - power
-
-        high = 1.0
-        while gap(high) < 0:
-            high *= 2
-        found: float = brentq(gap, 0.0, high)
+        df = _df(n, levels, blocked)
         total = None if cost is None else n * cost
-        rows.append(PowerRow(n, found * sd, _df(n, levels, blocked), total))
+        rows.append(PowerRow(n, _detectable(sd, n, df, alpha, power), df, total))
     return tuple(rows)

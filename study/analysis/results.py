@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from study.analysis.matrix import Array
     from study.analysis.nested import NestedUnits
     from study.analysis.normality import NormalityResult, RyanJoinerResult
+    from study.analysis.power import PowerRow
     from study.analysis.remedies import BoxCoxResult, Sensitivity
     from study.analysis.sphericity import SphericityResult
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
@@ -86,6 +87,12 @@ class Anova:
         """Row of a term."""
         return next(row for row in self.rows if row.term == term)
 
+    def to_frame(self) -> pd.DataFrame:
+        """Table as a frame, one row a term; what does not apply is missing."""
+        import pandas as pd
+
+        return pd.DataFrame([plain(row) for row in self.rows])
+
 
 @dataclass(frozen=True)
 class ModelSummary:
@@ -133,12 +140,25 @@ class FailureBound:
 
 
 @dataclass(frozen=True)
+class PairDifference:
+    """Difference (or ratio) of two level means with its simultaneous interval."""
+
+    first: str
+    second: str
+    difference: float
+    lower: float
+    upper: float
+    different: bool
+
+
+@dataclass(frozen=True)
 class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
 
     ``range`` is the largest difference between level means of a factor, or between the pure
     interaction components of an interaction (in a two-level design both equal the classical
-    effect); ``ci95`` is its simultaneous interval over all pairs.
+    effect); ``ci95`` is its simultaneous interval over all pairs. Levels of a factor that share
+    one of the ``letters`` are not told apart.
     """
 
     term: str
@@ -156,6 +176,8 @@ class Effect:
     resolved: str | None = None
     p: float | None = None
     why: str = ""
+    pairs: tuple[PairDifference, ...] = ()
+    letters: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -200,6 +222,7 @@ class AnalysisResult:
     box_cox: BoxCoxResult | None = None
     bounds: tuple[FailureBound, ...] = ()
     nested: NestedUnits | None = None
+    power: dict[str, tuple[PowerRow, ...]] = field(default_factory=dict)
 
     @property
     def variance(self) -> dict[str, Any]:
@@ -209,6 +232,20 @@ class AnalysisResult:
     def effect(self, term: str) -> Effect:
         """Effect of a term."""
         return next(item for item in self.effects if item.term == term)
+
+    def effects_frame(self) -> pd.DataFrame:
+        """Effects as a frame, one row a level or combination: mean, interval, letters."""
+        import pandas as pd
+
+        rows = []
+        for effect in self.effects:
+            for i, (level, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
+                low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
+                letters = effect.letters[i] if effect.letters else None
+                values = (effect.term, level, mean, low, high, letters, effect.verdict)
+                rows.append(values)
+        columns = ["term", "level", "mean", "low", "high", "letters", "verdict"]
+        return pd.DataFrame(rows, columns=columns)
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
@@ -236,6 +273,7 @@ class AnalysisResult:
             "box_cox": plain(self.box_cox),
             "failure_bounds": plain(self.bounds),
             "nested": plain(self.nested),
+            "power": plain(self.power),
             "warnings": list(self.warnings),
         }
 

@@ -111,6 +111,7 @@ def _print(found: AnalysisResult) -> None:
         _print_checks(found)
         _print_robustness(found)
         _print_bounds(found)
+        _print_power(found)
     said: tuple[str, ...] = ()
     if found.nested is not None:
         said = _print_nested(found.nested, found.alpha)
@@ -176,14 +177,15 @@ def _print_summary(found: AnalysisResult) -> None:
 
 
 def _print_effects(found: AnalysisResult) -> None:
-    means = [["Term", "Level", "Mean", "95 % interval"]]
+    means = [["Term", "Level", "Mean", "95 % interval", "Grouping"]]
     for e in found.effects:
         for i, (level, mean) in enumerate(zip(e.levels, e.mean, strict=True)):
             ci = None if e.mean_ci95 is None else e.mean_ci95[i]
             if e.term in found.factors:
-                means.append([e.term, level, _number(mean), _interval(ci)])
+                letters = e.letters[i] if e.letters else ""
+                means.append([e.term, level, _number(mean), _interval(ci), letters])
     show.table(means, "Means")
-    print()
+    print("(levels that share a letter are not told apart)\n")
     ratio = any(e.scale == "ratio" for e in found.effects)
     what = "largest ratio" if ratio else "largest difference"
     rows = [["Term", what, "95 % interval", "share", "verdict"]]
@@ -255,6 +257,17 @@ def _print_bounds(found: AnalysisResult) -> None:
         rows.append([b.term, _number(b.low, 4), _number(b.high, 4), *p, verdicts, holds])
     print()
     show.table(rows, "Largest differences, whatever the missing responses are")
+
+
+def _print_power(found: AnalysisResult) -> None:
+    if not found.power:
+        return
+    counts = [str(row.n) for row in next(iter(found.power.values()))]
+    unit = found.block or "replicates a cell"
+    rows = [["Term", *counts]]
+    rows += [[t, *(_number(r.detectable, 3) for r in r_)] for t, r_ in found.power.items()]
+    print()
+    show.table(rows, f"Detectable (power 80 %), by {unit}")
 
 
 def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:

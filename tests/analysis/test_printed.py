@@ -150,3 +150,57 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     # F(1, 46) at 5 %: 4.0517; binomial sd of the rate is 1.1 %
     rate = float(np.mean(t2 > 4.051749))
     assert _naive_size(3.5, 0.5, 1, 6, 40, 1) == pytest.approx(rate, abs=0.044)
+
+
+def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
+    """``s:a:b`` holds ``:a:``, which a terminal library may take for an emoji."""
+    path = str(DESIGNS / "repeated.csv")
+    arguments = ("--response", "y", "--factors", "a,b", "--block", "s", "--error", "own")
+    out, _ = printed(capsys, path, *arguments)
+    assert [line[0] for line in lines_of(out, "Analysis of Variance")] == [
+        "Source", "a", "b", "a:b", "s", "s:a", "s:b", "s:a:b", "Total",
+    ]  # fmt: skip
+
+
+def test_frames_come_out() -> None:
+    table = pd.read_csv(DESIGNS / "crossed.csv")
+    result = analyze(table, "y", ["a", "b"], exact=False)
+    frame = result.anova.to_frame().set_index("term")
+    assert frame.loc["a", "f"] == result.anova.row("a").f
+    assert frame.loc["residual", "df"] == 30
+    effects = result.effects_frame()
+    assert set(effects.columns) >= {"term", "level", "mean", "low", "high", "letters"}
+    assert len(effects) == 3 + 2 + 6
+
+
+def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
+    """Balanced: difference +- q(0.95; 3, 30) sqrt(MSE / 12), q by scipy."""
+    q = pytest.importorskip("scipy.stats").studentized_range.ppf(0.95, 3, 30)
+    table = pd.read_csv(DESIGNS / "crossed.csv")
+    result = analyze(table, "y", ["a", "b"], exact=False)
+    effect, mse = result.effect("a"), result.anova.row("residual").ms
+    assert mse is not None
+    means = table.groupby("a")["y"].mean()
+    for pair in effect.pairs:
+        d = means[pair.first] - means[pair.second]
+        assert pair.difference == pytest.approx(d, rel=1e-9)
+        assert pair.upper - d == pytest.approx(q * np.sqrt(mse / 12), rel=1e-8)
+        shared = set(effect.letters[effect.levels.index(pair.first)]) & set(
+            effect.letters[effect.levels.index(pair.second)]
+        )
+        assert bool(shared) != pair.different
+    assert len(effect.pairs) == 3
+
+
+def test_detectable_differences_come_from_the_error_found() -> None:
+    from study.analysis.power import detectable
+
+    table = pd.read_csv(DESIGNS / "repeated.csv")
+    one = analyze(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)
+    ms = one.anova.row("s:a").ms
+    assert ms is not None
+    by_hand = detectable(float(np.sqrt(ms)), [4, 8, 16, 32], levels=3)
+    assert [r.n for r in one.power["a"]] == [4, 8, 16, 32]
+    for row, expected in zip(one.power["a"], by_hand, strict=True):
+        assert row.detectable == pytest.approx(expected.detectable, rel=1e-9)
+        assert row.df == expected.df
