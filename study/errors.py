@@ -6,6 +6,7 @@
     |-- InputError             bad input (exit 2): one or many Faults, nothing was written
     |   |-- MissingDataError   a measurement file that is not there
     |   `-- UnitError          a value without its unit, or with one of the wrong dimension
+    |-- MeshError            no usable mesh; a status of its case
     |-- RefusedError           the answer would be meaningless (exit 3)
     `-- StoreError             records that cannot be read, written or locked (exit 2)
 
@@ -64,6 +65,10 @@ class MissingDataError(InputError):
 
 class UnitError(InputError):
     """A value without its unit, or with one of the wrong dimension."""
+
+
+class MeshError(StudyError):
+    """No usable mesh could be made; the forward solver turns it into a status."""
 
 
 class RefusedError(StudyError):

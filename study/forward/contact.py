@@ -32,6 +32,9 @@ class RigidSurface(Protocol):
     def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
         """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""
 
+    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
+        """Gap (n,) and normal (n, dim) of small-strain contact, from reference positions ``x``."""
+
 
 @dataclass(frozen=True)
 class Plate:
@@ -59,6 +62,10 @@ class Plate:
         level = self.height_mm - self.speed * displacement_mm
         return self.sense * (x[:, -1] - level), normal, np.zeros((n, dim, dim))
 
+    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
+        """As :meth:`gap`: a plane looks the same from both states."""
+        return self.gap(x + u, displacement_mm)[:2]
+
 
 @dataclass(frozen=True)
 class ContactPoints:
@@ -76,6 +83,12 @@ class ContactPoints:
         Area that the point stands for, mm^2.
     eps, c : float
         Stiffness of the regularization and switching constant, N/mm^3.
+    small_strain : bool
+        Whether gap and normal belong to the reference state (linear elasticity).
+    around : ndarray of int, shape (n_pairs, 2), optional
+        Pairs (corner, mid-side point next to it) of quadratic triangles. A uniform pressure
+        loads their mid-sides only, so that the sign of a corner's force says nothing: a
+        corner all of whose neighbors are in contact is in contact itself.
     """
 
     surface: RigidSurface
@@ -84,6 +97,9 @@ class ContactPoints:
     weights: Array
     eps: float
     c: float
+    small_strain: bool = False
+    around: Ints | None = None
+    allowance: Array | float = 0.0
 
     @property
     def size(self) -> int:
@@ -95,15 +111,56 @@ class ContactPoints:
         return np.asarray((dim * self.nodes[:, :, None] + np.arange(dim)).reshape(self.size, -1))
 
     def evaluate(
-        self, nodes: Array, u: Array, displacement_mm: float, multiplier: Array
+        self,
+        nodes: Array,
+        u: Array,
+        displacement_mm: float,
+        multiplier: Array,
+        closed: NDArray[np.bool_] | None = None,
     ) -> ContactState:
-        """Gap, active set, nodal forces and stiffness at displacements ``u`` (n_nodes, dim)."""
-        position = np.einsum("ck,ckj->cj", self.shape, (nodes + u)[self.nodes])
-        gap, normal, hessian = self.surface.gap(position, displacement_mm)
-        active = multiplier - self.c * gap > 0
+        """Gap, active set and pressure at displacements ``u`` (n_nodes, dim).
+
+        ``closed`` imposes the active set; without it every point decides for itself.
+        """
+        place, moved = self._interpolated(nodes), self._interpolated(u)
+        if self.small_strain:
+            gap, normal = self.surface.reference_gap(place, moved, displacement_mm)
+            hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
+        else:
+            gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
+        gap = gap + self.allowance
+        urge = multiplier - self.c * gap
+        enclosed = self._enclosed(urge > 0)
+        wanted = (urge > 0) | enclosed
+        active = wanted if closed is None else closed
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
-        return ContactState(gap, active, pressure, direction, hessian)
+        return ContactState(gap, active, pressure, direction, hessian, enclosed, wanted, urge)
+
+    def _enclosed(self, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Corners between points that are all in contact."""
+        if self.around is None:
+            return np.zeros(self.size, dtype=bool)
+        corner, beside = self.around.T
+        open_ones = np.bincount(corner, ~active[beside], minlength=self.size)
+        return np.asarray((np.bincount(corner, minlength=self.size) > 0) & (open_ones == 0))
+
+    def _interpolated(self, nodal: Array) -> Array:
+        return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
+
+    def rotation_forces(self, state: ContactState) -> Array:
+        """d(residual)/dd at fixed unknowns from the turning normal, shape (n_points, dim * k)."""
+        turning = -self.surface.speed * state.hessian[:, :, -1]
+        moments = (self.weights * state.pressure)[:, None] * turning
+        return np.asarray(self.shape[:, :, None] * moments[:, None, :]).reshape(self.size, -1)
+
+    def rotation_stiffness(self, state: ContactState, rate: Array) -> float:
+        """Return what curved contact owes to dF/dd; ``rate`` is dx/dd of the points' unknowns."""
+        dim = state.hessian.shape[1]
+        slip = np.einsum("ck,ckj->cj", self.shape, rate.reshape(self.size, -1, dim))
+        slip[:, -1] += self.surface.speed
+        bent = np.einsum("ci,cij,cj->c", slip, state.hessian, slip)
+        return -float((self.weights * state.pressure * bent).sum())
 
     def forces(self, state: ContactState) -> Array:
         """Residual contributions, shape (n_points, dim * k)."""
@@ -124,19 +181,37 @@ class ContactPoints:
 
 @dataclass(frozen=True)
 class ContactState:
-    """Contact at one configuration; arrays have one row a point."""
+    """Contact at one configuration; arrays have one row a point.
+
+    ``wanted`` is the active set by the points' own decision, ``urge`` how strongly they
+    want it (a pressure).
+    """
 
     gap: Array
     active: NDArray[np.bool_]
     pressure: Array
     direction: Array
     hessian: Array
+    enclosed: NDArray[np.bool_]
+    wanted: NDArray[np.bool_]
+    urge: Array
 
     def new_multiplier(self, contact: ContactPoints, increment: Array) -> Array:
         """Multiplier after a solve that moved the points' unknowns by ``increment``."""
         predicted = self.gap + np.einsum("ck,ck->c", self.direction, increment)
         taken = self.pressure + contact.eps * (self.gap - predicted)
         return np.where(self.active, taken, 0.0)
+
+    def largest_pull(self) -> float:
+        """Largest tension over the largest pressure: what held points may need to be held."""
+        judged = self.pressure[~self.enclosed]
+        top = float(judged.max(initial=0.0))
+        pull = max(0.0, -float(judged.min(initial=0.0)))
+        return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
+
+    def settled(self) -> bool:
+        """Whether no open point wants to close."""
+        return not bool((self.wanted & ~self.active).any())
 
     def largest_violation(self) -> float:
         """Largest |gap| of the active points, mm."""

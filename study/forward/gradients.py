@@ -50,9 +50,12 @@ def step_gradients(
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(wanted, start=1):
         right[:, column] = -system.constant_derivative(state, name)
+    right[:, 0] = _rotations(system, assembly)
     x, carried = linear_rates(system, assembly, start, right, _targets(system, assembly, k))
     along = x[:, 0]
     curvature = along @ system.tangent_product(along, contact=False)
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        curvature += points.rotation_stiffness(touch, along[points.dofs(system.space.dim)])
     gradient = {
         name: -system.force_scale * float(right[:, column] @ along)
         for column, name in enumerate(wanted, start=1)
@@ -65,6 +68,15 @@ def step_gradients(
         rates[0],
         dict(zip(wanted, rates[1:], strict=True)),
     )
+
+
+def _rotations(system: System, assembly: Assembly) -> Array:
+    """-dR/dd at fixed unknowns: contact normals turn while a curved surface moves past."""
+    out = np.zeros(system.space.n)
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim)
+        np.add.at(out, dofs.ravel(), -points.rotation_forces(touch).ravel())
+    return out
 
 
 def _targets(system: System, assembly: Assembly, k: int) -> list[Array]:

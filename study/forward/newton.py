@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward.linear_solver import SingularMatrixError
+from study.forward.switches import Switches
 from study.forward.system import Assembly, State, System
 
 Array = NDArray[np.float64]
@@ -23,6 +24,8 @@ class NewtonSettings:
         On the residual of the free unknowns over the reaction.
     gap_mm : float
         Largest |gap| of an active contact point, in multiples of the specimen's height.
+    pull : float
+        Largest tension of a held contact point over the largest contact pressure.
     max_iterations : int
         After as many the step has failed.
     j_filter : float
@@ -31,7 +34,8 @@ class NewtonSettings:
 
     tolerance: float = 1e-8
     gap: float = 2e-9
-    max_iterations: int = 25
+    pull: float = 0.05
+    max_iterations: int = 40
     j_filter: float = 0.1
 
 
@@ -67,7 +71,9 @@ def solve_step(
         )
         state = lifted_from
     residuals: list[float] = []
+    switches = Switches(system)
     for iteration in range(settings.max_iterations + 1):
+        state = switches.decided(state)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
             return NewtonResult(state, False, iteration, "an element is inverted", ())
@@ -142,8 +148,7 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
     out_of_balance = assembly.residual.copy()
     out_of_balance[system.constraints.dofs] = 0.0
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
-    strain = abs(state.displacement_mm) / system.height_mm
-    floor = 1e-6 * system.material.mu0 * system.area_mm2 * max(strain, 1e-12)
+    floor = system.force_floor(state.displacement_mm)
     force = float(np.linalg.norm(out_of_balance[:n_u])) / max(reaction, floor)
     volume = float(np.linalg.norm(out_of_balance[n_u:])) / float(system.space.weights.sum())
     return max(force, volume)
@@ -153,4 +158,7 @@ def _done(system: System, residual: float, assembly: Assembly, settings: NewtonS
     if not residual < settings.tolerance:
         return False
     gap = settings.gap * system.height_mm
-    return all(touch.largest_violation() < gap for touch in assembly.contact)
+    return all(
+        touch.settled() and touch.largest_violation() < gap and touch.largest_pull() < settings.pull
+        for touch in assembly.contact
+    )

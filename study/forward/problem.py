@@ -105,3 +105,9 @@ class Problem:
     test: Test
     material: Material
     model: Model
+
+
+def mesh_level(model: Model) -> float:
+    """Size of a named mesh over the reference size: 1 on the fine one."""
+    steps = len(MESH_LEVELS) - 1 - MESH_LEVELS.index(model.mesh)
+    return float(model.mesh_ratio**steps)

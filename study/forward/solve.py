@@ -5,35 +5,22 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.curve import Curve
-from study.errors import Fault, InputError
-from study.forward.gradients import Rate, StepGradients, step_gradients
+from study.errors import MeshError
+from study.forward.checks import check, instability
+from study.forward.gradients import StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
 from study.forward.problem import Problem
+from study.forward.solution import Solution, Warm, WarmStep, without_answer
+from study.forward.steps import StepRule, StepSettings
 from study.forward.system import State, System
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class StepSettings:
-    """Load steps, as fractions of the specimen's height.
-
-    A step grows after few Newton iterations, shrinks after many and is halved on failure;
-    the run ends as ``not-converged`` when a step falls below ``smallest``.
-    """
-
-    largest: float = 0.03
-    smallest: float = 1e-5
-    growth: float = 1.4
-    easy: int = 7
-    hard: int = 14
 
 
 @dataclass(frozen=True)
@@ -48,73 +35,6 @@ class Options:
     steps: StepSettings = field(default_factory=StepSettings)
     linear_solver: str = "auto"
     side_contact: bool = True
-
-
-@dataclass(frozen=True)
-class WarmStep:
-    """A converged step of an earlier solve and how it moves with the constants."""
-
-    state: State
-    constants: dict[str, Rate]
-
-
-@dataclass(frozen=True)
-class Warm:
-    """What a later solve of the same problem with other constants can start from."""
-
-    system: System
-    values: dict[str, float]
-    steps: tuple[WarmStep, ...]
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Result of one forward simulation.
-
-    Parameters
-    ----------
-    status : str
-        ``converged``, ``not-converged``, ``mesh-failed``, ``unstable`` or ``out-of-memory``.
-    message : str
-        One sentence that says why it ended.
-    curve : Curve
-        Requested steps up to the last converged one, with stiffness and gradients.
-    reached_mm : float
-        Displacement of the last converged step, sub-steps of a cut-back included.
-    min_j : float
-        Smallest J of the last converged step.
-    base_reaction_N : ndarray, shape (n_steps,)
-        Reaction of the base, to be compared with the force.
-    newton_iterations : tuple of int
-        Iterations of each requested step (its sub-steps added up).
-    points, displacement : ndarray, shape (n_points, dim)
-        Vertices of the mesh in mm and their displacements at the last converged step.
-    cells : ndarray of int
-        Vertex numbers of each cell.
-    """
-
-    status: str
-    message: str
-    curve: Curve
-    reached_mm: float
-    min_j: float
-    base_reaction_N: Array
-    newton_iterations: tuple[int, ...]
-    dofs: int
-    elements: int
-    mesh_hash: str
-    mesh_size_mm: float
-    solver: str
-    seconds: dict[str, float]
-    points: Array
-    cells: NDArray[np.int64]
-    displacement: Array
-    warm: Warm | None = None
-
-    @property
-    def converged(self) -> bool:
-        """Whether every requested step was reached."""
-        return self.status == "converged"
 
 
 def solve(
@@ -156,24 +76,20 @@ def solve(
     """
     began = time.perf_counter()
     options = options or Options()
-    _check(problem)
+    check(problem)
+    unstable = instability(problem)
+    if unstable:
+        return without_answer(problem, "unstable", unstable, time.perf_counter() - began)
     try:
         system = _system(problem, warm, options, mesh)
         run = _Run(system, problem, options, gradients, warm, progress)
         run.to_the_end()
     except MemoryError as error:
-        return _out_of_memory(problem, str(error), time.perf_counter() - began)
+        message = f"{error}: use a larger mesh_size, or axisymmetric space"
+        return without_answer(problem, "out-of-memory", message, time.perf_counter() - began)
+    except MeshError as error:
+        return without_answer(problem, "mesh-failed", str(error), time.perf_counter() - began)
     return run.solution(time.perf_counter() - began)
-
-
-def _check(problem: Problem) -> None:
-    if problem.test.kind != "compression":
-        raise InputError("only compression between plates is modelled so far")
-    if problem.material.incompressible and problem.model.formulation == "displacement":
-        mend = "use formulation = mixed, or a finite bulk_modulus or poisson_ratio"
-        raise InputError(Fault("model.formulation", "needs a finite bulk modulus", mend))
-    if problem.test.displacement_mm >= problem.specimen.height_mm:  # type: ignore[union-attr]
-        raise InputError("the displacement must be smaller than the specimen's height")
 
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
@@ -204,7 +120,8 @@ class _Run:
         self.warm = warm.warm if warm is not None else None
         self.progress = progress or (lambda _: None)
         self.state, self.previous = system.start(), None  # type: State, State | None
-        self.step_mm = options.steps.largest * system.height_mm
+        self.rule = StepRule.of(problem, system.height_mm, options.steps)
+        self.step_mm = self.rule.first_mm
         self.iterations: list[int] = []
         self.rows: list[StepGradients] = []
         self.reactions: list[float] = []
@@ -236,7 +153,7 @@ class _Run:
                 self._accept(result)
                 continue
             self.step_mm = remaining / pieces / 2
-            if self.step_mm < self.options.steps.smallest * self.system.height_mm:
+            if self.step_mm < self.rule.smallest_mm():
                 self.reason = result.reason
                 return False
         self.iterations.append(spent)
@@ -255,7 +172,8 @@ class _Run:
                 return result
             self.previous = None  # no extrapolation right after a failure
         start = replace(self.state, displacement_mm=displacement)
-        return solve_step(self.system, start, newton, lifted_from=self.state)
+        driven = bool(self.system.constraints.rate.any())
+        return solve_step(self.system, start, newton, lifted_from=self.state if driven else None)
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""
@@ -295,12 +213,8 @@ class _Run:
         return guess if (fraction * old < J).all() else None
 
     def _adapt(self, iterations: int, step: float) -> None:
-        rule = self.options.steps
-        largest = rule.largest * self.system.height_mm
-        if iterations <= rule.easy:
-            self.step_mm = min(largest, max(self.step_mm, step * rule.growth))
-        elif iterations > rule.hard:
-            self.step_mm = 0.7 * step
+        depth = self.state.displacement_mm
+        self.step_mm = self.rule.next_mm(self.step_mm, step, iterations, depth)
 
     def _accept(self, result: NewtonResult) -> None:
         self.previous, self.state = self.state, result.state
@@ -361,25 +275,3 @@ class _Run:
             displacement=system.displacements(self.state.x)[:vertices],
             warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
         )
-
-
-def _out_of_memory(problem: Problem, message: str, seconds: float) -> Solution:
-    none: dict[str, Any] = {"points": np.zeros((0, 3)), "displacement": np.zeros((0, 3))}
-    empty = np.zeros(0)
-    return Solution(
-        status="out-of-memory",
-        message=f"{message}: use a larger mesh_size, or axisymmetric space",
-        curve=Curve(empty, empty, empty),
-        reached_mm=0.0,
-        min_j=1.0,
-        base_reaction_N=empty,
-        newton_iterations=(),
-        dofs=0,
-        elements=0,
-        mesh_hash="",
-        mesh_size_mm=problem.model.mesh_size_mm or 0.0,
-        solver="none",
-        seconds={"total": seconds},
-        cells=np.zeros((0, 4), dtype=np.int64),
-        **none,
-    )

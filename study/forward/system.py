@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward import kernels
-from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, ContactState, Plate
+from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
+from study.forward.contact import ContactPoints, ContactState
 from study.forward.elements import Discretization, discretize
 from study.forward.internal import Internal
 from study.forward.linear_solver import LinearSolver, make_solver
@@ -20,14 +21,6 @@ from study.material import Material
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Constraints:
-    """Prescribed unknowns: ``x[dofs] = rate * displacement``."""
-
-    dofs: Ints
-    rate: Array
 
 
 @dataclass(frozen=True)
@@ -42,11 +35,14 @@ class State:
         Displacements node by node, then pressures.
     multipliers : tuple of ndarray
         Contact pressures, one array for each set of contact points.
+    closed : tuple of ndarray of bool
+        Imposed active sets; empty where every contact point decides for itself.
     """
 
     displacement_mm: float
     x: Array
     multipliers: tuple[Array, ...] = ()
+    closed: tuple[NDArray[np.bool_], ...] = ()
 
 
 @dataclass
@@ -71,6 +67,7 @@ class System:
     force_scale: float
     area_mm2: float
     height_mm: float
+    touch_mm: float
     material: Material
     pattern: Pattern
     solver: LinearSolver
@@ -85,20 +82,21 @@ class System:
         """Discretize, constrain and analyze a problem on a mesh."""
         start = time.perf_counter()
         space = discretize(mesh, problem.model)
-        height = problem.specimen.height_mm  # type: ignore[union-attr]
-        constraints = plate_constraints(problem, space, mesh.half_height, height)
-        pattern = Pattern.build(space.dofs, space.n, constraints.dofs)
+        held = constraints(problem, space, mesh)
+        pattern = Pattern.build(space.dofs, space.n, held.dofs)
         sector = 1.0 if problem.model.space == "axisymmetric" else 4.0
+        height = mesh.height_mm
         bottom = height / 2 if mesh.half_height else 0.0
         system = cls(
             mesh=mesh,
             space=space,
             internal=Internal.on(space),
-            constraints=constraints,
-            contact=side_contact(problem, space, mesh, height) if folding else (),
+            constraints=held,
+            contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
             area_mm2=float(space.weights.sum()) * sector / (height - bottom),
             height_mm=height,
+            touch_mm=touch_radius(problem),
             material=problem.material,
             pattern=pattern,
             solver=make_solver(pattern, solver),
@@ -121,6 +119,12 @@ class System:
     def dofs(self) -> int:
         """Number of free unknowns."""
         return int(self.pattern.free.size)
+
+    def force_floor(self, displacement_mm: float) -> float:
+        """Force that residuals are compared with where there is none yet (first touch), N."""
+        strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
+        floor = 1e-6 * self.material.mu0 * self.area_mm2 * strain
+        return max(floor, 0.5 * self.material.mu0 * self.touch_mm**2)
 
     def start(self) -> State:
         """Return the unloaded state."""
@@ -147,10 +151,12 @@ class System:
             self.internal.scatter(self.pattern.positions, self.data)
         residual, contacts = internal.copy(), []
         u = self.displacements(state.x)
-        for points, multiplier, (dofs, positions, blocks) in zip(
-            self.contact, state.multipliers, self._contact_blocks, strict=True
+        sides = state.closed or (None,) * len(self.contact)
+        for points, multiplier, closed, (dofs, positions, blocks) in zip(
+            self.contact, state.multipliers, sides, self._contact_blocks, strict=True
         ):
-            touch = points.evaluate(self.space.nodes, u, state.displacement_mm, multiplier)
+            depth = state.displacement_mm
+            touch = points.evaluate(self.space.nodes, u, depth, multiplier, closed)
             contacts.append(touch)
             np.add.at(residual, dofs.ravel(), points.forces(touch).ravel())
             if tangent:
@@ -159,6 +165,14 @@ class System:
                 np.add.at(self.data, positions[inside], blocks[inside])
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
+
+    def touching(self, state: State) -> list[ContactState]:
+        """Contact at a state as every point itself decides it."""
+        u = self.displacements(state.x)
+        return [
+            points.evaluate(self.space.nodes, u, state.displacement_mm, multiplier)
+            for points, multiplier in zip(self.contact, state.multipliers, strict=True)
+        ]
 
     def factorize(self) -> None:
         """Factorize the last assembled tangent."""
@@ -199,74 +213,3 @@ class System:
 
     def _count(self, what: str, began: float) -> None:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - began
-
-
-def plate_constraints(
-    problem: Problem, space: Discretization, half: bool, height: float
-) -> Constraints:
-    """Plates above and below (or the middle plane) and the planes of symmetry."""
-    nodes, dim = space.nodes, space.dim
-    tol = 1e-9 * height
-    axial = nodes[:, -1]
-    bottom = height / 2 if half else 0.0
-    top_nodes = np.flatnonzero(np.abs(axial - height) < tol)
-    base_nodes = np.flatnonzero(np.abs(axial - bottom) < tol)
-    rate = {int(n) * dim + dim - 1: (-0.5 if half else -1.0) for n in top_nodes}
-    rate |= {int(n) * dim + dim - 1: 0.0 for n in base_nodes}
-    held: list[Ints] = []
-    if problem.test.interface == "bonded":
-        held.append(top_nodes)
-    if problem.test.base == "bonded" and not half:
-        held.append(base_nodes)
-    for group in held:
-        rate |= {int(n) * dim + i: 0.0 for n in group for i in range(dim - 1)}
-    for i in range(dim - 1):  # the axis, or the two planes of symmetry
-        rate |= {int(n) * dim + i: 0.0 for n in np.flatnonzero(np.abs(nodes[:, i]) < tol)}
-    dofs = np.array(sorted(rate), dtype=np.int64)
-    return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
-
-
-def side_contact(
-    problem: Problem, space: Discretization, mesh: Mesh, height: float
-) -> tuple[ContactPoints, ...]:
-    """Points of the free side that could fold onto a bonded plate."""
-    tests = [(problem.test.interface, Plate(height, -1, 0.5 if mesh.half_height else 1.0))]
-    if not mesh.half_height:
-        tests.append((problem.test.base, Plate(0.0, 1, 0.0)))
-    found = []
-    for interface, plate in tests:
-        if interface == "bonded":
-            found.append(_side_points(problem, space, mesh, height, plate))
-    return tuple(points for points in found if points.size)
-
-
-def _side_points(
-    problem: Problem, space: Discretization, mesh: Mesh, height: float, plate: Plate
-) -> ContactPoints:
-    nodes, tol = space.nodes, 1e-9 * height
-    facets, areas = _side_facets(space, mesh, height, tol)
-    shares = np.repeat(areas / facets.shape[1], facets.shape[1])
-    nodal = np.bincount(facets.ravel(), shares, len(nodes)).astype(float)
-    free = np.abs(nodes[:, -1] - plate.height_mm) > tol
-    chosen = np.flatnonzero((nodal > 0) & free)
-    scale = problem.material.mu0 / mesh.size_mm
-    return ContactPoints(
-        plate,
-        chosen[:, None],
-        np.ones((chosen.size, 1)),
-        nodal[chosen],
-        STIFFNESS * scale,
-        SWITCHING * scale,
-    )
-
-
-def _side_facets(
-    space: Discretization, mesh: Mesh, height: float, tol: float
-) -> tuple[Ints, Array]:
-    """Boundary facets that lie neither on a plate, nor on a plane of symmetry."""
-    planes = [(space.dim - 1, height), (space.dim - 1, height / 2 if mesh.half_height else 0.0)]
-    planes += [(i, 0.0) for i in range(space.dim - 1)]
-    side = np.ones(len(space.facets), dtype=bool)
-    for axis, value in planes:
-        side &= ~(np.abs(space.nodes[space.facets][:, :, axis] - value) < tol).all(axis=1)
-    return space.facets[side], space.facet_weights[side]

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from study.forward import elements
+from study.forward import elements, structured
 from study.forward.elements import Discretization, discretize
 from study.forward.internal import Internal
 from study.forward.linear_solver import LinearSolver, make_solver
-from study.forward.mesh import _extrude, _rectangle
 from study.forward.pattern import Pattern
 from study.forward.problem import Model
 from study.material import Material
@@ -86,13 +85,13 @@ def body(points: Array, cells: Array, model: Model, material: Material) -> Body:
 
 
 def rectangle(r: Array, z: Array, model: Model) -> tuple[Array, Array]:
-    return _rectangle(np.asarray(r), np.asarray(z), model.element_shape)
+    return structured.rectangle(np.asarray(r), np.asarray(z), model.element_shape)
 
 
 def unit_cube(n: int, model: Model) -> tuple[Array, Array]:
     line = np.linspace(0, 1, n + 1)
-    plane, faces = _rectangle(line, line, model.element_shape)
-    return _extrude(plane, faces, line)
+    plane, faces = structured.rectangle(line, line, model.element_shape)
+    return structured.extrude(plane, faces, line)
 
 
 @dataclass

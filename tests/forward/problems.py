@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.forward.mesh import Mesh, _extrude, _rectangle
+from study.forward.mesh import Mesh
 from study.forward.problem import Cylinder, Model, Problem, Test
+from study.forward.structured import extrude, rectangle
 from study.material import Material
 
 NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
@@ -35,7 +36,7 @@ def compression(
 def grid(radius: float, height: float, nr: int, nz: int) -> Mesh:
     """Square-grid mesh of the whole height, cut along one diagonal."""
     r, z = np.linspace(0, radius, nr + 1), np.linspace(0, height, nz + 1)
-    points, cells = _rectangle(r, z, "simplex")
+    points, cells = rectangle(r, z, "simplex")
     return Mesh(points, cells, False, radius / nr)
 
 
@@ -52,6 +53,6 @@ def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
 def cube(n: int) -> Mesh:
     """Unit cube of distorted tetrahedra."""
     line = np.linspace(0, 1, n + 1)
-    plane, faces = _rectangle(line, line, "simplex")
-    points, cells = _extrude(plane, faces, line)
+    plane, faces = rectangle(line, line, "simplex")
+    points, cells = extrude(plane, faces, line)
     return irregular(Mesh(points, cells, False, 1 / n))

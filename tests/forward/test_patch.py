@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from study.forward.boundary import Constraints
 from study.forward.newton import NewtonSettings, solve_step
 from study.forward.problem import Cylinder
 from study.forward.solve import Options, solve
-from study.forward.system import Constraints, State, System
+from study.forward.system import State, System
 from study.material import Material
 from tests.forward.problems import (
     MOONEY,

@@ -1,0 +1,229 @@
+"""What holds and what touches a specimen: prescribed unknowns and contact points of a test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
+from study.forward.elements import Discretization
+from study.forward.indenters import Press, profile
+from study.forward.mesh import Mesh
+from study.forward.problem import Flat, Problem, Surface
+from study.forward.sizes import contact_radius
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+#: position of each mid-side node among the six of a triangle, and of a corner of its edge
+_EDGE_CORNERS = ((3, 0), (3, 1), (4, 1), (4, 2), (5, 0), (5, 2))
+#: coordinates closer than this fraction of the height are the same
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Prescribed unknowns: ``x[dofs] = rate * displacement``."""
+
+    dofs: Ints
+    rate: Array
+
+
+def constraints(problem: Problem, space: Discretization, mesh: Mesh) -> Constraints:
+    """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
+    if problem.test.kind == "compression":
+        rate = _plates(problem, space, mesh)
+    else:
+        rate = _base(problem, space, mesh) | _bonded_punch(problem, space, mesh)
+    if not isinstance(problem.specimen, Surface):
+        tol = _SAME * mesh.height_mm
+        for i in range(space.dim - 1):
+            symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
+            rate |= {int(n) * space.dim + i: 0.0 for n in symmetric}
+    dofs = np.array(sorted(rate), dtype=np.int64)
+    return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
+
+
+def _at(space: Discretization, mesh: Mesh, level: float) -> Ints:
+    return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
+
+
+def _plates(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+    """Plates above and below, or the middle plane instead of the one below."""
+    dim, half = space.dim, mesh.half_height
+    top = _at(space, mesh, mesh.height_mm)
+    base = _at(space, mesh, mesh.height_mm / 2 if half else 0.0)
+    rate = {int(n) * dim + dim - 1: (-0.5 if half else -1.0) for n in top}
+    rate |= {int(n) * dim + dim - 1: 0.0 for n in base}
+    if problem.test.interface == "bonded":
+        rate |= _sideways(top, dim)
+    if problem.test.base == "bonded" and not half:
+        rate |= _sideways(base, dim)
+    return rate
+
+
+def _base(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+    """Support of an indented specimen."""
+    dim = space.dim
+    if isinstance(problem.specimen, Surface):
+        low = np.flatnonzero(space.nodes[:, -1] < problem.specimen.clamp_below_mm)
+        return {int(n) * dim + i: 0.0 for n in low for i in range(dim)}
+    base = _at(space, mesh, 0.0)
+    rate = {int(n) * dim + dim - 1: 0.0 for n in base}
+    return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
+
+
+def _bonded_punch(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+    """Nodes under a flat indenter that sticks: a prescribed displacement."""
+    pressed = problem.test.indenter
+    if problem.test.interface != "bonded" or not isinstance(pressed, Flat):
+        return {}
+    top, dim = _at(space, mesh, mesh.height_mm), space.dim
+    rho = np.linalg.norm(space.nodes[top][:, : dim - 1], axis=1)
+    held = top[rho <= (pressed.radius_mm - pressed.edge_radius_mm) * (1 + _SAME)]
+    return {int(n) * dim + dim - 1: -1.0 for n in held} | _sideways(held, dim)
+
+
+def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
+    return {int(n) * dim + i: 0.0 for n in nodes for i in range(dim - 1)}
+
+
+def touch_radius(problem: Problem) -> float:
+    """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
+    pressed = problem.test.indenter
+    if problem.test.kind == "compression" or pressed is None or problem.test.interface == "bonded":
+        return 0.0
+    return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * _span(problem))
+
+
+def _span(problem: Problem) -> float:
+    specimen = problem.specimen
+    return np.inf if isinstance(specimen, Surface) else specimen.height_mm
+
+
+def contact_points(
+    problem: Problem, space: Discretization, mesh: Mesh, *, folding: bool = True
+) -> tuple[ContactPoints, ...]:
+    """Every set of points that may meet a rigid surface.
+
+    Parameters
+    ----------
+    folding : bool
+        Whether the free side of a compressed specimen is kept from passing through plates.
+    """
+    if problem.test.kind == "indentation":
+        return _under_indenter(problem, space, mesh)
+    return _side_contact(problem, space, mesh) if folding else ()
+
+
+def _under_indenter(
+    problem: Problem, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    test = problem.test
+    if test.indenter is None or test.interface == "bonded":
+        return ()
+    press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    chosen = _top_facets(space, mesh)
+    points = _points(problem, mesh, press, *_collocation(space, chosen))
+    return (replace(points, around=_beside(points, space.facets[chosen])),)
+
+
+def _beside(points: ContactPoints, facets: Ints) -> Ints | None:
+    """Pairs (corner, mid-side point) of six-node triangles, as numbers of contact points."""
+    if facets.shape[1] != 6:
+        return None
+    number = np.full(int(facets.max()) + 1, -1)
+    number[points.nodes[:, 0]] = np.arange(points.size)
+    edges = np.vstack([facets[:, [a, m]] for m, a in _EDGE_CORNERS])
+    return np.unique(number[edges], axis=0)
+
+
+def _points(
+    problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
+) -> ContactPoints:
+    scale = problem.material.mu0 / mesh.size_mm
+    small = problem.material.family == "linear-elastic"
+    return ContactPoints(
+        surface, nodes, shape, weights, STIFFNESS * scale, SWITCHING * scale, small
+    )
+
+
+def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
+    axial = space.nodes[space.facets][:, :, -1]
+    return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
+
+
+def _collocation(space: Discretization, chosen: NDArray[np.bool_]) -> tuple[Ints, Array, Array]:
+    """Contact points of some facets: as many conditions as their surface can satisfy.
+
+    Quadratic edges carry two Gauss points; six-node triangles their mid-side nodes, where
+    the rule of degree two has its points; everything else its nodes. More points than the
+    surface has normal displacements over-constrain it.
+    """
+    facets, areas = space.facets[chosen], space.facet_weights[chosen]
+    k = facets.shape[1]
+    if space.dim == 2 and k == 3:
+        return _gauss_edges(space, facets)
+    share = {
+        (2, 2): None,  # consistent with the radius, below
+        (3, 3): np.full(3, 1 / 3),
+        (3, 4): np.full(4, 1 / 4),
+        (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
+        (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+    }[(space.dim, k)]
+    if share is None:
+        r = space.nodes[facets][:, :, 0]
+        share = (r + r.sum(axis=1, keepdims=True)) / (3 * r.sum(axis=1, keepdims=True))
+    nodal = np.bincount(
+        facets.ravel(), (areas[:, None] * share).ravel(), minlength=len(space.nodes)
+    )
+    nodes = np.flatnonzero(nodal > 0)
+    return nodes[:, None], np.ones((nodes.size, 1)), nodal[nodes].astype(float)
+
+
+def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array]:
+    """Two Gauss points on each quadratic edge (end, end, middle) of an axisymmetric mesh."""
+    s = np.array([-1, 1]) / np.sqrt(3)
+    N = np.stack([s * (s - 1) / 2, s * (s + 1) / 2, 1 - s**2], axis=-1)
+    ends = space.nodes[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
+    weights = 2 * np.pi * radius * length[:, None] / 2
+    return np.repeat(edges, 2, axis=0), np.tile(N, (len(edges), 1)), weights.ravel()
+
+
+def _side_contact(problem: Problem, space: Discretization, mesh: Mesh) -> tuple[ContactPoints, ...]:
+    """Points of the free side that could fold onto a bonded plate."""
+    half, height = mesh.half_height, mesh.height_mm
+    tests = [(problem.test.interface, Plate(height, -1, 0.5 if half else 1.0))]
+    if not half:
+        tests.append((problem.test.base, Plate(0.0, 1, 0.0)))
+    bonded = [plate for interface, plate in tests if interface == "bonded"]
+    found = [_side_points(problem, space, mesh, plate) for plate in bonded]
+    return tuple(points for points in found if points.size)
+
+
+def _side_points(
+    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate
+) -> ContactPoints:
+    side = _side_facets(space, mesh)
+    facets, areas = space.facets[side], space.facet_weights[side]
+    shares = np.repeat(areas / facets.shape[1], facets.shape[1])
+    nodal = np.bincount(facets.ravel(), shares, len(space.nodes)).astype(float)
+    free = np.abs(space.nodes[:, -1] - plate.height_mm) > _SAME * mesh.height_mm
+    chosen = np.flatnonzero((nodal > 0) & free)
+    return _points(problem, mesh, plate, chosen[:, None], np.ones((chosen.size, 1)), nodal[chosen])
+
+
+def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
+    """Boundary facets that lie neither on a plate, nor on a plane of symmetry."""
+    height = mesh.height_mm
+    planes = [(space.dim - 1, height), (space.dim - 1, height / 2 if mesh.half_height else 0.0)]
+    planes += [(i, 0.0) for i in range(space.dim - 1)]
+    side = np.ones(len(space.facets), dtype=bool)
+    for axis, value in planes:
+        level = space.nodes[space.facets][:, :, axis]
+        side &= ~(np.abs(level - value) < _SAME * height).all(axis=1)
+    return side

@@ -1,0 +1,128 @@
+"""How large elements should be around an indenter: one reference field, scaled as a whole.
+
+A mesh level multiplies the whole field, so that coarse, medium and fine are a refinement
+series with one ratio everywhere, as an observed order of convergence presumes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.problem import Cone, Flat, Indenter, Model, Sphere, mesh_level
+
+Array = NDArray[np.float64]
+
+#: elements across the contact radius, and across half the radius of a rounded tip or edge
+_PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
+#: how fast sizes grow away from the contact, and the largest part of the specimen
+_GROWTH, _LARGEST = 0.4, 0.3
+
+
+@dataclass(frozen=True)
+class SizeField:
+    """Element size around the point (or the ring) where an indenter presses.
+
+    Parameters
+    ----------
+    top_mm : float
+        Height of the loaded surface.
+    finest_mm, largest_mm : float
+        Sizes at the sharpest feature and far away.
+    feature_mm : float
+        Distance from the feature within which the size stays the finest.
+    ring_mm : float
+        Radius of the feature: 0 for a tip, that of the edge for a flat end.
+    zone_mm, contact_mm : float
+        Size within the contact radius, and that radius.
+    growth : float
+        Growth of the size per distance.
+    """
+
+    top_mm: float
+    finest_mm: float
+    largest_mm: float
+    feature_mm: float
+    ring_mm: float
+    zone_mm: float
+    contact_mm: float
+    growth: float
+
+    def at(self, rho: Array, z: Array) -> Array:
+        """Size at radius ``rho`` from the axis and height ``z``, shape (n,)."""
+        depth = z - self.top_mm
+        feature = np.hypot(rho - self.ring_mm, depth) - self.feature_mm
+        if self.ring_mm:
+            outside = np.hypot(np.maximum(rho - self.contact_mm, 0.0), depth)
+        else:
+            outside = np.hypot(rho, depth) - self.contact_mm
+        near = self.finest_mm + self.growth * np.maximum(feature, 0.0)
+        zone = self.zone_mm + self.growth * np.maximum(outside, 0.0)
+        return np.asarray(np.minimum(np.minimum(near, zone), self.largest_mm))
+
+    def scaled(self, factor: float) -> SizeField:
+        """Return the field with every size and the growth multiplied by ``factor``."""
+        return SizeField(
+            self.top_mm,
+            self.finest_mm * factor,
+            self.largest_mm * factor,
+            self.feature_mm,
+            self.ring_mm,
+            self.zone_mm * factor,
+            self.contact_mm,
+            self.growth * factor,
+        )
+
+
+def contact_radius(indenter: Indenter, depth_mm: float) -> float:
+    """Contact radius on a half-space of the same indenter, mm (Hertz; Sneddon 1965)."""
+    if isinstance(indenter, Flat):
+        return indenter.radius_mm
+    if isinstance(indenter, Sphere):
+        return float(min(np.sqrt(indenter.radius_mm * depth_mm), indenter.radius_mm))
+    sharp = 2 / np.pi * depth_mm * np.tan(np.radians(indenter.half_angle_deg))
+    wide = max(sharp, np.sqrt(indenter.tip_radius_mm * depth_mm) if _round(indenter) else 0.0)
+    return float(min(wide, indenter.shaft_radius_mm or np.inf))
+
+
+def _round(cone: Cone) -> bool:
+    """Whether the contact at small depth is that of the tip's sphere."""
+    return cone.tip_radius_mm > 0
+
+
+def reference_field(
+    indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
+) -> SizeField:
+    """Sizes of the fine mesh.
+
+    Parameters
+    ----------
+    depth_mm : float
+        Displacement at the end of the test.
+    top_mm, extent_mm : float
+        Height of the loaded surface, and the smaller of height and half-width.
+    """
+    a = contact_radius(indenter, depth_mm)
+    zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
+    finest, reach = zone, 1.3 * a
+    if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
+        finest = min(zone, indenter.tip_radius_mm / _PER_TIP)
+        feature = 1.5 * indenter.tip_radius_mm
+    elif isinstance(indenter, Flat):
+        edge = indenter.edge_radius_mm
+        finest = edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE
+        finest, ring, feature, reach = min(finest, zone), a - edge, 1.5 * edge, a
+    largest = _LARGEST * extent_mm
+    return SizeField(top_mm, finest, largest, feature, ring, zone, reach, _GROWTH)
+
+
+def size_field(
+    model: Model, indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
+) -> SizeField:
+    """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level."""
+    reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
+    if model.mesh_size_mm is not None:
+        return reference.scaled(model.mesh_size_mm / reference.finest_mm)
+    return reference.scaled(mesh_level(model))
