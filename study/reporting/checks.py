@@ -93,7 +93,8 @@ def _normality(facts: Facts, alpha: float) -> Check:
         "caution",
         finding,
         "Small p-values are approximate; the verdicts rest on the size of the effect "
-        "against what matters. A log transform often helps a positive response.",
+        "against what matters."
+        + ("" if facts.ratio else " The log of a positive response often helps."),
         facts.title,
     )
 

@@ -234,6 +234,10 @@ class ReportData:
         Checks that the runner made (store, stability, ...); those of the analysis are
         added by the report.
     numerical : sequence of NumericalRow
+    convergence : sequence of mapping
+        Series of three meshes or more, as ``study converge --json`` gives them.
+    validation : sequence of mapping
+        E and u_val of every case along its curve, where inputs are uncertain.
     controls : sequence of Check
         Controls and identities, such as 3D against axisymmetric.
     virtual : bool
@@ -272,6 +276,8 @@ class ReportData:
     failures: tuple[Failure, ...] = ()
     checks: tuple[Check, ...] = ()
     numerical: tuple[NumericalRow, ...] = ()
+    convergence: tuple[Mapping[str, Any], ...] = ()
+    validation: tuple[Mapping[str, Any], ...] = ()
     controls: tuple[Check, ...] = ()
     virtual: bool = False
     seed: int = 2011

@@ -101,9 +101,33 @@ def of_study(data: ReportData) -> dict[str, Figure]:
         found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
     if any(fit.value is not None for fit in data.fits):
         found["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+    if data.convergence:
+        found["convergence"] = make(
+            "convergence", "Value against mesh size", lambda: _convergence(data)
+        )
+    if data.validation:
+        found["validation"] = make(
+            "validation", "Comparison error along the curve", lambda: _validation(data)
+        )
     if data.failures:
         found["failures"] = make("failures", "Failure map", lambda: _failures(data))
     return found
+
+
+def _convergence(data: ReportData) -> Drawn:
+    from study.reporting import figures_convergence as convergence
+
+    frame = convergence.value_points(data.convergence)
+    caption = convergence.value_caption(data.convergence)
+    return frame, lambda: convergence.draw_values(frame), caption
+
+
+def _validation(data: ReportData) -> Drawn:
+    from study.reporting import figures_validation as validation
+
+    rows = validation.first_block(data.validation)
+    frame = validation.error_points(rows)
+    return frame, lambda: validation.draw_errors(frame), validation.caption(rows)
 
 
 def slug(text: str) -> str:

@@ -62,11 +62,18 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
         ax.set_title(wrap(cell, 30), fontsize=7.5)
     for ax in axes[len(groups) :]:
         ax.set_visible(False)
-    unit = groups[0][1]["unit"].iloc[0]
-    quantity = str(groups[0][1]["quantity"].iloc[0]).replace("_", " ")
     figure.supxlabel("mesh size (mm)", fontsize=8.5)
-    figure.supylabel(clean(f"{quantity} ({unit})" if unit else quantity), fontsize=8.5)
+    figure.supylabel(_axis(frame), fontsize=8.5)
     return figure
+
+
+def _axis(frame: pd.DataFrame) -> str:
+    """Name of the quantity where all panels share one."""
+    if frame["quantity"].nunique() > 1:
+        return "value (unit of each)"
+    quantity = clean(str(frame["quantity"].iloc[0]).replace("_", " "))
+    unit = clean(str(frame["unit"].iloc[0]))
+    return f"{quantity} ({unit})" if unit else quantity
 
 
 def _value_panel(ax: Axes, part: pd.DataFrame) -> None:

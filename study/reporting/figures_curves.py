@@ -119,22 +119,22 @@ def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     columns = min(columns, len(found.panels))
     rows = -(-len(found.panels) // columns)
     figure = canvas(WIDTH_IN, 0.85 + 2.05 * rows, arranged=False)
-    axes = _grid(figure, rows, columns)
-    frame = found.frame
-    top = 1.06 * float(frame[["measured_N", "predicted_N"]].max().max())
-    gap = float((frame["predicted_N"] - frame["measured_N"]).abs().max()) * 1.1 or 1.0
+    limits = _limits(found.frame)
+    own = len(set(limits.values())) > 1
+    axes = _grid(figure, rows, columns, 0.24 if own else 0.08)
     for place, (force, residual) in enumerate(axes):
         if place >= len(found.panels):
             force.set_axis_off()
             residual.set_axis_off()
             continue
         _panel(force, residual, found, place, data)
-        first = place % columns == 0
+        first = place % (levels if own else columns) == 0
+        top, gap = limits[found.panels[place][0]]
         force.set_ylim(0, top)
         residual.set_ylim(-gap, gap)
         force.tick_params(labelleft=first, labelbottom=False)
         residual.tick_params(labelleft=first, labelbottom=place + columns >= len(found.panels))
-        if first:
+        if place % columns == 0:
             force.set_ylabel("force (N)")
             residual.set_ylabel("resid. (N)")
     figure.text(0.5, 0.08 / figure.get_figheight(), "displacement (mm)", ha="center", fontsize=8.5)
@@ -142,7 +142,19 @@ def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     return figure
 
 
-def _grid(figure: Canvas, rows: int, columns: int) -> list[tuple[Axes, Axes]]:
+def _limits(frame: pd.DataFrame) -> dict[str, tuple[float, float]]:
+    """Largest force and residual of each block; those of all where blocks are alike."""
+    gap = (frame["predicted_N"] - frame["measured_N"]).abs().groupby(frame["block"]).max()
+    top = frame[["measured_N", "predicted_N"]].max(axis=1).groupby(frame["block"]).max()
+    if float(top.max()) < 3 * float(top.min()):
+        gap[:], top[:] = gap.max(), top.max()
+    return {
+        str(block): (1.06 * float(top[block]), 1.1 * float(gap[block]) or 1.0)
+        for block in top.index
+    }
+
+
+def _grid(figure: Canvas, rows: int, columns: int, between: float) -> list[tuple[Axes, Axes]]:
     """Pairs of axes in reading order, placed in inches: no layout engine has to measure text."""
     height = figure.get_figheight()
     outer = figure.add_gridspec(
@@ -152,7 +164,7 @@ def _grid(figure: Canvas, rows: int, columns: int) -> list[tuple[Axes, Axes]]:
         right=1 - 0.06 / WIDTH_IN,
         top=1 - 0.52 / height,
         bottom=0.48 / height,
-        wspace=0.08,
+        wspace=between,
         hspace=0.2,
     )
     pairs: list[tuple[Axes, Axes]] = []

@@ -61,7 +61,8 @@ def describe(group: Group, data: ReportData) -> str:
         total *= len(levels)
     if total != len(group):
         first = ", ".join(clean(level) for level in group.members[0].values())
-        return f"{first} (and {len(group) - 1} cells that are the same computation)"
+        block = clean(data.block) or "block"
+        return f"{first} (and {len(group) - 1} cells that agree with it in every {block})"
     return ", ".join(_words(name, levels, data) for name, levels in chosen.items())
 
 

@@ -12,6 +12,7 @@ from study.reporting import (
     assumptions,
     checks,
     figures,
+    figures_validation,
     front,
     methods,
     sentences,
@@ -75,6 +76,8 @@ def prepare(data: ReportData) -> Contents:
         known["every_fit"] = tables_fits.every_fit(data)
     if data.numerical:
         known["numerical"] = tables.numerical(data.numerical, data)
+    if data.validation:
+        known["validation"] = figures_validation.table(data.validation, data.block)
     if data.failures:
         known["failures"] = tables.failures(data)
     sections = tuple(_section(data, item) for item in found)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from study.analysis import grid_convergence
+from study.analysis.convergence_validation import compare
 from study.reporting import figures_convergence as drawing
+from study.reporting import figures_validation, style
 from study.reporting.convergence_page import convergence_figures, write_convergence
 
 
@@ -84,3 +86,26 @@ def test_the_caption_says_how_many_converge() -> None:
     text = drawing.value_caption([cell(1.2), cell(-1.0)])
     assert text.startswith("1 of 2 series have an interval")
     assert drawing.error_caption([cell(-1.0)]) == "No series has an order."
+
+
+def comparison(label: str, error: float) -> dict[str, Any]:
+    d = np.linspace(0.5, 5, 6)
+    found = compare(d, d * (1 + error), d, 0.02 * d, 0.01 * d, None)
+    facts = {"levels": {"material": label}, "block": "M1", "label": "A", "role": "score"}
+    return facts | found.to_json()
+
+
+def test_validation_is_drawn_and_tabled() -> None:
+    rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
+    frame = figures_validation.error_points(figures_validation.first_block(rows))
+    assert len(frame) == 12
+    np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
+    text = figures_validation.caption(rows)
+    assert "in 1 of 2 cells (block M1)" in text
+    assert "Not known, and so left out: data." in text
+    table = figures_validation.table(rows, "mix")
+    assert table.rows[0][2] == "0.500"
+    assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
+    assert "within u_val" in table.rows[1][-1]
+    svg = style.render(lambda: figures_validation.draw_errors(frame), "v", "v")
+    assert "<b>" not in svg
