@@ -51,6 +51,8 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         failures=tuple(_failures(study.records)),
         checks=tuple(_checks(study)),
         numerical=tuple(_numerical(study)),
+        convergence=_convergence(study),
+        validation=tuple(study.validation),
         controls=tuple(_controls(design, study.records)),
         virtual=bool(manifest["virtual"]),
         seed=design.seed,
@@ -62,6 +64,19 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         warnings=study.warnings,
         design_text=manifest["text"] or manifest["design"],
     )
+
+
+def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
+    """Series with enough meshes for an order."""
+    from study.runner.series import stored_convergence
+
+    rows = stored_convergence([row for row in study.numerical if len(row.series) >= 3])
+    return tuple(_named(row) for row in rows)
+
+
+def _named(row: dict[str, Any]) -> dict[str, Any]:
+    """Name a series by its levels and its response."""
+    return row | {"levels": {**row["levels"], "response": row["qoi"]}}
 
 
 def _numerical(study: StudyResult) -> Iterator[NumericalRow]:

@@ -44,6 +44,8 @@ class StudyResult:
         What else is stored of the run: blocks, notes, timings, versions.
     report : Path or None
         The report, once written.
+    validation : tuple of mapping
+        E and u_val of every case along its curve, where inputs are uncertain.
     """
 
     design: Design
@@ -56,6 +58,7 @@ class StudyResult:
     warnings: tuple[str, ...] = ()
     report: Path | None = None
     predicted_seconds: float = 0.0
+    validation: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def table(self) -> pd.DataFrame:
@@ -244,7 +247,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused]
     return StudyResult(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
-        tuple(dict.fromkeys(warnings)),
+        tuple(dict.fromkeys(warnings)), validation=tuple(store.read_json("validation") or ()),
     )  # fmt: skip
 
 

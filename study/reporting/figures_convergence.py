@@ -69,7 +69,7 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
 
 def _axis(frame: pd.DataFrame) -> str:
     """Name of the quantity where all panels share one."""
-    if frame["quantity"].nunique() > 1:
+    if len(set(frame["quantity"])) > 1:
         return "value (unit of each)"
     quantity = clean(str(frame["quantity"].iloc[0]).replace("_", " "))
     unit = clean(str(frame["unit"].iloc[0]))

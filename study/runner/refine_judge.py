@@ -183,7 +183,9 @@ def document(series: Series, formal: FormalOrder, tolerance: float | None = None
         return too_few(series.spec.qoi, kept, formal.order, said) | facts
     sizes = representative_sizes(kept, space)
     results = judged(sizes, curve_values(kept), formal.order, fraction)
-    return combined(series.spec.qoi, results, series.spec.tolerance, said) | facts
+    made = combined(series.spec.qoi, results, series.spec.tolerance, said) | facts
+    made["given_mesh"]["mesh_size"] = kept[0].mesh_size_mm
+    return made
 
 
 def combined(
