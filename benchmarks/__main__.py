@@ -9,7 +9,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-from benchmarks import plain_scikit_fem
+from benchmarks import fitting, plain_scikit_fem
 from study.forward.mesh import build_mesh
 from study.forward.problem import Cylinder, Model, Problem, Test
 from study.forward.solve import Options, solve
@@ -60,6 +60,7 @@ def main() -> None:
     print(f"{'unknowns':>9}{'study s':>10}{'plain forms s':>15}{'ratio':>8}{'force differs':>15}")
     compare(5.0, 3)
     compare(3.2, 3)
+    fitting.main()
 
 
 if __name__ == "__main__":
