@@ -50,12 +50,14 @@ def fitted(
     return fit(model, data, names, start, **TOLERANCE), model, names
 
 
-@pytest.mark.parametrize("factor", [3.0, 1 / 3])
+@pytest.mark.parametrize(
+    "factors", [(3.0, 3.0, 3.0), (1 / 3, 1 / 3, 1 / 3), (3.0, 1 / 3, 3.0)], ids=str
+)
 @pytest.mark.parametrize("energy", ENERGIES, ids=lambda e: f"{e[0]}-{e[1] or 1}")
-def test_recovery_from_three_times_off(energy: Energy, factor: float) -> None:
+def test_recovery_from_three_times_off(energy: Energy, factors: tuple[float, ...]) -> None:
     """V40: 1e-6 of the largest constant on the same mesh; exponents count for themselves."""
     setting, true = config(energy), energy[2]
-    start = [factor * v for v in true.values()]
+    start = [f * v for f, v in zip(factors, true.values(), strict=False)]
     found, model, names = fitted(setting, curve(setting, true), start)
     assert found.converged
     scale = max(v for n, v in true.items() if not n.startswith("alpha"))
