@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from study.design import Design
     from study.record import Store
     from study.runner.expand import CaseJob, Work
-    from study.runner.refine_series import Series
+    from study.runner.refine_series import Series, Solver
 
 Progress = Callable[[str], None]
 
@@ -50,7 +50,7 @@ def problem_cells(
     *,
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
-    command: Sequence[str] | None = None,
+    solve: Solver | None = None,
 ) -> dict[str, Any]:
     """Series of every cell of a design without measurements, and what each accuracy costs."""
     from study.api.convergence import budget_of, with_sources
@@ -64,7 +64,7 @@ def problem_cells(
     refine_judge.quantity(spec.qoi)
     cells = [series_of(t.config, spec, levels_of=dict(t.levels)) for t in treatments(design)]
     formal = {id(one): formal_order(build.problem(one.config)) for one in cells}
-    solver = kept_by_workers(jobs, results, design.name, command)
+    solver = solve or kept_by_workers(jobs, results, design.name)
     budget = budget_of(spec.budget_s, memory_MB)
     refine(
         cells,

@@ -141,11 +141,19 @@ def judged(
 
 
 def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
-    """Whether the uncertainty of each quantity is at most a fraction of its value."""
-    return {
-        name: r.u_num is not None and r.u_num <= accuracy * abs(r.value[0]) + _NOTHING
-        for name, r in results.items()
-    }
+    """Whether the uncertainty of each quantity is at most a fraction of its value.
+
+    A series without an order has no GCI; it settles where thrice the range of its finest three
+    meshes is small enough (Eca and Hoekstra 2014 for series that are noise).
+    """
+    return {name: _bound(r) <= accuracy * abs(r.value[0]) + _NOTHING for name, r in results.items()}
+
+
+def _bound(result: ConvergenceResult) -> float:
+    if result.u_num is not None:
+        return result.u_num
+    finest = result.value[:3]
+    return 3 * (max(finest) - min(finest))
 
 
 def settled(series: Series, formal: float | None) -> bool:
@@ -197,6 +205,8 @@ def combined(
     """Document of several judged quantities; all of them must settle."""
     main = results[qoi]
     open_ = [name for name, ok in within(results, accuracy or 1.0).items() if not ok]
+    if accuracy is None:  # nothing small is asked for, but an uncertainty there must be
+        open_ = [name for name, r in results.items() if r.u_num is None]
     warnings = [*said, *main.warnings]
     if accuracy is not None and open_:
         warnings.append(f"not within {100 * accuracy:g} %: {', '.join(open_)}")

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from study.analysis import grid_convergence
 from study.api.convergence import problem
-from study.design import loads_problem
+from study.api.convergence_cells import problem_cells
+from study.design import loads, loads_problem
 from study.errors import InputError
 from study.runner import build, refine_store
 from study.runner.refine_formal import clamped_corner, formal_order
+from study.runner.refine_judge import within
 from study.runner.refine_series import Budget
 from study.runner.refine_solve import perform, solve_task, task_key
 
@@ -258,3 +261,62 @@ def test_williams_exponents() -> None:
     assert clamped_corner(0.3) == pytest.approx(0.7112, abs=1e-4)
     assert clamped_corner(0.5) == pytest.approx(0.5946, abs=1e-4)
     assert clamped_corner(0.0) == pytest.approx(1.0, abs=1e-6)
+
+
+CELLS = (
+    PROBLEM.replace('element_order = "linear"\n', "")
+    + """
+tolerance = "0.5 %"
+[study]
+name = "elements"
+[factors]
+model.element_order = ["linear", "quadratic"]
+"""
+)
+
+
+class TwoElements(Fake):
+    """Quadratic elements: a twentieth of the error, three times the seconds."""
+
+    def one(self, task: Mapping[str, Any]) -> dict[str, Any]:
+        quadratic = task["config"]["model"]["element_order"] == "quadratic"
+        self.error = 5e-4 if quadratic else 1e-2
+        result = super().one(task)
+        return result | {"seconds": result["seconds"] * (3 if quadratic else 1)}
+
+
+def test_which_element_is_cheapest_for_an_accuracy(tmp_path: Path) -> None:
+    fake = TwoElements()
+    found = problem_cells(
+        loads(CELLS, "elements.toml"), 1, tmp_path, lambda _: None, solve=fake,
+        reports=tmp_path / "reports",
+    )  # fmt: skip
+    assert [cell["settled"] for cell in found["cells"]] == [True, True]
+    (front,) = found["fronts"]
+    assert front["reference"] == pytest.approx(30, rel=1e-3)
+    first, second = front["ranking"]
+    # 0.5 %: linear needs 1e-2 h^1.2 = 5e-3, quadratic is there on its first mesh
+    assert first["cell"] == "quadratic"
+    assert first["how"] == "coarsest mesh"
+    assert second["mesh_size"] == pytest.approx(0.5 ** (1 / 1.2), rel=0.05)
+    # a fifth of the reference's own uncertainty may lie in the seconds
+    assert second["seconds"] == pytest.approx(1e-3 * 1e4 / second["mesh_size"] ** 2, rel=0.1)
+    assert front["answer"].startswith("quadratic gives 0.5 % error for the least time")
+    page = Path(found["report"]).read_text(encoding="utf-8")
+    assert "Figure missing" not in page
+    assert page.count("<svg") == 4
+
+
+def test_a_design_without_measurements_needs_no_response() -> None:
+    design = loads(CELLS, "elements.toml")
+    assert design.responses == ()
+    with pytest.raises(InputError, match="response"):
+        loads(CELLS[: CELLS.index("[converge]")] + CELLS[CELLS.index("[study]") :], "x.toml")
+
+
+def test_noise_below_the_accuracy_settles_without_an_order() -> None:
+    """Changes that grow, but thrice the range of the finest three is below what is wanted."""
+    small = grid_convergence([1, 2, 4], [1.0, 1.001, 1.0015])
+    assert small.behaviour == "divergent"
+    assert within({"f": small}, 0.01) == {"f": True}
+    assert within({"f": small}, 0.004) == {"f": False}
