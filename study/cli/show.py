@@ -55,6 +55,14 @@ def warn(messages: Sequence[str]) -> None:
         print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
+def paragraph(text: str) -> None:
+    """Print a sentence or more, folded to the width of the terminal, at most 100 columns."""
+    import shutil
+    import textwrap
+
+    print(textwrap.fill(text, min(shutil.get_terminal_size((100, 24)).columns, 100)))
+
+
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
     """Print rows of text as a table; the first is the header."""
     from rich.console import Console

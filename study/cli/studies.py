@@ -177,9 +177,10 @@ def _print_study(study: StudyResult) -> None:
     print(f"\n{study.design.name}: {show.counts(study.to_json()['cases'])}")
     try:
         for line in terminal.answer_lines(data):
-            print(line)
-        print()
-        show.table(terminal.verdict_rows(data))
+            show.paragraph(line)
+        for title, rows in terminal.verdict_tables(data):
+            print()
+            show.table(rows, title)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         show.warn([f"the verdict table could not be printed: {error}"])
@@ -190,13 +191,15 @@ def _print_study(study: StudyResult) -> None:
 def _print_plan(found: Plan) -> None:
     described = found.description
     print(f"{described['study']}: {described['question']}\n")
-    rows = [["cell", "distinct", "calibration"]]
+    rows = [["cell", "computation", "calibration"]]
     rows += [
         [row["label"], str(row["group"]), "-" if row["calibration"] is None
          else str(row["calibration"])]
         for row in described["matrix"]
     ]  # fmt: skip
     show.table(rows, f"{described['cells']} cells, {described['distinct']} distinct computations")
+    if described["distinct"] < described["cells"]:
+        print("cells with the same number of a computation must agree: they are controls")
     for row in described["excluded"]:
         print(f"excluded: {row['label']}: {row['why']}")
     print()

@@ -15,6 +15,17 @@ def verdict_rows(data: ReportData) -> Rows:
     return _rows(tables.verdicts(facts(data), data))
 
 
+def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
+    """Title and verdict table of each response, narrow enough for a terminal."""
+    header, *rows = verdict_rows(data)
+    shown = [i for i, name in enumerate(header) if name not in ("response", "effect / u_num")]
+    found: dict[str, Rows] = {}
+    for row in rows:
+        table = found.setdefault(row[0], [[header[i] for i in shown]])
+        table.append([row[i] for i in shown])
+    return list(found.items())
+
+
 def anova_rows(data: ReportData, response: str) -> Rows:
     """ANOVA table of a response; the first row is the header.
 
@@ -35,7 +46,8 @@ def answer_lines(data: ReportData) -> list[str]:
 
     found = facts(data)
     change = f"What would change this? {sentences.would_change(data, found)}"
-    return [*sentences.answer(data, found), change]
+    lines = [*sentences.answer(data, found), change]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def _rows(table: Table) -> Rows:

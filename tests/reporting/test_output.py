@@ -99,6 +99,10 @@ def test_terminal_rows_have_one_width(data: ReportData):
             for cell in row
         )
     assert terminal.verdict_rows(data)[0][2] == "verdict"
+    made = terminal.verdict_tables(data)
+    assert [title for title, _ in made] == ["relative RMS force error", "initial shear modulus"]
+    assert all(rows[0][:2] == ["factor", "verdict"] for _, rows in made)
+    assert sum(len(rows) - 1 for _, rows in made) == len(terminal.verdict_rows(data)) - 1
     with pytest.raises(KeyError):
         terminal.anova_rows(data, "nothing")
 
