@@ -13,7 +13,7 @@ from study.analysis.blocks import own
 from study.analysis.copies import CopyGroups, group_cells, refuse_fake_replicates, ulp_floor
 from study.analysis.effects import Scale
 from study.analysis.groups import own_groups
-from study.analysis.matrix import Array, terms_of
+from study.analysis.matrix import Array, nested_in, number_within, terms_of
 from study.analysis.options import Options
 from study.analysis.outcome import Outcome, assemble
 from study.analysis.pooled import pooled
@@ -212,6 +212,13 @@ def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     """Check the data and gather terms and tolerances."""
     data = prepare(table, response, factors, options.block)
     terms = terms_of(data.factors, options.model)
+    nested_factors = nested_in(terms)
+    if nested_factors:
+        data = replace(
+            data,
+            layout=number_within(data.layout, nested_factors),
+            warnings=(*data.warnings, *_nested_notes(nested_factors)),
+        )
     tol = options.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if options.records else 0.0
@@ -228,6 +235,14 @@ def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
         options.records,
         replicates=_replicates(table, data, options),
     )
+
+
+def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
+    return [
+        f"{name} is nested in {' and '.join(parents)}, which is tested against the rows within: "
+        f"to ask whether other levels of {name} would show it, use --unit {name}"
+        for name, parents in found.items()
+    ]
 
 
 def _replicates(table: pd.DataFrame, data: Data, options: Options) -> str:

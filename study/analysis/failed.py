@@ -98,13 +98,15 @@ def _bound(
     sizes = [e.range for e in every if e.range is not None]
     p = [e.p for e in every if e.p is not None]
     significant = {value < alpha for value in p}
+    # p never decides alone: where a verdict is given, it is the conclusion
+    steady = verdicts != (CANNOT_TELL,) or (len(significant) < 2 and len(p) in (0, len(every)))
     return FailureBound(
         term,
         _lowest(filled, min(sizes, default=None)),
         max(sizes, default=None),
         verdicts,
         (min(p), max(p)) if p else None,
-        len(verdicts) == 1 and len(significant) < 2 and len(p) in (0, len(every)),
+        len(verdicts) == 1 and steady,
     )
 
 
@@ -120,8 +122,9 @@ def _lowest(filled: Sequence[Effect], smallest: float | None) -> float | None:
     mean = np.array([e.mean for e in filled], dtype=float)
     mean = np.log(mean) if ratio else mean
     gaps = mean[:, :, None] - mean[:, None, :]
-    least = np.maximum(gaps.min(axis=0), -gaps.max(axis=0)).max(initial=0.0)
-    return float(np.exp(least)) if ratio else float(least)
+    least = np.maximum(gaps.min(axis=0), -gaps.max(axis=0)).max()
+    least = max(0.0, float(least))
+    return float(np.exp(least)) if ratio else least
 
 
 def sentences(found: Sequence[FailureBound], missing: int) -> list[str]:

@@ -154,10 +154,42 @@ def model_matrix(
     return ModelMatrix(np.hstack(parts), tuple(order), blocks)
 
 
-def is_nested(term: Term, terms: Sequence[Term]) -> bool:
-    """Whether a margin of ``term`` is missing from the model, so that it is nested."""
-    present: set[frozenset[str]] = {frozenset(), *(frozenset(t) for t in terms)}
-    return any(frozenset(term) - {name} not in present for name in term)
+def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
+    """Factors whose own margin is missing from the model, and the factors they are nested in.
+
+    Examples
+    --------
+    >>> nested_in([("mix",), ("mix", "specimen")])
+    {'specimen': ('mix',)}
+    """
+    present = {frozenset(t) for t in terms}
+    found: dict[str, tuple[str, ...]] = {}
+    for term in sorted(terms, key=len):
+        for name in term:
+            parents = tuple(other for other in term if other != name)
+            alone = any(name in t and not set(parents) & set(t) for t in present)
+            if parents and frozenset(parents) in present and not alone:
+                found.setdefault(name, parents)
+    return {name: parents for name, parents in found.items() if not set(parents) & set(found)}
+
+
+def number_within(layout: Layout, nested: Mapping[str, tuple[str, ...]]) -> Layout:
+    """Return the layout with nested levels numbered within each combination of their parents.
+
+    Labels that are unique over all parents (``s1`` to ``s12``) would leave most combinations
+    empty, although each parent has its own full set.
+    """
+    levels, codes = dict(layout.levels), dict(layout.codes)
+    for name, parents in nested.items():
+        parent = layout.cell(parents)
+        code = np.zeros(layout.n, dtype=np.int64)
+        for value in np.unique(parent):
+            here = parent == value
+            code[here] = np.unique(layout.codes[name][here], return_inverse=True)[1]
+        if int(code.max()) + 1 < len(levels[name]):
+            levels[name] = tuple(str(i + 1) for i in range(int(code.max()) + 1))
+            codes[name] = code
+    return Layout(levels, codes)
 
 
 def _term_columns(layout: Layout, term: Term, present: set[frozenset[str]]) -> Array:

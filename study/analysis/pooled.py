@@ -9,7 +9,7 @@ import numpy as np
 
 from study.analysis import checks, error_term
 from study.analysis.effects import TermEstimate, pooled_estimate, size
-from study.analysis.matrix import Term, balanced, model_matrix, term_name
+from study.analysis.matrix import Term, balanced, model_matrix, nested_in, term_name
 from study.analysis.outcome import Outcome
 from study.analysis.results import Anova, ErrorTerm, Row
 from study.analysis.rows import (
@@ -31,7 +31,11 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     matrix = model_matrix(data.layout, out.terms, extra=extra)
     fit = factor(matrix, out.y)
     even = balanced(data.layout, [*data.factors, *data.blocks]) or orthogonal(fit)
-    kind, out = kind_of(out, kind, even, _why_uneven(out))
+    if kind == "auto" and nested_in(out.terms):
+        # a factor given what is nested in it is nothing, so Type III would be empty
+        kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
+    else:
+        kind, out = kind_of(out, kind, even, _why_uneven(out))
     sums = term_sums(fit, kind)
     out = out.warn(*alias_warnings(sums))
     choice = error_term.choose(_situation(out, fit, sums, model), error)

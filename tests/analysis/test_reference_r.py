@@ -262,3 +262,23 @@ def test_the_reference_covers_every_family() -> None:
     designs = {key[0] for key in reference()}
     assert {"crossed", "blocked", "nested", "splitplot", "splitblocks", "latin"} <= designs
     assert {"crossed-unbalanced", "incomplete", "fraction", "repeated"} <= designs
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_nested_labels_may_start_again_or_be_unique(whole: bool) -> None:
+    table = data("nested", whole=whole)
+    unique = table.assign(specimen=table["mix"] + "-" + table["specimen"].astype(str))
+    expected = terms("nested" if whole else "nested-unbalanced", "I")
+    for rows in (table, unique):
+        options = {"model": ["mix", "mix:specimen"], "practical": 1.0, "exact": False}
+        result = analyze(rows, "y", ["mix", "specimen"], **options)
+        assert result.anova.type == "II"
+        for term in ("mix", "mix:specimen"):
+            assert result.anova.row(term).df == expected[term]["df"]
+        assert result.anova.row("mix:specimen").ss == pytest.approx(
+            expected["mix:specimen"]["ss"], rel=1e-8
+        )
+        # means of the specimens' means, whatever their labels
+        by_hand = rows.groupby(["mix", "specimen"])["y"].mean().groupby("mix").mean()
+        assert result.effect("mix").mean == pytest.approx(by_hand.tolist(), rel=1e-10)
+        assert any("use --unit specimen" in w for w in result.warnings)
