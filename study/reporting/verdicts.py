@@ -84,7 +84,7 @@ def numerical(effect: Effect, facts: Facts) -> str:
     if effect.over_u_num is None or not effect.over_u_num or not effect.difference:
         return quantity(effect.u_num, facts.unit, 2)
     u = math.exp(abs(math.log(effect.difference)) / abs(effect.over_u_num))
-    return f"{TIMES}{THIN}{rounded(u, decimals(effect), ratio_digits(u) - 1)}"
+    return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
 
 
 def _with_unit(number: str, unit: str) -> str:
