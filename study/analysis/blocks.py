@@ -200,13 +200,15 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
     kind, out = kind_of(out, kind, table.cells.size == full)
     fit = cell_fit(table, out.terms)
-    total = float(np.sum((table.y - table.y.mean()) ** 2))
+    # differences from one value are exact where doubles are close
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
     floor = max(out.working_tolerance(), ulp_floor(table.y))
     tests = own_terms(table, fit, kind, block, floor, total)
     out = out.warn(*(t.warning for t in tests if t.warning))
     out = out.warn(*alias_warnings([t.sums for t in tests]))
     n_cells, b = table.y.shape
-    ss_block = n_cells * float(np.sum((table.y.mean(axis=0) - table.y.mean()) ** 2))
+    ss_block = n_cells * float(np.sum((shifted.mean(axis=0) - shifted.mean()) ** 2))
     rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
     rows += [t.error for t in tests]
     rest = n_cells - 1 - sum(t.sums.df for t in tests)

@@ -47,7 +47,8 @@ def own_groups(out: Outcome, kind: str, error: str, plots: Plots) -> Outcome | N
     kind, out = kind_of(out, kind, bool(np.ptp(counts) == 0))
     out = out.warn(*table.warnings)
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
-    total = float(np.sum((table.y - table.y.mean()) ** 2))
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
     floor = max(out.working_tolerance(), ulp_floor(table.y))
     rows: dict[Term, Row] = {}
     errors, spheres = [], {}

@@ -53,7 +53,7 @@ def _blocked(out: Outcome) -> Sensitivity | None:
 def _tests(out: Outcome, y: Array, kind: str) -> list[OwnTerm]:
     table = replace(out.crossed, y=y)
     floor = max(out.working_tolerance(), ulp_floor(y))
-    total = float(np.sum((y - y.mean()) ** 2))
+    total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))
     return own_terms(table, cell_fit(table, out.terms), kind, str(out.data.block), floor, total)
 
 
@@ -77,6 +77,7 @@ def _additive(
     from scipy.special import fdtrc
 
     cells, blocks = y.shape
+    y = y - y[0, 0]
     fit = factor(model_matrix(layout, terms), y.mean(axis=1))
     centered = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
     df = (cells - 1) * (blocks - 1)

@@ -108,3 +108,45 @@ def test_p20_coding_of_two_levels(seed) -> None:
     for low, high in ((-1, 1), (0, 1), ("low", "high"), (-1.5, 2.5)):
         coded = table.assign(a=table["a"].map({"a0": low, "a1": high}))
         same(base, rows_of(coded, ["a", "b"]), 1e-12)
+
+
+ROUTES = {
+    "blocks pooled": {"block": "s"},
+    "own interactions": {"block": "s", "error": "own"},
+    "split plot": {"block": "plot"},
+    "split plot, own": {"block": "plot", "error": "own"},
+    "whole plots in blocks": {"block": "s", "whole_plot": "a"},
+    "two blocks": {"block": ["s", "t"]},
+}
+
+
+def blocked_table(seed: int) -> pd.DataFrame:
+    """3 x 2 cells in four blocks; ``plot`` is a block that holds one level of a."""
+    cells = itertools.product(("a0", "a1", "a2"), ("b0", "b1"), range(4))
+    table = pd.DataFrame(list(cells), columns=["a", "b", "s"])
+    table["plot"] = table["a"] + "/" + table["s"].astype(str)
+    table["t"] = (table["s"] + table["a"].str[1:].astype(int)) % 4
+    y = np.random.default_rng(seed).normal(10, 1, len(table))
+    # rounded so that adding 1e8 is exact in binary
+    return table.assign(y=np.round(y * 1024) / 1024)
+
+
+@pytest.mark.parametrize("route", ROUTES)
+@settings(max_examples=4)
+@given(seeds)
+def test_p15_to_p17_hold_for_blocks_and_strata(route, seed) -> None:
+    options, table = ROUTES[route], blocked_table(seed)
+    base = rows_of(table, ["a", "b"], **options)
+    shuffled = table.sample(frac=1, random_state=seed)
+    same(base, rows_of(shuffled, ["b", "a"], **options), 1e-11)
+    renamed = shuffled.assign(a=shuffled["a"].map({"a0": "z", "a1": "y", "a2": "<x>"}))
+    same(base, rows_of(renamed, ["a", "b"], **options), 1e-11)
+    for factor, shift in [(-2.0, 0.0), (1.0, 1e8)]:
+        moved = table.assign(y=factor * table["y"] + shift)
+        same(base, rows_of(moved, ["a", "b"], **options), 1e-10, factor**2)
+    result = analyze(table, "y", ["a", "b"], exact=False, **options)
+    total = float(((table["y"] - table["y"].mean()) ** 2).sum())
+    assert result.anova.ss_total == pytest.approx(total, rel=1e-10)
+    if route != "blocks pooled" and route != "two blocks":
+        # the strata are all listed, so their sums add up
+        assert sum(ss for ss, _ in base.values()) == pytest.approx(total, rel=1e-10)
