@@ -70,6 +70,47 @@ def test_recovery_from_three_times_off(energy: Energy, factors: tuple[float, ...
     assert model.solves <= (15 if energy[0] == "ogden" else 10)
 
 
+LONG = [pytest.mark.slow, pytest.mark.verify]
+INDENTERS: dict[str, dict[str, Any]] = {
+    "flat": {"shape": "flat", "radius_mm": 8.0, "edge_radius_mm": 1.0},
+    "cone": {"shape": "cone", "half_angle_deg": 45.0, "tip_radius_mm": 2.0},
+    "sphere": {"shape": "sphere", "radius_mm": 8.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("indenter", "energy", "identifiable"),
+    [
+        pytest.param("flat", NEO_HOOKEAN, True, marks=LONG),
+        ("flat", RP2, True),
+        ("flat", MOONEY_RIVLIN, False),
+        pytest.param("flat", OGDEN, True, marks=LONG),
+        ("flat", RP3, True),
+        pytest.param("cone", LINEAR, True, marks=LONG),
+        # a cone is nearly self-similar: two constants leave nearly the same curve
+        ("cone", RP2, False),
+        pytest.param("sphere", NEO_HOOKEAN, True, marks=LONG),
+        ("sphere", RP2, True),
+    ],
+    ids=lambda v: f"{v[0]}-{v[1] or 1}" if isinstance(v, tuple) else str(v),
+)
+def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: bool) -> None:
+    """V40 through contact, and the verdict of V39 on what such a test can tell."""
+    setting, true = config(energy), energy[2]
+    setting["test"] = {"kind": "indentation", "interface": "frictionless", "base": "bonded",
+                       "displacement_mm": 5.0, "steps": 10,
+                       "indenter": INDENTERS[indenter]}  # fmt: skip
+    start = [f * v for f, v in zip((3, 1 / 3, 3), true.values(), strict=False)]
+    found, model, names = fitted(setting, curve(setting, true), start)
+    assert found.converged
+    scale = max(v for n, v in true.items() if not n.startswith("alpha"))
+    for name, value in zip(names, found.values, strict=True):
+        size = 1.0 if name.startswith("alpha") else scale
+        assert value == pytest.approx(true[name], abs=1e-6 * size)
+    assert model.solves <= 10
+    assert found.identifiable is identifiable, found.reason
+
+
 def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     """All stages counted, on the medium mesh: the coarse one gives the start."""
     setting, true = config(RP3, "medium", steps=20), RP3[2]
