@@ -17,9 +17,9 @@ space the axes are (r, z, hoop) and only five of them are ever different from ze
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from study.forward.compiled import kernel
 from study.forward.law import add_pressure, cofactor, linear_stress, polynomial_stress
 from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress
 
@@ -33,7 +33,7 @@ _FAST = {"contract", "reassoc", "arcp", "nsz"}
 POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = gradients.shape[1]
@@ -49,7 +49,7 @@ def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> 
             f[8] += u[a, 0] * hoop[a]
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
     """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out so that it vectorizes."""
     na = dN.shape[0]
@@ -73,7 +73,7 @@ def _add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
                 K[row, 3 * b + 2] += t6 * p + t7 * q + t8 * r
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
     """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
     na = dN.shape[0]
@@ -92,7 +92,7 @@ def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Arra
                 K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -> None:
     """K_ai,b += w dN_a,j g_ij N_b in the columns of the pressures."""
     na, dim = dN.shape
@@ -105,7 +105,7 @@ def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -
                 K[dim * a + i, dim * na + b] += w * gn * N[b]
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def isochoric(
     family: int,
     f: Array,
@@ -132,7 +132,7 @@ def isochoric(
     return float(J)
 
 
-@njit(cache=True)
+@kernel()
 def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     """J = det F at every quadrature point; returns the smallest.
 
@@ -154,7 +154,7 @@ def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     return smallest
 
 
-@njit(cache=True)
+@kernel()
 def element_residuals(
     gradients: Array,
     hoop: Array,
@@ -264,7 +264,7 @@ def element_residuals(
     return smallest
 
 
-@njit(cache=True)
+@kernel()
 def packed_product(dofs: NDArray[np.int32], K: Array, v: Array, out: Array) -> None:
     """Out = K v from packed element tangents, constrained unknowns included."""
     out[:] = 0.0
@@ -282,7 +282,7 @@ def packed_product(dofs: NDArray[np.int32], K: Array, v: Array, out: Array) -> N
                 s += 1
 
 
-@njit(cache=True)
+@kernel()
 def scatter(positions: NDArray[np.int32], values: Array, data: Array) -> None:
     """Add packed values to the entries of the fixed sparsity pattern (negative: constrained)."""
     data[:] = 0.0

@@ -7,8 +7,9 @@ With Penn's split ``I1bar = J^(-2/3) I1``, ``I2bar = J^(-4/3) I2`` the energy is
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from study.forward.compiled import kernel
 
 Array = NDArray[np.float64]
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
     """x^n and its first two derivatives, exact at x = 0."""
     value = x**n if n > 0 else 1.0
@@ -25,7 +26,7 @@ def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
     return value, first, second
 
 
-@njit(cache=True)
+@kernel()
 def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
     """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
 
@@ -45,7 +46,7 @@ def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None
                 out[4] += c * ai * bj2
 
 
-@njit(cache=True)
+@kernel()
 def cofactor(f: Array, g: Array) -> float:
     """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
     g[0] = f[4] * f[8] - f[5] * f[7]
@@ -60,7 +61,7 @@ def cofactor(f: Array, g: Array) -> float:
     return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def polynomial_stress(
     f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
 ) -> float:
@@ -127,7 +128,7 @@ def polynomial_stress(
     return J
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def _polynomial_tangent(
     f: Array,
     I1: float,
@@ -172,7 +173,7 @@ def _polynomial_tangent(
                     tangent[o, n] = value
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def linear_stress(
     f: Array, mu: float, work: Array, stress: Array, tangent: Array, want_tangent: bool
 ) -> float:
@@ -202,7 +203,7 @@ def linear_stress(
     return float(J)
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=_FAST)
 def add_pressure(
     J: float,
     g: Array,

@@ -1,0 +1,54 @@
+"""Machine code on disk: found by a second process, never older than its sources."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import study.forward
+from study.forward.compiled import cache_folder
+
+CALLEE = """
+from compiled import kernel
+@kernel()
+def answer():
+    return {answer}
+"""
+CALLER = """
+from compiled import kernel
+from callee import answer
+@kernel()
+def ask():
+    return 1 * answer()
+print(ask(), ask.stats.cache_hits.get((), 0))
+"""
+
+
+def ask(folder: Path) -> tuple[int, int]:
+    """Result, and whether it came from the cache."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    run = subprocess.run(
+        [sys.executable, "caller.py"], cwd=folder, env=environment, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    result, hits = run.stdout.split()
+    return int(result), int(hits)
+
+
+def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
+    """Numba alone would go on with the old answer: only the callee's file is new."""
+    source = Path(study.forward.__file__).parent / "compiled.py"
+    shutil.copy(source, tmp_path / "compiled.py")
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
+    assert ask(tmp_path) == (41, 0)
+    assert ask(tmp_path) == (41, 1)
+    (tmp_path / "callee.py").write_text(CALLEE.format(answer=42))
+    assert ask(tmp_path) == (42, 0)
+
+
+def test_the_folder_is_named_after_the_kernels() -> None:
+    assert Path(cache_folder()).name.startswith("kernels-")
