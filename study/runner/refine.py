@@ -17,6 +17,7 @@ from study.record import Record
 from study.runner import build
 from study.runner.costs import Costs
 from study.runner.expand import CaseJob, FitJob, Work, case_job
+from study.runner.refine_judge import by_elements
 
 PURPOSE = "refinement"
 #: a third mesh is computed where the second is predicted to take less than this
@@ -159,11 +160,14 @@ def _one(
         return Numerical(levels, name, value, None, unit, "not available", note)
     dofs = " to ".join(str(int(r.mesh.get("dofs", 0))) for _, r in (good[0], good[-1]))
     note = f"{where}; {len(known)} meshes of ratio {ratio:g}, {dofs} unknowns"
-    sizes = tuple(float(dict(good)[k].mesh.get("mesh_size_mm", 0.0)) for k, _ in known)
+    sizes = record_sizes([dict(good)[k] for k, _ in known], base)
     numbers = tuple(v for _, v in known)
-    behaviour, u = "two meshes", two_mesh_uncertainty(numbers[0], numbers[1], ratio)
+    behaviour, u = (
+        "two meshes",
+        two_mesh_uncertainty(numbers[0], numbers[1], ratio_of(sizes, ratio)),
+    )
     if len(known) > 2:
-        behaviour, u = series_uncertainty(numbers, ratio)
+        behaviour, u = series_uncertainty(numbers, ratio, sizes)
     return Numerical(levels, name, numbers[0], u, unit, behaviour, note, sizes, numbers)
 
 
@@ -179,7 +183,23 @@ def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
     return float(TWO_MESH_FACTOR * error)
 
 
-def series_uncertainty(values: Sequence[float], ratio: float) -> tuple[str, float]:
+def record_sizes(found: Sequence[Record], base: CaseJob) -> tuple[float, ...]:
+    """Mesh sizes of a series by the elements of its meshes, the first as it was asked for."""
+    sizes = [float(record.mesh.get("mesh_size_mm", 0.0)) for record in found]
+    elements = [int(record.mesh.get("elements", 0)) for record in found]
+    space = str(base.case.config["model"].get("space"))
+    return tuple(by_elements(sizes, elements, space, anchor=0))
+
+
+def ratio_of(sizes: Sequence[float], asked: float) -> float:
+    """Ratio that the two first meshes really have, or the one asked for where that is unknown."""
+    known = len(sizes) > 1 and sizes[1] > 0 and sizes[0] > sizes[1]
+    return sizes[0] / sizes[1] if known else asked
+
+
+def series_uncertainty(
+    values: Sequence[float], ratio: float, sizes: Sequence[float] = ()
+) -> tuple[str, float]:
     """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
 
     Where the series converges with an order of its own, the distance to the extrapolated
@@ -194,8 +214,8 @@ def series_uncertainty(values: Sequence[float], ratio: float) -> tuple[str, floa
     """
     from study.analysis.convergence import grid_convergence
 
-    sizes = [ratio**-k for k in range(len(values))]
-    found = grid_convergence(sizes, values)
+    usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
+    found = grid_convergence(sizes if usable else [ratio**-k for k in range(len(values))], values)
     ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
     if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
         error = abs(values[0] - found.extrapolated)

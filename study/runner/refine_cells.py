@@ -11,7 +11,7 @@ from study.runner import build
 from study.runner.expand import CaseJob, Work
 from study.runner.refine import base_size_mm
 from study.runner.refine_formal import FormalOrder, formal_order
-from study.runner.refine_judge import QUANTITIES, combined, judged
+from study.runner.refine_judge import QUANTITIES, by_elements, combined, judged
 
 #: relative error of a fitted constant or a score at the tolerances of fit and solver
 TOLERANCE = 1e-6
@@ -60,10 +60,8 @@ def _formal(base: CaseJob) -> FormalOrder:
 def _sizes(good: Sequence[tuple[float, Record]], base: CaseJob) -> list[float]:
     """Sizes by the elements the meshes really have, or as asked where a record has no mesh."""
     elements = [int(record.mesh.get("elements", 0)) for _, record in good]
-    if min(elements) <= 0 or len(set(elements)) < len(elements):
-        return [size for size, _ in good]
-    power = 1 / (3 if base.case.config["model"].get("space") == "3d" else 2)
-    return [good[-1][0] * (elements[-1] / n) ** power for n in elements]
+    space = str(base.case.config["model"].get("space"))
+    return by_elements([size for size, _ in good], elements, space)
 
 
 def _values(work: Work, records: Sequence[Record]) -> dict[str, tuple[list[float], str]]:

@@ -159,20 +159,26 @@ def mesh_shares(
     bases: Sequence[CaseJob], finer: Work, records: Mapping[str, Record], ratio: float
 ) -> dict[str, Array]:
     """Relative numerical uncertainty of the force at :data:`PLACES`, by name of the base case."""
-    from study.runner.refine import series_uncertainty, two_mesh_uncertainty
+    from study.runner.refine import (
+        ratio_of,
+        record_sizes,
+        series_uncertainty,
+        two_mesh_uncertainty,
+    )
 
     found: dict[str, Array] = {}
     for base in bases:
         jobs = [base, *(j for j in finer.jobs if j.extra.get("of") == base.case.case_id)]
         kept = [records.get(job.case.case_id) for job in jobs]
-        forces = [_force(r) for r in kept if r is not None and r.converged]
+        good = [r for r in kept if r is not None and r.converged]
+        forces, sizes = [_force(r) for r in good], record_sizes(good, base) if good else ()
         if len(forces) < 2:
             continue
         columns = np.array(forces).T
         if len(forces) == 2:
-            u = [two_mesh_uncertainty(a, b, ratio) for a, b in columns]
+            u = [two_mesh_uncertainty(a, b, ratio_of(sizes, ratio)) for a, b in columns]
         else:
-            u = [series_uncertainty(list(column), ratio)[1] for column in columns]
+            u = [series_uncertainty(list(column), ratio, sizes)[1] for column in columns]
         found[base.case.case_id] = np.array(u) / np.abs(columns[:, 0])
     return found
 

@@ -106,14 +106,28 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
 
 
 def representative_sizes(levels: Sequence[Level], space: str) -> list[float]:
-    """Sizes h = (V / N)^(1/d) of meshes with N elements, scaled to the finest mesh's own size.
+    """Sizes of solved meshes by their elements, scaled to the finest mesh's own size."""
+    sizes = [level.mesh_size_mm for level in levels]
+    return by_elements(sizes, [level.elements for level in levels], space)
 
-    What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008).
+
+def by_elements(
+    sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
+) -> list[float]:
+    """Sizes h = (V / N)^(1/d) of meshes with N elements, scaled to the size of one of them.
+
+    What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
+    whole numbers of cells never give exactly the ratio that was asked for.
+
+    Examples
+    --------
+    >>> by_elements([2.0, 1.0], [100, 441], "axisymmetric")
+    [2.1, 1.0]
     """
-    finest, power = levels[-1], 1 / (2 if space == "axisymmetric" else 3)
-    if min(level.elements for level in levels) <= 0:
-        return [level.mesh_size_mm for level in levels]
-    return [finest.mesh_size_mm * (finest.elements / k.elements) ** power for k in levels]
+    if min(elements) <= 0 or len(set(elements)) < len(elements):
+        return list(sizes)
+    power = 1 / (3 if space == "3d" else 2)
+    return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]
 
 
 def judged(
