@@ -23,6 +23,7 @@ from study.analysis.rows import summary_of
 from study.analysis.sums import factor
 from study.analysis.tidy import prepare
 
+pytestmark = pytest.mark.verify
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"
 
 
@@ -71,6 +72,8 @@ def same_row(row: Row, expected: dict[str, float]) -> None:
         if quantity.startswith("mauchly") or quantity == "ss_error":
             continue
         got = getattr(row, quantity)
+        error = (got - value) / value
+        print(f"{row.term} {quantity}: expected {value:.12g}, got {got:.12g}, error {error:.1e}")
         assert got == pytest.approx(value, rel=1e-7 if quantity == "p" else 1e-8), quantity
 
 
@@ -105,6 +108,7 @@ LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
 @pytest.mark.parametrize("design", LINEAR)
 def test_linear_models_of_all_types(design: str, kind: str) -> None:
     name, whole, options, factors = LINEAR[design]
+    print(f"\n{design}, type {kind}")
     result = analyze(data(name, whole=whole), "y", factors, type=kind, exact=False, **options)
     # every term of ours and the residual; the blocks are no rows of a pooled table
     assert same_table(result, terms(design, kind)) == len(result.anova.rows)
