@@ -182,7 +182,9 @@ def _panel(force: Axes, residual: Axes, found: CurvePanels, place: int, data: Re
     block, level = found.panels[place]
     rows = found.frame[(found.frame["block"] == block) & (found.frame["panel"] == level)]
     title = " \N{MIDDLE DOT} ".join(clean(part, 16) for part in (block, level) if part)
-    force.set_title(title, fontsize=7.5)
+    # a given height spares matplotlib the search for one among all ticks
+    force.set_title(title, fontsize=7.5, y=1.0)
+    residual.set_title("", y=1.0)
     residual.axhline(0, color=INK, linewidth=0.6)
     drawn = False
     for index, name in enumerate(data.factors[found.line]):

@@ -23,6 +23,7 @@ from study.reporting.style import (
     WIDTH_IN,
     canvas,
     color_of,
+    word_color_of,
 )
 from study.reporting.text import (
     clean,
@@ -180,7 +181,7 @@ def draw_level_means(
             transform=ax.get_xaxis_transform(),
             ha="center",
             fontweight="bold",
-            color=color_of(index),
+            color=word_color_of(index),
         )
         ticks += list(places)
         names += [wrap(level, 12, 40) for level in group["level"]]

@@ -9,7 +9,7 @@ import numpy as np
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
 from study.reporting.figures_effects import plain_ticks, wrap
-from study.reporting.style import BAND, MUTED, RULE, WIDTH_IN, canvas, color_of
+from study.reporting.style import BAND, MUTED, RULE, WIDTH_IN, canvas, color_of, word_color_of
 from study.reporting.text import clean, name_of, p_value
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
             ha="center",
             va="bottom",
             fontsize=7.5,
-            color=color_of(index),
+            color=word_color_of(index),
             fontweight="bold",
         )
         start += 0.7

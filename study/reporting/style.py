@@ -18,6 +18,8 @@ RULE = "#d5d9de"
 BAND = "#eef1f4"
 # Okabe & Ito 2008, without the yellow, which cannot be seen on white.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+# the same hues dark enough for words: a contrast of 4.5 on white and more (WCAG 2.1, AA)
+WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 WIDTH_IN = 9.6
@@ -66,6 +68,11 @@ _XLINK = "http://www.w3.org/1999/xlink"
 def color_of(index: int) -> str:
     """Color of the level or series with this index."""
     return PALETTE[index % len(PALETTE)]
+
+
+def word_color_of(index: int) -> str:
+    """Color of a word that names the level or series with this index."""
+    return WORDS[index % len(WORDS)]
 
 
 def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:

@@ -142,3 +142,18 @@ def test_mathematics_in_a_name_stays_text():
     assert r"$\frac{a}$ &amp; &lt;b&gt;" in svg
     assert "font-family" not in svg
     assert svg == style.render(draw, "n", "t")
+
+
+def luminance(color: str) -> float:
+    """Relative luminance of a hexadecimal color (WCAG 2.1)."""
+    parts = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+@pytest.mark.parametrize("color", [*style.WORDS, style.INK, style.MUTED])
+def test_words_can_be_read(color: str):
+    for ground in ("#ffffff", style.BAND):
+        contrast = (luminance(ground) + 0.05) / (luminance(color) + 0.05)
+        # words of a figure are small: level AA asks for 4.5; on the band for large ones, 3
+        assert contrast >= (4.5 if ground == "#ffffff" else 3.0)
