@@ -289,6 +289,9 @@ class AnalysisResult:
                 "practical": plain(effect.practical),
                 "u_num": plain(effect.u_num),
                 "p": plain(effect.p),
+                "effect_over_u_num": plain(effect.effect_over_u_num),
+                "resolved": effect.resolved,
+                "why": effect.why,
             }
             for effect in self.effects
         ]
