@@ -17,8 +17,8 @@ from study.forward.sizes import contact_radius
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: position of each mid-side node among the six of a triangle, and of a corner of its edge
-_EDGE_CORNERS = ((3, 0), (3, 1), (4, 1), (4, 2), (5, 0), (5, 2))
+#: allowance of a corner over the size of its facets
+CORNER_ALLOWANCE = 0.2
 #: coordinates closer than this fraction of the height are the same
 _SAME = 1e-9
 
@@ -127,17 +127,22 @@ def _under_indenter(
     press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     chosen = _top_facets(space, mesh)
     points = _points(problem, mesh, press, *_collocation(space, chosen))
-    return (replace(points, around=_beside(points, space.facets[chosen])),)
+    return (replace(points, allowance_mm=_allowance(points, space.facets[chosen])),)
 
 
-def _beside(points: ContactPoints, facets: Ints) -> Ints | None:
-    """Pairs (corner, mid-side point) of six-node triangles, as numbers of contact points."""
+def _allowance(points: ContactPoints, facets: Ints) -> Array | float:
+    """Gap below zero at which corners of six-node triangles close.
+
+    A uniform pressure loads their mid-sides only, so that the sign of a corner's force says
+    nothing, and corners that are held to a gap of zero open and close for ever. Left alone
+    they sink a little into the indenter, which is what they may do here; only a corner that
+    nothing else holds, as at the tip on a coarse mesh, comes to rest on its allowance.
+    """
     if facets.shape[1] != 6:
-        return None
-    number = np.full(int(facets.max()) + 1, -1)
-    number[points.nodes[:, 0]] = np.arange(points.size)
-    edges = np.vstack([facets[:, [a, m]] for m, a in _EDGE_CORNERS])
-    return np.unique(number[edges], axis=0)
+        return 0.0
+    corners = np.isin(points.nodes[:, 0], facets[:, :3])
+    # a corner of six facets of area A has the weight A / 2
+    return np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
 
 
 def _points(

@@ -85,10 +85,8 @@ class ContactPoints:
         Stiffness of the regularization and switching constant, N/mm^3.
     small_strain : bool
         Whether gap and normal belong to the reference state (linear elasticity).
-    around : ndarray of int, shape (n_pairs, 2), optional
-        Pairs (corner, mid-side point next to it) of quadratic triangles. A uniform pressure
-        loads their mid-sides only, so that the sign of a corner's force says nothing: a
-        corner all of whose neighbors are in contact is in contact itself.
+    allowance_mm : ndarray, shape (n_points,), optional
+        Gap below zero at which a point closes.
     """
 
     surface: RigidSurface
@@ -98,8 +96,7 @@ class ContactPoints:
     eps: float
     c: float
     small_strain: bool = False
-    around: Ints | None = None
-    allowance: Array | float = 0.0
+    allowance_mm: Array | float = 0.0
 
     @property
     def size(self) -> int:
@@ -128,22 +125,13 @@ class ContactPoints:
             hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
         else:
             gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
-        gap = gap + self.allowance
+        gap = gap + self.allowance_mm
         urge = multiplier - self.c * gap
-        enclosed = self._enclosed(urge > 0)
-        wanted = (urge > 0) | enclosed
+        wanted = urge > 0
         active = wanted if closed is None else closed
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
-        return ContactState(gap, active, pressure, direction, hessian, enclosed, wanted, urge)
-
-    def _enclosed(self, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Corners between points that are all in contact."""
-        if self.around is None:
-            return np.zeros(self.size, dtype=bool)
-        corner, beside = self.around.T
-        open_ones = np.bincount(corner, ~active[beside], minlength=self.size)
-        return np.asarray((np.bincount(corner, minlength=self.size) > 0) & (open_ones == 0))
+        return ContactState(gap, active, pressure, direction, hessian, wanted, urge)
 
     def _interpolated(self, nodal: Array) -> Array:
         return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
@@ -192,7 +180,6 @@ class ContactState:
     pressure: Array
     direction: Array
     hessian: Array
-    enclosed: NDArray[np.bool_]
     wanted: NDArray[np.bool_]
     urge: Array
 
@@ -204,9 +191,8 @@ class ContactState:
 
     def largest_pull(self) -> float:
         """Largest tension over the largest pressure: what held points may need to be held."""
-        judged = self.pressure[~self.enclosed]
-        top = float(judged.max(initial=0.0))
-        pull = max(0.0, -float(judged.min(initial=0.0)))
+        top = float(self.pressure.max(initial=0.0))
+        pull = max(0.0, -float(self.pressure.min(initial=0.0)))
         return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
 
     def settled(self) -> bool:

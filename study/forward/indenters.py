@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: smallest distance to the center of an arc or to the axis that is divided by, mm
 _TINY = 1e-12
+#: height of a profile where it has none, mm
+_FAR = 1e6
 
 
 @dataclass(frozen=True)
@@ -101,9 +103,9 @@ def _sphere(sphere: Sphere, far: float) -> Profile:
 def profile_height(pieces: Profile, rho: Array) -> Array:
     """Height of the profile above its lowest point at radius ``rho``, shape (n,).
 
-    What small-strain contact sees; infinite outside the widest radius.
+    What small-strain contact sees; far above everything outside the widest radius.
     """
-    height = np.full(rho.shape, np.inf)
+    height = np.full(rho.shape, _FAR)
     for piece in pieces:
         if isinstance(piece, Arc):
             inside, value = _arc_height(piece, rho)

@@ -14,6 +14,10 @@ from study.forward.system import Assembly, State, System
 Array = NDArray[np.float64]
 
 
+#: relative residual below which contact may be decided point by point
+_CALM = 0.01
+
+
 @dataclass(frozen=True)
 class NewtonSettings:
     """When Newton stops.
@@ -73,7 +77,7 @@ def solve_step(
     residuals: list[float] = []
     switches = Switches(system)
     for iteration in range(settings.max_iterations + 1):
-        state = switches.decided(state)
+        state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
             return NewtonResult(state, False, iteration, "an element is inverted", ())

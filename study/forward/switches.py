@@ -33,8 +33,11 @@ class Switches:
         self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
         self._iteration = 0
 
-    def decided(self, state: State) -> State:
-        """Return a state with the active sets of the next iteration."""
+    def decided(self, state: State, *, calm: bool) -> State:
+        """Return a state with the active sets of the next iteration.
+
+        ``calm`` says that the last residual was small enough for a decision to mean much.
+        """
         if not self._system.contact:
             return state
         chosen = []
@@ -43,9 +46,10 @@ class Switches:
             if self._last:
                 before, changed = self._last[number], touch.wanted != self._last[number]
                 if self._iteration >= _TOGETHER and changed.any():
-                    most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
                     side = before.copy()
-                    side[most] = not before[most]
+                    if calm:
+                        most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
+                        side[most] = not before[most]
                 self._count[number] += side != before
                 side |= self._count[number] >= _RESTLESS
             chosen.append(side)
