@@ -10,7 +10,7 @@ from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.forward.problem import Problem
-    from study.forward.solve import Solution
+    from study.forward.solution import Solution
 
 
 def solve(
