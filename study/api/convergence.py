@@ -105,7 +105,11 @@ def stored(source: str | Path, results: Path = RESULTS) -> dict[str, Any]:
     found = stored_convergence(study.numerical)
     if not found:
         rule = "no refinement is stored of this study"
-        raise InputError(Fault(str(source), rule, "run it without --no-refine"))
+        mend = (
+            "run it without --no-refine; between frictionless plates the deformation is the same "
+            "everywhere and no mesh matters: `study converge DESIGN` shows that"
+        )
+        raise InputError(Fault(str(source), rule, mend))
     return {"cells": found}
 
 
