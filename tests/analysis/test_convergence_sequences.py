@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -90,19 +93,12 @@ def test_the_interval_holds_the_limit_of_a_bent_series(r1, r2, p, bend, more) ->
     assert abs(f[0] - 10) <= result.u_num * (1 + 1e-9)
 
 
-#: Celik et al. 2008, Table 1: cells of three grids (2D), values, and what the paper prints
-CELIK = [
-    (
-        (18000, 8000, 4500),
-        (6.063, 5.972, 5.863),
-        {"p": "1.53", "limit": "6.1685", "ea": "1.5", "eext": "1.7", "gci": "2.2"},
-    ),
-    (
-        (18000, 4500, 980),
-        (10.7880, 10.7250, 10.6050),
-        {"p": "0.75", "limit": "10.8801", "ea": "0.6", "gci": "1.1"},
-    ),
-]
+PUBLISHED = Path(__file__).resolve().parents[2] / "validation" / "convergence.csv"
+
+
+def published() -> list[dict[str, str]]:
+    with PUBLISHED.open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
 
 
 def printed(value: float, like: str) -> str:
@@ -110,23 +106,24 @@ def printed(value: float, like: str) -> str:
     return f"{value:.{len(like.partition('.')[2])}f}"
 
 
-@pytest.mark.parametrize(("cells", "values", "expected"), CELIK)
-def test_celik_2008(cells, values, expected: dict[str, str]) -> None:
-    """PUB: quoted from memory, and every digit recomputed.
-
-    The second extrapolated error, 0.9 % in print, is left out: by the paper's own formula
-    (over the extrapolated value) it is 0.847 %; 0.854 % is what division by phi1 gives.
-    """
-    result = grid_convergence([n**-0.5 for n in cells], values)
+@pytest.mark.parametrize("row", published(), ids=lambda r: f"{r['id']}-{r['quantity']}")
+def test_published_examples_to_every_printed_digit(row: dict[str, str]) -> None:
+    """V43 and the examples of the procedure that everybody cites (PUB)."""
+    sizes, values = ([float(v) for v in row[key].split(";")] for key in ("sizes", "values"))
+    if row["id"].startswith("celik"):  # cells of a plane grid
+        sizes = [n**-0.5 for n in sizes]
+    result = grid_convergence(sizes, values)
     assert result.behaviour == "monotone"
     found = {
-        "p": result.observed_order,
-        "limit": result.extrapolated,
-        "ea": 100 * abs((values[0] - values[1]) / values[0]),
-        "eext": 100 * abs((result.extrapolated - values[0]) / result.extrapolated),
-        "gci": 100 * result.gci_fine,
-    }
-    assert {k: printed(found[k], digits) for k, digits in expected.items()} == expected
+        "order": result.observed_order,
+        "extrapolated": result.extrapolated,
+        "gci_percent": 100 * result.gci_fine,
+        "gci_coarse_percent": 100 * result.gci_coarse,
+        "asymptotic_ratio": result.asymptotic_ratio,
+        "relative_error_percent": 100 * abs((values[0] - values[1]) / values[0]),
+        "extrapolated_error_percent": 100 * abs(1 - values[0] / result.extrapolated),
+    }[row["quantity"]]
+    assert printed(found, row["printed"]) == row["printed"]
 
 
 def test_the_oscillating_example_of_celik_gets_no_order() -> None:
@@ -140,16 +137,6 @@ def test_the_oscillating_example_of_celik_gets_no_order() -> None:
     assert result.observed_order is None
     assert result.gci_fine is None
     assert "another mesh" in result.verdict
-
-
-def test_nasa_example() -> None:
-    """V43: order and limit to seven digits, GCI to six (NPARC tutorial, recomputed)."""
-    result = grid_convergence([1, 2, 4], [0.97050, 0.96854, 0.96178])
-    assert printed(result.observed_order, "1.7861696") == "1.7861696"
-    assert printed(result.extrapolated, "0.9713003") == "0.9713003"
-    assert printed(100 * result.gci_fine, "0.103083") == "0.103083"
-    assert printed(100 * result.gci_coarse, "0.356249") == "0.356249"
-    assert printed(result.asymptotic_ratio, "1.0020") == "1.0020"
 
 
 def test_unequal_ratios_need_their_own_limit() -> None:
