@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from study.analysis.matrix import Array, Codes, Layout, Term, model_matrix, terms_of
+from study.analysis.matrix import Array, Codes, Layout, Term, balanced, model_matrix, terms_of
 from study.analysis.results import Row
 from study.analysis.sums import Factored, factor
 from study.analysis.tidy import Data
@@ -51,9 +51,10 @@ def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Any) -> Facto
 def lenth_of(data: Data, y: Array, terms: Sequence[Term], seed: int) -> LenthResult:
     """Lenth's method on the one-df contrasts of an unreplicated factorial.
 
-    In a two-level design the values are the classical effects.
+    In a two-level design the values are the classical effects. A full grid gives the contrasts
+    of all terms; of a saturated fraction the terms of the model fill the space.
     """
-    every = terms_of(data.factors)
+    every = terms_of(data.factors) if balanced(data.layout, data.factors) else tuple(terms)
     names, contrasts = orthonormal_contrasts(data.layout, every)
     values = contrasts.T @ (y - y[0])
     if all(len(data.layout.levels[f]) == 2 for f in data.factors):

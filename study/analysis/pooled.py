@@ -38,12 +38,14 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
         kind, out = kind_of(out, kind, even, _why_uneven(out))
     sums = term_sums(fit, kind)
     out = out.warn(*alias_warnings(sums))
+    if sums and all(s.df == 0 for s in sums):
+        out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
     choice = error_term.choose(_situation(out, fit, sums, model), error)
     df = fit.df_residual if choice.how == error_term.POOLED else 0
     if df == 0:
         out = out.warn(error_term.REMEDIES)
     out = out.warn(*choice.cautions)
-    ready = choice.source in ("E4", "E6") and _sparse_ready(out)
+    ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = checks.lenth_of(data, out.y, out.terms, out.seed) if ready else None
     error_rss = fit.rss * _resamples(out)
     rows = [term_row(s, df, error_rss, fit.tss) for s in sums]
@@ -56,6 +58,9 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
         pooled_estimate(data.layout, fit, t, df, by_name[term_name(t)].p, out.alpha, error_rss)
         for t in out.terms
     ]
+    two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
+    if lenth is not None and choice.source == "E6" and two_levels and not out.records:
+        estimates = [_with_margin(e, lenth) for e in estimates]
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
@@ -87,13 +92,14 @@ def _why_uneven(out: Outcome) -> str:
     return "unbalanced"
 
 
-def _sparse_ready(out: Outcome) -> bool:
-    """One row in every cell of the full grid, and no copies among the cells."""
+def _sparse_ready(out: Outcome, fit: Factored) -> bool:
+    """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold
     copied = len(out.copies.groups) < np.unique(data.cell).size
-    single = bool(np.bincount(data.cell).max() == 1)
-    return single and not copied and balanced(data.layout, data.factors)
+    if copied or int(np.bincount(data.cell).max()) > 1:
+        return False
+    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and orthogonal(fit))
 
 
 def _situation(
@@ -106,11 +112,25 @@ def _situation(
         fit.df_residual,
         model == "full",
         int(np.sum([s.df for s in sums])),
-        _sparse_ready(out),
+        _sparse_ready(out, fit),
         out.replicates,
         int(np.bincount(out.data.cell).max()),
         out.u_raw is not None,
     )
+
+
+def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
+    """Estimate whose difference carries Lenth's simultaneous margin, where it is one contrast.
+
+    In a two-level design a term is one contrast, and its components are plus or minus half the
+    effect; contrasts of other designs are in another scale, and get no interval.
+    """
+    size = np.abs(estimate.component)
+    one = term_name(estimate.term) in lenth.names and size.min() > 0
+    if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
+        return estimate
+    half = np.sign(estimate.component) / 2
+    return replace(estimate, covariance=np.outer(half, half), critical=lenth.sme)
 
 
 def _lenth_row(row: Row, lenth: LenthResult) -> Row:

@@ -225,6 +225,13 @@ def _print_checks(found: AnalysisResult) -> None:
             rows.append([f"Mauchly's sphericity, {term}", _number(sphere.w, 4), _p(sphere.p), ""])
     if len(rows) > 1:
         show.table(rows, "Assumptions")
+    if found.lenth is not None:
+        lenth = found.lenth
+        print(
+            f"Lenth: pseudo standard error {_number(lenth.pse, 4)}, margin of error "
+            f"{_number(lenth.me, 4)}, simultaneous {_number(lenth.sme, 4)}; beyond it: "
+            f"{', '.join(lenth.active) or 'none'}"
+        )
     if found.influence is not None and found.influence.rows:
         listed = ", ".join(str(i) for i in found.influence.rows[:10])
         print(f"rows the fit leans on (Cook's distance > {found.influence.limit:.2g}): {listed}")

@@ -187,3 +187,44 @@ def test_repeats_within_a_block_are_never_independent() -> None:
     lost = analyze(table, "y", ["a"], block="s", exact=False)
     assert any("y is missing in 1 of 60 rows" in w for w in lost.warnings)
     assert lost.bounds
+
+
+def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
+    """2^(7-4), seven factors in eight runs: the classical effects, one of them large."""
+    signs = np.array(list(itertools.product((-1, 1), repeat=3)))
+    a, b, c = signs.T
+    columns = dict(zip("ABCDEFG", (a, b, c, a * b, a * c, b * c, a * b * c), strict=True))
+    y = 50 + 4 * columns["D"] + np.random.default_rng(1).normal(size=8) * 0.3
+    result = analyze(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=1)
+    assert result.error_term.source == "E6"
+    assert result.lenth is not None
+    assert result.lenth.names == tuple("ABCDEFG")
+    assert result.lenth.active == ("D",)
+    at = result.lenth.names.index("D")
+    by_hand = y[columns["D"] == 1].mean() - y[columns["D"] == -1].mean()
+    assert result.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
+    assert result.anova.row("D").p == result.lenth.p[at]
+    # with all interactions asked for, every contrast is aliased: said, and no p
+    full = analyze(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=2)
+    assert full.error_term.source == "E7"
+    assert any(w.startswith("D: 1 of 1 degrees") and "A:B" in w for w in full.warnings)
+    assert any("every term is aliased" in w for w in full.warnings)
+
+
+def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
+    """Unreplicated 2^4: the interval of an effect is effect +- the simultaneous margin."""
+    table = grid({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
+    table["y"] += 9.0 * (table["a"] == "L1")
+    result = analyze(table, "y", list("abcd"), practical=2.0)
+    assert result.lenth is not None
+    effect = result.effect("a")
+    assert effect.range is not None
+    margin = result.lenth.sme
+    assert effect.ci95 == pytest.approx((effect.range - margin, effect.range + margin), rel=1e-9)
+    assert effect.verdict == "matters"
+    pair = result.effect("a:b")
+    assert pair.ci95 == pytest.approx(((pair.range or 0) - margin, (pair.range or 0) + margin))
+    mixed = analyze(grid({"a": 2, "b": 5}, 1, 5), "y", ["a", "b"], practical=0.1)
+    assert mixed.error_term.source == "E6"
+    assert mixed.effect("a").ci95 is None
+    assert mixed.effect("a").verdict == "cannot tell"
