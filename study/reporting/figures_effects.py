@@ -45,7 +45,10 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 def wrap(label: object, width: int = 14, longest: int = 60) -> str:
     """Label of user text over several lines, broken at spaces and hyphens."""
     text = clean(label, longest)
-    return "\n".join(textwrap.wrap(text, width, break_on_hyphens=True)) or text
+    # a word a little too long is better read whole than cut
+    widest = max(map(len, text.replace("-", "- ").split()), default=0)
+    lines = textwrap.wrap(text, width, break_long_words=widest > 1.7 * width)
+    return "\n".join(lines) or text
 
 
 def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
@@ -293,7 +296,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
             textcoords="offset points",
             annotation_clip=False,
         )
-    names = [wrap(label, 52, 90) for label in means["label"]]
+    names = [wrap(label, 56, 130) for label in means["label"]]
     ax.set_yticks(means["rank"], names, fontsize=7.5)
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")

@@ -164,7 +164,8 @@ def _numbers(
 
 
 def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
-    names = [wrap(v, 14, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
+    narrow = max(27 // len(levels), 6)
+    names = [wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
     ax.set_xticks(range(len(levels)), names if last else [])
     if last and len(levels) > 3:
         ax.set_xticks(range(len(levels)), names, rotation=35, ha="right", rotation_mode="anchor")

@@ -9,10 +9,12 @@ from study.reporting.facts import NO_DIFFERENCE, Effect, Facts, cells
 from study.reporting.text import (
     THIN,
     clean,
+    decimals_that_count,
     duration,
     listing,
     name_of,
     quantity,
+    rounded,
     sentence,
     significant,
 )
@@ -77,7 +79,10 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     text = f"use {named}: {quantity(cheap['mean'], facts.unit)} in {cost} a case"
     if cheap["cell"] == best["cell"]:
         return sentence(f"{text}; it is the most accurate cell and none within reach is cheaper")
-    gap = quantity(abs(float(best["mean"] - cheap["mean"])), facts.difference_unit)
+    places = decimals_that_count(practical_of(facts, frame))
+    gap = rounded(abs(float(best["mean"] - cheap["mean"])), places)
+    if facts.difference_unit:
+        gap += f"{THIN}{facts.difference_unit}"
     times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
     other = listing([clean(best[name]) for name in factors])
     return sentence(
