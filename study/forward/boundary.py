@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,19 @@ class Constraints:
     rate: Array
 
 
-def constraints(problem: Problem, space: Discretization, mesh: Mesh) -> Constraints:
+class Nodes(Protocol):
+    """Places that boundary conditions are laid on."""
+
+    @property
+    def nodes(self) -> Array:
+        """Reference positions, shape (n_nodes, dim)."""
+
+    @property
+    def dim(self) -> int:
+        """Number of displacement components."""
+
+
+def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
     if problem.test.kind == "compression":
         rate = _plates(problem, space, mesh)
@@ -46,11 +59,11 @@ def constraints(problem: Problem, space: Discretization, mesh: Mesh) -> Constrai
     return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
 
 
-def _at(space: Discretization, mesh: Mesh, level: float) -> Ints:
+def _at(space: Nodes, mesh: Mesh, level: float) -> Ints:
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
-def _plates(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+def _plates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Plates above and below, or the middle plane instead of the one below."""
     dim, half = space.dim, mesh.half_height
     top = _at(space, mesh, mesh.height_mm)
@@ -64,7 +77,7 @@ def _plates(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, fl
     return rate
 
 
-def _base(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+def _base(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Support of an indented specimen."""
     dim = space.dim
     if isinstance(problem.specimen, Surface):
@@ -75,7 +88,7 @@ def _base(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, floa
     return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
 
 
-def _bonded_punch(problem: Problem, space: Discretization, mesh: Mesh) -> dict[int, float]:
+def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Nodes under a flat indenter that sticks: a prescribed displacement."""
     pressed = problem.test.indenter
     if problem.test.interface != "bonded" or not isinstance(pressed, Flat):
