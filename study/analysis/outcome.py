@@ -19,7 +19,13 @@ from study.analysis.sphericity import SphericityResult
 from study.analysis.sums import Factored
 from study.analysis.tidy import Data
 from study.analysis.unreplicated import LenthResult, functional_shares, non_additivity
-from study.analysis.variance import ResidualDesign, bartlett, levene
+from study.analysis.variance import (
+    BartlettResult,
+    LeveneResult,
+    ResidualDesign,
+    bartlett,
+    levene,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -88,25 +94,14 @@ def assemble(out: Outcome) -> AnalysisResult:
     """Check assumptions and freeze the result."""
     names = out.data.cell_names()
     out, normality, groups = _checks(out)
-    tests: dict[str, Any] = {"bartlett": None, "levene": None}
-    if groups is not None:
-        # residuals of a blocked fit are correlated: their own design is simulated
-        design = None
-        if groups.basis is not None and out.exact:
-            design = ResidualDesign(groups.basis, groups.index)
-        count = _MONTE_CARLO if out.exact else 0
-        options: dict[str, Any] = {
-            "approximate": groups.approximate,
-            "seed": out.seed,
-            "design": design,
-        }
-        tests = {
-            "bartlett": bartlett(groups.groups, simulations=count, **options),
-            "levene": levene(groups.groups, simulations=count if design else 0, **options),
-        }
-        out = out.warn(
-            *(f"{name}: not applicable: {t.reason}" for name, t in tests.items() if t.reason)
+    equal, spread = _spread_tests(out, groups)
+    out = out.warn(
+        *(
+            f"{name}: not applicable: {test.reason}"
+            for name, test in (("bartlett", equal), ("levene", spread))
+            if test is not None and test.reason
         )
+    )
     fit, residual = out.fit, None if out.fit is None else out.fit.residual
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
@@ -121,8 +116,8 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.error,
         out.anova,
         normality,
-        tests["bartlett"],
-        tests["levene"],
+        equal,
+        spread,
         out.effects,
         tuple(dict.fromkeys(out.warnings)),
         _cell_means(out),
@@ -146,6 +141,27 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.robustness,
         out.box_cox,
         power=_power(out),
+    )
+
+
+def _spread_tests(
+    out: Outcome, groups: checks.CellGroups | None
+) -> tuple[BartlettResult | None, LeveneResult | None]:
+    if groups is None:
+        return None, None
+    # residuals of a blocked fit are correlated: their own design is simulated
+    design = None
+    if groups.basis is not None and out.exact:
+        design = ResidualDesign(groups.basis, groups.index)
+    count = _MONTE_CARLO if out.exact else 0
+    options: dict[str, Any] = {
+        "approximate": groups.approximate,
+        "seed": out.seed,
+        "design": design,
+    }
+    return (
+        bartlett(groups.groups, simulations=count, **options),
+        levene(groups.groups, simulations=count if design else 0, **options),
     )
 
 

@@ -17,32 +17,45 @@ if TYPE_CHECKING:
     from study.analysis.results import Row
 
 
+Column = Annotated[str | None, typer.Option(help="Column of the response.")]
+Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
+Blocks = Annotated[
+    str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
+]
+Unit = Annotated[
+    str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
+]
+WholePlot = Annotated[
+    str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
+]
+Replicates = Annotated[
+    str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
+]
+Error = Annotated[str | None, typer.Option(help="auto, pooled or own.")]
+Kind = Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")]
+Model = Annotated[
+    str | None,
+    typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
+]
+Practical = Annotated[
+    str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+]
+Transform = Annotated[str | None, typer.Option(help="none or log.")]
+
+
 def analyze(
     source: Annotated[Path, typer.Argument(help="Results of a study, or any tidy CSV.")],
-    response: Annotated[str | None, typer.Option(help="Column of the response.")] = None,
-    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
-    block: Annotated[
-        str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
-    ] = None,
-    unit: Annotated[
-        str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
-    ] = None,
-    whole_plot: Annotated[
-        str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
-    ] = None,
-    replicates: Annotated[
-        str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
-    ] = None,
-    error: Annotated[str | None, typer.Option(help="auto, pooled or own.")] = None,
-    kind: Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")] = None,
-    model: Annotated[
-        str | None,
-        typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
-    ] = None,
-    practical: Annotated[
-        str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
-    ] = None,
-    transform: Annotated[str | None, typer.Option(help="none or log.")] = None,
+    response: Column = None,
+    factors: Columns = "",
+    block: Blocks = None,
+    unit: Unit = None,
+    whole_plot: WholePlot = None,
+    replicates: Replicates = None,
+    error: Error = None,
+    kind: Kind = None,
+    model: Model = None,
+    practical: Practical = None,
+    transform: Transform = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
