@@ -142,7 +142,7 @@ def problem(
     solver = solve or kept(in_process, results, name)
     series = series_of(config, config["converge"])
     budget = budget_of(config["converge"].budget_s, memory_MB)
-    refine([series], solver, budget, lambda one: refine_judge.settled(one, formal.order), progress)
+    refine([series], solver, budget, lambda one: refine_judge.outlook(one, formal.order), progress)
     made = refine_judge.document(series, formal, tolerance or None)
     if made["quantities"]:
         progress("load steps and solver tolerance")

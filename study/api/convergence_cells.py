@@ -70,7 +70,7 @@ def problem_cells(
         cells,
         solver,
         budget,
-        lambda one: refine_judge.settled(one, formal[id(one)].order),
+        lambda one: refine_judge.outlook(one, formal[id(one)].order),
         progress,
     )
     documents = [refine_judge.document(one, formal[id(one)]) for one in cells]

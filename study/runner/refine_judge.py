@@ -15,7 +15,7 @@ from study.errors import Fault, InputError, nearest
 if TYPE_CHECKING:
     from study.analysis import ConvergenceResult
     from study.runner.refine_formal import FormalOrder
-    from study.runner.refine_series import Level, Series
+    from study.runner.refine_series import Level, Outlook, Series
 
 Array = NDArray[np.float64]
 Values = Mapping[str, tuple[Sequence[float], str]]
@@ -170,14 +170,19 @@ def _bound(result: ConvergenceResult) -> float:
     return 3 * (max(finest) - min(finest))
 
 
-def settled(series: Series, formal: float | None) -> bool:
-    """Whether every quantity of a series has the accuracy that its problem asks for."""
+def outlook(series: Series, formal: float | None) -> Outlook:
+    """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
+    from study.runner.refine_series import Outlook
+
     kept, _ = usable(series.levels)
     if len(kept) < 3 or series.spec.tolerance is None:
-        return False
+        return Outlook(False)
     sizes = representative_sizes(kept, series.config["model"].get("space", "axisymmetric"))
     results = judged(sizes, curve_values(kept), formal)
-    return all(within(results, series.spec.tolerance).values())
+    wanted = series.spec.tolerance
+    sizes_needed = [size_needed(r, wanted) for r in results.values()]
+    known = [size for size in sizes_needed if size is not None]
+    return Outlook(all(within(results, wanted).values()), min(known, default=None))
 
 
 def document(series: Series, formal: FormalOrder, tolerance: float | None = None) -> dict[str, Any]:

@@ -80,6 +80,14 @@ class Budget:
         return ""
 
 
+@dataclass(frozen=True)
+class Outlook:
+    """What the meshes so far say: whether they are enough, else the size that would be."""
+
+    settled: bool
+    size_needed_mm: float | None = None
+
+
 @dataclass
 class Series:
     """Refinement of one problem, coarse to fine.
@@ -108,23 +116,41 @@ class Series:
         """Meshes with an answer."""
         return [level for level in self.levels if level.converged]
 
-    def advance(self, budget: Budget, settled: Callable[[Series], bool]) -> float | None:
+    def advance(self, budget: Budget, outlook: Callable[[Series], Outlook]) -> float | None:
         """Size of the next mesh, or None where the series has ended (``stopped`` says why)."""
         if not self.stopped:
-            self.stopped = self._end(budget, settled)
+            self.stopped = self._end(budget, outlook)
         return None if self.stopped else float(self.first_mm / self.spec.ratio ** len(self.levels))
 
-    def _end(self, budget: Budget, settled: Callable[[Series], bool]) -> str:
+    def _end(self, budget: Budget, outlook: Callable[[Series], Outlook]) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
         count, wanted = len(self.levels), max(FEWEST, self.spec.levels)
         if count >= wanted and len(self.good) >= FEWEST:
             if self.spec.tolerance is None:
                 return f"{count} meshes were asked for"
-            if settled(self):
+            seen = outlook(self)
+            if seen.settled:
                 return "every quantity has the wanted accuracy"
+            if hopeless := self._hopeless(budget, seen.size_needed_mm):
+                return hopeless
         if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
         return budget.refuses(*self.predicted()) if count else ""
+
+    def _hopeless(self, budget: Budget, needed_mm: float | None) -> str:
+        """Why the mesh that would be fine enough is out of reach; empty if it may be."""
+        last = self.good[-1]
+        if needed_mm is None or needed_mm >= last.mesh_size_mm:
+            return ""
+        space = self.config["model"].get("space", "axisymmetric")
+        power = (2 if space == "axisymmetric" else 3) * _TIME_EXPONENT[space]
+        seconds = last.seconds * (last.mesh_size_mm / needed_mm) ** power
+        if not budget.refuses(seconds, None):
+            return ""
+        return (
+            f"the wanted accuracy needs a mesh size of about {needed_mm:.2g} mm and "
+            f"{seconds:.2g} s, which the budget does not have"
+        )
 
     def predicted(self) -> tuple[float | None, float | None]:
         """Seconds and MB of the next mesh, from what the meshes so far took."""
@@ -184,7 +210,7 @@ def refine(
     series: Sequence[Series],
     solve: Solver,
     budget: Budget,
-    settled: Callable[[Series], bool],
+    outlook: Callable[[Series], Outlook],
     progress: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Solve mesh after mesh of every series, all series of one round together.
@@ -193,13 +219,13 @@ def refine(
     ----------
     solve : callable
         Results of a list of tasks, in its order.
-    settled : callable
-        Whether a series has the wanted accuracy.
+    outlook : callable
+        Whether a series has the wanted accuracy, and which mesh would.
     progress : callable
         Told of every round.
     """
     while True:
-        due = [(one, size) for one in series if (size := one.advance(budget, settled)) is not None]
+        due = [(one, size) for one in series if (size := one.advance(budget, outlook)) is not None]
         if not due:
             return
         progress(_round(due))

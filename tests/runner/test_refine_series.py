@@ -115,12 +115,20 @@ def test_refines_until_the_wanted_accuracy() -> None:
 
 def test_the_needed_size_follows_from_the_order() -> None:
     found = converged(Fake(), 'tolerance = "0.1 %"\nbudget = "5 s"')
-    assert "left" in found["stopped"]
+    assert "which the budget does not have" in found["stopped"]
     assert not found["settled"]
     assert any("not within 0.1 %" in w for w in found["warnings"])
     needed = found["mesh_size_needed"]
     u = found["u_num"] * (needed / found["mesh_size"][0]) ** found["order_used"]
     assert u == pytest.approx(1e-3 * found["extrapolated"], rel=1e-9)
+
+
+def test_a_hopeless_accuracy_is_said_early() -> None:
+    """Half an order: the mesh for 0.1 % would take a thousand times the budget."""
+    fake = Fake(order=0.6, error=5e-2)
+    found = converged(fake, 'tolerance = "0.1 %"\nbudget = "30 s"')
+    assert found["stopped"].startswith("the wanted accuracy needs a mesh size of about")
+    assert len(found["mesh_size"]) == 3
 
 
 def test_stops_before_the_memory_runs_out() -> None:
