@@ -12,6 +12,7 @@ import pytest
 
 from study.analysis import analyze, anderson_darling, bartlett, levene, read_csv, ryan_joiner
 from study.analysis import shapiro_wilk as shapiro
+from study.cli.app import run
 from study.errors import InputError, RefusedError
 
 
@@ -224,3 +225,18 @@ def test_f23_levels_are_checked_with_row_and_column(tmp_path: Path, text: str, m
 def test_f23_a_number_and_its_text_are_no_two_levels() -> None:
     with pytest.raises(InputError, match="look the same"):
         analyze(pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]}), "y", ["a"])
+
+
+def test_copies_end_the_program_with_code_three_and_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "copies.csv"
+    pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3).to_csv(path, index=False)
+    arguments = ["analyze", str(path), "--response", "y", "--factors", "a,b", "--json"]
+    assert run(arguments) == 3
+    out, err = capsys.readouterr()
+    assert out == ""
+    for remedy in ("keep one run a cell", "--block", "new meshes", "numerical uncertainty"):
+        assert remedy in err
+    assert run([*arguments[:4], "--factors", "a,c"]) == 2
+    assert "copies.csv: column 'c': no such column" in capsys.readouterr().err
