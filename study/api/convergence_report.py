@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 #: cells whose coarsest and finest mesh are shown
 SHOWN = 4
+#: plane elements by their number of vertices
+_SHAPES = {3: "triangles", 4: "quadrilaterals"}
 
 
 def write_page(
@@ -61,8 +63,7 @@ def _picture(
 
     model = {**config["model"], "mesh": None, "mesh_size_mm": size}
     mesh = build_mesh(build.problem({**config, "model": model}))
-    shape = str(config["model"].get("element_shape") or "")
-    label = f"{shape} {size:.3g} mm, {len(mesh.cells)} elements".strip()
+    label = f"{_SHAPES[mesh.cells.shape[1]]}, {size:.3g} mm, {len(mesh.cells)} elements"
     return mesh.digest(), (label, np.asarray(mesh.points), np.asarray(mesh.cells))
 
 
