@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +103,7 @@ def assemble(out: Outcome) -> AnalysisResult:
             if test is not None and test.reason
         )
     )
+    out = out.warn(*_inestimable(out.effects))
     fit, residual = out.fit, None if out.fit is None else out.fit.residual
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
@@ -142,6 +144,19 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.box_cox,
         power=_power(out),
     )
+
+
+def _inestimable(effects: Sequence[Effect]) -> list[str]:
+    """One sentence for every term some of whose means cannot be estimated."""
+    found = []
+    for effect in effects:
+        lost = [
+            level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
+        ]
+        if lost:
+            more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
+            found.append(f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}")
+    return found
 
 
 def _spread_tests(

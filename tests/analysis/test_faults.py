@@ -132,6 +132,9 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_refuses_its_int
     assert result.anova.row("a:b").f is None
     assert result.effect("a:b").verdict == "cannot tell"
     assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.warnings)
+    assert "a:b: the mean is not estimable at L2 L1" in result.warnings
+    assert "a: the mean is not estimable at L2" in result.warnings
+    assert result.effect("a").mean[:2] != (None, None)
 
 
 def study(seed: int, gap: float) -> pd.DataFrame:
