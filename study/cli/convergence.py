@@ -74,7 +74,8 @@ def _print_series(cell: Mapping[str, Any]) -> None:
     labels = " / ".join(str(v) for v in (cell.get("levels") or {}).values())
     parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
     title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
-    show.table(_mesh_rows(cell), title.strip())
+    print(title.strip())  # the title of a narrow table would be folded
+    show.table(_mesh_rows(cell))
     print(cell["verdict"])
     if cell.get("formal_reason"):
         print(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
@@ -144,5 +145,6 @@ def _print_front(front: Mapping[str, Any]) -> None:
             p["cell"], f"{p['mesh_size']:.3g}", str(p["unknowns"]), f"{p['seconds']:.3g}",
             f"{p['memory_MB']:.0f}", f"{100 * p['error']:.2g} %",
         ])  # fmt: skip
-    show.table(rows, title)
+    print(title)
+    show.table(rows)
     print(front["answer"])
