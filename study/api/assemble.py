@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from study.curve import Curve
-from study.design import calibration_factors, equivalent_groups, excluded
+from study.design import calibration_factors, equivalent_groups, excluded, treatments
 from study.reporting.data import (
     ANY,
     Check,
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: cells that must agree physically may differ by the tolerance of the solver
 CONTROL_TOLERANCE = 1e-5
+#: sentences about aliases that a report holds
+ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
            "measurements", "calibration", "converge", "uncertainty")  # fmt: skip
 
@@ -63,6 +65,8 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         data_notes=tuple(manifest["notes"]),
         warnings=study.warnings,
         design_text=manifest["text"] or manifest["design"],
+        scheme=design.scheme.summary,
+        cells=None if design.scheme.rows is None else len(treatments(design)),
     )
 
 
@@ -240,10 +244,20 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
         consequence,
     )
+    if study.design.scheme.aliases:
+        yield _told_apart(study.design)
     fits = {f["key"]: f for r in study.records for f in (r.fit or {}).values()}
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)
+
+
+def _told_apart(design: Design) -> Check:
+    """Say what a part of the full factorial leaves mixed."""
+    told = design.scheme.aliases
+    more = f"; and {len(told) - ALIASES} more, which `study plan` lists"
+    consequence = "; ".join(told[:ALIASES]) + (more if len(told) > ALIASES else "")
+    return Check("what the chosen cells tell apart", "caution", design.scheme.summary, consequence)
 
 
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:

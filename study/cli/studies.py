@@ -25,6 +25,8 @@ Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; 
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
 RESULTS, REPORTS = Path("results"), Path("reports")
+#: levels of a factor beyond which a plan lists the ends only
+MANY = 6
 
 
 def demo(
@@ -188,6 +190,18 @@ def _print_study(study: StudyResult) -> None:
         print(f"\nreport: {study.report}")
 
 
+def _print_scheme(scheme: dict[str, Any]) -> None:
+    """Say what the choice of cells can and cannot tell."""
+    if not scheme["summary"]:
+        return
+    print(scheme["summary"])
+    if scheme["defining_relation"]:
+        print(f"defining relation: {scheme['defining_relation']}")
+    for sentence in scheme["aliases"]:
+        print(f"  {sentence}")
+    print()
+
+
 def _print_plan(found: Plan) -> None:
     described = found.description
     print(f"{described['study']}: {described['question']}\n")
@@ -203,8 +217,12 @@ def _print_plan(found: Plan) -> None:
     for row in described["excluded"]:
         print(f"excluded: {row['label']}: {row['why']}")
     print()
+    _print_scheme(described["scheme"])
     for factor in described["factors"]:
-        print(f"{factor['name']} ({', '.join(factor['levels'])}): {factor['note'] or 'varies'}")
+        levels = factor["levels"]
+        if len(levels) > MANY:
+            levels = [levels[0], f"{len(levels) - 2} more", levels[-1]]
+        print(f"{factor['name']} ({', '.join(levels)}): {factor['note'] or 'varies'}")
     print()
     if found.blocks:
         print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")

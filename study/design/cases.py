@@ -1,4 +1,4 @@
-"""Design -> cells -> cases: full factorial, resolved configurations, names made of content."""
+"""Design -> cells -> cases: combinations of levels, configurations, names made of content."""
 
 from __future__ import annotations
 
@@ -21,9 +21,12 @@ ID_LENGTH = 16
 
 
 def combinations(design: Design) -> Iterator[tuple[dict[str, str], tuple[Level, ...]]]:
-    """Full factorial: labels by factor, and the levels; the last factor varies fastest."""
+    """Labels by factor, and the levels, of every cell; the last factor varies fastest."""
     names = [factor.name for factor in design.factors]
-    for levels in itertools.product(*(factor.levels for factor in design.factors)):
+    for row in design.scheme.rows or itertools.product(
+        *(range(len(factor.levels)) for factor in design.factors)
+    ):
+        levels = tuple(f.levels[i] for f, i in zip(design.factors, row, strict=True))
         yield {n: level.label for n, level in zip(names, levels, strict=True)}, levels
 
 
@@ -39,7 +42,7 @@ def resolve_cell(design: Design, levels: Sequence[Level], faults: Faults) -> Con
 
 
 def treatments(design: Design) -> tuple[Treatment, ...]:
-    """Cells of the full factorial without those left out.
+    """Cells of the design without those left out.
 
     Raises
     ------

@@ -5,8 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
-from study.design.cases import calibration_key, case_id, excluded, physical_key, treatments
+from study.design.cases import (
+    calibration_key,
+    case_id,
+    excluded,
+    physical_key,
+    resolve_cell,
+    treatments,
+)
 from study.design.physics import is_homogeneous, plausibility
+from study.design.reader import Faults
 from study.design.spec import Design, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
@@ -44,7 +52,9 @@ def calibration_groups(design: Design) -> Groups:
 def calibration_factors(design: Design) -> tuple[str, ...]:
     """Names of the factors that enter the calibration problem of some cell."""
     cells = treatments(design)
-    return tuple(f.name for f in design.factors if _separated(cells, f.name, calibration_key))
+    return tuple(
+        f.name for f in design.factors if _separated(design, cells, f.name, calibration_key)
+    )
 
 
 def _others(cell: Treatment, factor: str) -> Hashable:
@@ -56,16 +66,35 @@ def _slices(cells: Sequence[Treatment], factor: str) -> Groups:
     return _grouped(cells, lambda cell: _others(cell, factor))
 
 
-def _separated(cells: Sequence[Treatment], factor: str, key: Key) -> int:
-    """Count the cells in whose slice the factor changes the key."""
+def _separated(design: Design, cells: Sequence[Treatment], factor: str, key: Key) -> int:
+    """Count the cells in which the factor changes the key."""
+    if design.scheme.rows is not None:
+        return sum(_changes(design, cell, factor, key) for cell in cells)
     slices = _slices(cells, factor)
     return sum(len(group) for group in slices if len({key(cell) for cell in group}) > 1)
+
+
+def _changes(design: Design, cell: Treatment, factor: str, key: Key) -> bool:
+    """Whether another level of one factor alone changes the key of a cell.
+
+    A part of the full factorial may hold no two cells that differ in one factor only, so the
+    other cell is made for the comparison.
+    """
+    own = key(cell)
+    for other in next(f for f in design.factors if f.name == factor).labels:
+        labels = {**cell.levels, factor: other}
+        levels = [f.levels[f.labels.index(labels[f.name])] for f in design.factors]
+        faults = Faults()
+        config = resolve_cell(design, levels, faults)
+        if not faults and key(Treatment(labels, config)) != own:
+            return True
+    return False
 
 
 def inert_cells(design: Design, factor: str) -> int:
     """Count the cells in which a factor cannot change a force: its controls."""
     cells = treatments(design)
-    return len(cells) - _separated(cells, factor, physical_key)
+    return len(cells) - _separated(design, cells, factor, physical_key)
 
 
 def describe(design: Design) -> dict[str, Any]:
@@ -78,6 +107,7 @@ def describe(design: Design) -> dict[str, Any]:
         ``factors``: ``name``, ``levels``, ``calibrates``, ``inert_cells``, ``note``;
         ``matrix``: ``label``, ``levels``, ``group``, ``calibration``, ``homogeneous`` of each
         cell; ``excluded``: ``label``, ``why``; ``duplicates``: lists of labels;
+        ``scheme``: ``kind``, ``summary``, ``resolution``, ``defining_relation``, ``aliases``;
         ``warnings``: sentences.
     """
     cells, groups = treatments(design), equivalent_groups(design)
@@ -91,6 +121,13 @@ def describe(design: Design) -> dict[str, Any]:
         "factors": [_factor(design, cells, i) for i in range(len(design.factors))],
         "matrix": _matrix(cells, groups, fitted),
         "excluded": [{"label": cell.label, "why": why} for cell, why in excluded(design)],
+        "scheme": {
+            "kind": design.scheme.kind,
+            "summary": design.scheme.summary,
+            "resolution": design.scheme.resolution,
+            "defining_relation": design.scheme.defining_relation,
+            "aliases": list(design.scheme.aliases),
+        },
         "duplicates": [[cell.label for cell in group] for group in duplicates(design)],
         "warnings": list(warnings(design)),
     }
@@ -98,8 +135,8 @@ def describe(design: Design) -> dict[str, Any]:
 
 def _factor(design: Design, cells: Sequence[Treatment], index: int) -> dict[str, Any]:
     factor = design.factors[index]
-    calibrates = _separated(cells, factor.name, calibration_key) > 0
-    inert = len(cells) - _separated(cells, factor.name, physical_key)
+    calibrates = _separated(design, cells, factor.name, calibration_key) > 0
+    inert = len(cells) - _separated(design, cells, factor.name, physical_key)
     return {
         "name": factor.name,
         "levels": list(factor.labels),

@@ -8,6 +8,7 @@ from typing import Any
 
 from study.design import keys, sections
 from study.design.document import flatten
+from study.design.ranges import grouped, read_range
 from study.design.reader import (
     MAX_NAME,
     Bad,
@@ -24,7 +25,7 @@ from study.errors import nearest
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
-MAX_CELLS = 4096
+MAX_EXCLUSIONS = 4096
 
 #: set -> label -> dotted keys laid over the file
 Presets = dict[str, dict[str, dict[str, Any]]]
@@ -85,18 +86,17 @@ def read_factors(table: Any, presets: Presets, faults: Faults) -> tuple[Factor, 
     if len(section.table) > MAX_FACTORS:
         faults.add("factors", f"has {len(section.table)} factors, the limit is {MAX_FACTORS}")
         return ()
-    found = [
-        Factor(key, levels)
-        for key, value in section.table.items()
-        if (levels := _levels(key, value, presets, faults))
-    ]
+    read = [_factor(key, value, presets, faults) for key, value in grouped(section.table).items()]
+    found = [factor for factor in read if factor is not None]
     _check_overlap(found, faults)
-    cells = math.prod(len(factor.levels) for factor in found)
-    if cells > MAX_CELLS:
-        rule = f"give {cells} cells, the limit is {MAX_CELLS}"
-        faults.add("factors", rule, "use fewer levels, or several studies")
-        return ()
     return tuple(found)
+
+
+def _factor(key: str, value: Any, presets: Presets, faults: Faults) -> Factor | None:
+    if isinstance(value, Mapping) and key not in presets and keys.may_vary(key):
+        return read_range(key, value, f"factors.{quoted_path(key)}", faults)
+    levels = _levels(key, value, presets, faults)
+    return Factor(key, levels) if levels else None
 
 
 def _levels(key: str, value: Any, presets: Presets, faults: Faults) -> tuple[Level, ...]:
@@ -181,7 +181,7 @@ def read_exclusions(
     """Read every ``[[exclude]]``; ``declared`` has the factors that are faulty, too."""
     if value is None:
         return ()
-    if not isinstance(value, list) or len(value) > MAX_CELLS:
+    if not isinstance(value, list) or len(value) > MAX_EXCLUSIONS:
         faults.add("exclude", f"must be tables, got {shown(value)}", "write [[exclude]]")
         return ()
     return tuple(

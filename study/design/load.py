@@ -16,8 +16,10 @@ from study.design.check import check_cells
 from study.design.factors import Presets, read_exclusions, read_factors, read_presets
 from study.design.fitting import read_fitting
 from study.design.measured import read_measurements_table
+from study.design.ranges import grouped
 from study.design.reader import Bad, Faults, Section, choice, number, shown
 from study.design.resolve import calibration_spec, resolve_problem
+from study.design.scheme import default_model, read_scheme
 from study.design.sections import CONSTANT
 from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec, Response
 from study.errors import Fault, InputError
@@ -29,7 +31,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "problem": (*_COMMON, "uncertainty"),
     "design": (
         *_COMMON,
-        *("presets", "factors", "exclude", "measurements", "calibration", "response"),
+        *("presets", "factors", "design", "exclude", "measurements", "calibration", "response"),
         *("analysis", "uncertainty"),
     ),
     "calibration": ("schema", "study", "specimen", "material", "model", "tests", "calibration"),
@@ -268,7 +270,13 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         tables["study"].setdefault("name", study["name"])
     presets: Presets = read_presets(tables.get("presets"), faults)
     factors = read_factors(tables.get("factors"), presets, faults)
-    declared = list(tables["factors"]) if isinstance(tables.get("factors"), dict) else []
+    declared = list(grouped(tables["factors"])) if isinstance(tables.get("factors"), dict) else []
+    factors, scheme = read_scheme(
+        tables.get("design"), factors, study["seed"], "exclude" in tables, faults
+    )
+    analysis = settings.read_analysis(tables.get("analysis"), faults, declared)
+    if "model" not in (tables.get("analysis") or {}):
+        analysis = default_model(scheme, factors, analysis)
     design = Design(
         **study,
         config=tables,
@@ -277,7 +285,8 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         responses=_responses(tables, faults),
         measurements=_base_measurements(tables),
         calibration=_base_calibration(tables),
-        analysis=settings.read_analysis(tables.get("analysis"), faults, declared),
+        analysis=analysis,
+        scheme=scheme,
         converge=settings.read_converge(tables.get("converge"), faults),
         uncertainty=settings.read_uncertainty(tables.get("uncertainty"), faults),
         report=settings.read_report(tables.get("report"), faults),

@@ -149,16 +149,57 @@ class Level:
 
 
 @dataclass(frozen=True)
+class Span:
+    """Numeric range of a factor: ends in ``unit``, which may be empty."""
+
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Factor:
-    """A factor and its levels; the name is a dotted key or a preset set."""
+    """A factor and its levels; the name is a dotted key or a preset set.
+
+    A factor written as a range has a ``span``; its levels are those that the design needs.
+    """
 
     name: str
     levels: tuple[Level, ...]
+    span: Span | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the levels, in order."""
         return tuple(level.label for level in self.levels)
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Which combinations of levels are run.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the design.
+    rows : tuple of tuple of int, optional
+        Index of the level of every factor, one tuple a cell; None for the full factorial.
+    summary : str
+        The design in a sentence.
+    aliases : tuple of str
+        What it cannot tell apart, in words.
+    resolution : int, optional
+        Verified by brute force; None where nothing is aliased or the word has no meaning.
+    defining_relation : str
+        Such as ``"I = A:B:C"``.
+    """
+
+    kind: str = "full"
+    rows: tuple[tuple[int, ...], ...] | None = None
+    summary: str = ""
+    aliases: tuple[str, ...] = ()
+    resolution: int | None = None
+    defining_relation: str = ""
 
 
 @dataclass(frozen=True)
@@ -241,6 +282,8 @@ class Design:
         The tables of these names.
     uncertainty : mapping of str to float
         Standard uncertainty of inputs, in internal units, by dotted key.
+    scheme : Scheme
+        Which combinations of the levels are run.
     source : str
         The file it was read from; no part of the study's identity.
     text : str
@@ -261,6 +304,7 @@ class Design:
     converge: ConvergeSpec
     uncertainty: Mapping[str, float]
     report: ReportSpec
+    scheme: Scheme = field(default_factory=Scheme)
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 

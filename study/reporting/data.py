@@ -8,6 +8,7 @@ in a notebook or from stored records without running anything.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -256,6 +257,10 @@ class ReportData:
         Warnings of the run.
     design_text : str
         The design file.
+    scheme : str
+        What part of the full factorial was run; empty for all of it.
+    cells : int, optional
+        Cells of that part.
     labels : mapping of str to str
         Better names for factors or responses; made from the key when absent.
     """
@@ -288,4 +293,13 @@ class ReportData:
     data_notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     design_text: str = ""
+    scheme: str = ""
+    cells: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def planned(self) -> int:
+        """Number of cells of the design, without the excluded ones."""
+        if self.cells is not None:
+            return self.cells
+        return math.prod(len(levels) for levels in self.factors.values()) - len(self.exclusions)

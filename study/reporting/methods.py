@@ -10,6 +10,8 @@ from study.reporting.inputs import grouped_inputs
 from study.reporting.text import TIMES, clean, count, listing, name_of, sentence
 from study.reporting.verdicts import practical
 
+#: levels beyond which only the ends are written
+MANY = 6
 _SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 
@@ -22,20 +24,28 @@ def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
 
 
 def _design(data: ReportData) -> str:
-    total = 1
-    for levels in data.factors.values():
-        total *= len(levels)
     named = listing(
         [
-            f"{name_of(name, data.labels)} ({listing([clean(level) for level in levels])})"
+            f"{name_of(name, data.labels)} ({_levels(levels)})"
             for name, levels in data.factors.items()
         ]
     )
     blocks = ""
     if data.blocks:
         blocks = f", each in {count(len(data.blocks), clean(data.block) or 'block')}"
+    if data.scheme:
+        cells = count(data.planned, "cell")
+        return sentence(f"{clean(data.scheme)}; the factors {named} gave {cells}{blocks}")
+    total = data.planned + len(data.exclusions)
     left_out = f"; {count(len(data.exclusions), 'combination')} excluded" if data.exclusions else ""
     return sentence(f"a full factorial of {named} gave {count(total, 'cell')}{blocks}{left_out}")
+
+
+def _levels(levels: Sequence[str]) -> str:
+    """Levels in words; of many, as a range sampled by runs has, the ends and the number."""
+    if len(levels) > MANY:
+        return f"{clean(levels[0])} to {clean(levels[-1])} in {count(len(levels), 'level')}"
+    return listing([clean(level) for level in levels])
 
 
 def _measurements(data: ReportData) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -161,10 +160,9 @@ def render(contents: Contents) -> str:
 
 def _planned(data: ReportData, present: int) -> str:
     """Count the cells, against those of the design where some have no case yet."""
-    planned = math.prod(len(levels) for levels in data.factors.values()) - len(data.exclusions)
-    if present >= planned:
+    if present >= data.planned:
         return count(present, "cell")
-    return f"{present:,} of {count(planned, 'cell')} computed"
+    return f"{present:,} of {count(data.planned, 'cell')} computed"
 
 
 def _provenance(data: ReportData) -> dict[str, str]:

@@ -123,7 +123,7 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
         if effect.verdict == MATTERS
     ]
     if not strong:
-        return _no_interaction(found)
+        return _no_interaction(data, found)
     facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
     return sentence(
         f"the factors do not act alone: {term_name(effect.term, data.labels)} matters for the "
@@ -131,8 +131,10 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
     )
 
 
-def _no_interaction(found: Sequence[Facts]) -> str:
+def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
     every = [effect for facts in found for effect in facts.interactions]
+    if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
+        return "Interactions are no part of this analysis, so it cannot rule them out."
     open_ones = sum(effect.verdict == CANNOT_TELL for effect in every)
     if not open_ones:
         return "No interaction was found to matter: each factor may be chosen on its own."
@@ -272,9 +274,7 @@ def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, st
 
 def distinct(facts: Facts, data: ReportData) -> str:
     """Say how many computations were really different."""
-    total = 1
-    for levels in data.factors.values():
-        total *= len(levels)
+    total = data.planned
     if facts.distinct is None or facts.distinct >= total:
         return ""
     only = (

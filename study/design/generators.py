@@ -1,0 +1,120 @@
+"""Coded runs of designs other than the full factorial, from kept-up libraries.
+
+Two-level designs are coded -1 and 1, response-surface designs -1 to 1 with the outermost
+runs at the ends of the ranges, space-filling designs 0 to 1. pyDOE3 is not used: its
+fractional designs are wrong; those of pydoe are verified by :mod:`study.design.aliases`.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: letters that pydoe takes for factors
+LETTERS = string.ascii_lowercase
+
+
+def fractional(
+    factors: Sequence[str], generators: Mapping[str, tuple[int, Sequence[str]]]
+) -> Array:
+    """Two-level fractional factorial with given generators.
+
+    Parameters
+    ----------
+    factors : sequence of str
+        Names, in order.
+    generators : mapping of str to (sign, names)
+        Each generated factor is the sign times the product of these basic factors.
+
+    Returns
+    -------
+    ndarray, shape (runs, factors)
+        -1 and 1.
+
+    Examples
+    --------
+    >>> fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])}).astype(int).tolist()
+    [[-1, -1, -1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]]
+    """
+    from pydoe import fracfact
+
+    basic = [name for name in factors if name not in generators]
+    letter = dict(zip(basic, LETTERS, strict=False))
+    words = []
+    for name in factors:
+        sign, parts = generators.get(name, (1, [name]))
+        words.append(("-" if sign < 0 else "") + "".join(sorted(letter[p] for p in parts)))
+    return _ordered(np.asarray(fracfact(" ".join(words)), dtype=float))
+
+
+def by_resolution(count: int, resolution: int) -> Array:
+    """Smallest two-level fraction of a number of factors with at least a resolution.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    from pydoe import fracfact_by_res
+
+    return _ordered(np.asarray(fracfact_by_res(count, resolution), dtype=float))
+
+
+def plackett_burman(count: int) -> Array:
+    """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305)."""
+    from pydoe import pbdesign
+
+    return np.asarray(pbdesign(count), dtype=float)
+
+
+def central_composite(count: int, star: str = "inscribed") -> Array:
+    """Rotatable central composite design, or the face-centered one (Box and Wilson 1951).
+
+    The center stands once: a simulation repeated is the same simulation. The runs are scaled
+    so that none leaves -1 to 1, for the ends of a range are its true limits.
+
+    Parameters
+    ----------
+    count : int
+        Number of factors, at least 2.
+    star : {"inscribed", "faced"}
+        Whether the star points or the corners and stars lie at the ends of the ranges.
+    """
+    from pydoe import ccdesign
+
+    runs = ccdesign(count, center=(0, 1), alpha="rotatable", face=star)
+    return np.asarray(runs, dtype=float)
+
+
+def box_behnken(count: int) -> Array:
+    """Box-Behnken design with one center run (Box and Behnken 1960, Technometrics 2, 455)."""
+    from pydoe import bbdesign
+
+    return np.asarray(bbdesign(count, center=1), dtype=float)
+
+
+def latin_hypercube(count: int, runs: int, seed: int) -> Array:
+    """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices."""
+    from scipy.stats import qmc
+
+    rng = np.random.default_rng(seed)
+    return np.asarray(qmc.LatinHypercube(count, rng=rng).random(runs), dtype=float)
+
+
+def sobol(count: int, runs: int, seed: int) -> Array:
+    """Scrambled Sobol sequence in 0 to 1; ``runs`` is a power of two, which keeps its balance."""
+    from scipy.stats import qmc
+
+    rng = np.random.default_rng(seed)
+    sampler = qmc.Sobol(count, scramble=True, rng=rng)
+    return np.asarray(sampler.random_base2(int(runs).bit_length() - 1), dtype=float)
+
+
+def _ordered(runs: Array) -> Array:
+    """Sort the runs as a table: the last basic factor varies fastest."""
+    return runs[np.lexsort(runs.T[::-1])]

@@ -1,0 +1,158 @@
+"""Generated designs against their definitions: balance, orthogonality, published words."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from study.design import aliases, generators
+
+NAMES = list("ABCDEFGHJKLM")
+
+
+def gram(runs: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    return np.asarray(runs.T @ runs)
+
+
+# generators and resolutions of Box, Hunter and Hunter 1978, table 12.15
+@pytest.mark.parametrize(
+    ("count", "given", "runs", "resolution"),
+    [
+        (3, {"C": "AB"}, 4, 3),
+        (4, {"D": "ABC"}, 8, 4),
+        (5, {"E": "ABCD"}, 16, 5),
+        (5, {"D": "AB", "E": "AC"}, 8, 3),
+        (6, {"E": "ABC", "F": "BCD"}, 16, 4),
+        (7, {"D": "AB", "E": "AC", "F": "BC", "G": "ABC"}, 8, 3),
+        (8, {"E": "BCD", "F": "ACD", "G": "ABC", "H": "ABD"}, 16, 4),
+        (6, {"F": "ABCDE"}, 32, 6),
+        (8, {"G": "ABCD", "H": "ABEF"}, 64, 5),
+    ],
+)
+def test_published_fractions(count: int, given: dict[str, str], runs: int, resolution: int) -> None:
+    names = NAMES[:count]
+    found = generators.fractional(names, {k: (1, list(v)) for k, v in given.items()})
+    assert found.shape == (runs, count)
+    assert set(np.unique(found)) == {-1.0, 1.0}
+    assert gram(found).tolist() == (runs * np.eye(count)).tolist()
+    assert len({tuple(run) for run in found}) == runs
+    for name, parts in given.items():
+        product = np.prod([found[:, names.index(p)] for p in parts], axis=0)
+        assert found[:, names.index(name)].tolist() == product.tolist()
+    assert aliases.resolution(found) == resolution
+
+
+def test_a_negative_generator_is_the_other_fraction() -> None:
+    plus = generators.fractional(["A", "B", "C"], {"C": (1, ["A", "B"])})
+    minus = generators.fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])})
+    assert len({tuple(run) for run in np.vstack([plus, minus])}) == 8
+    assert aliases.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
+
+
+def test_words_of_a_quarter_fraction() -> None:
+    # 2^(5-2), D = AB, E = AC: I = ABD = ACE = BCDE (Box, Hunter and Hunter 1978, chapter 12)
+    runs = generators.fractional(NAMES[:5], {"D": (1, ["A", "B"]), "E": (1, ["A", "C"])})
+    words = {aliases.term_name(w, NAMES) for w in aliases.defining_words(runs)}
+    assert words == {"A:B:D", "A:C:E", "B:C:D:E"}
+    told = aliases.sentences(runs, NAMES[:5])
+    assert (
+        "the effect of A cannot be told from the interaction of B and D or "
+        "the interaction of C and E" in told
+    )
+    assert "the interaction of B and C cannot be told from the interaction of D and E" in told
+
+
+def test_a_full_factorial_aliases_nothing() -> None:
+    runs = np.array(list(itertools.product([-1.0, 1.0], repeat=4)))
+    assert aliases.resolution(runs) is None
+    assert aliases.aliases(runs) == ()
+    assert aliases.sentences(runs, NAMES[:4]) == []
+    assert aliases.defining_relation(runs, NAMES[:4]) == ""
+
+
+def test_a_wrong_fraction_is_found_out() -> None:
+    # column C repeats column A: whatever a generator promised, that is resolution 2
+    runs = np.array([[-1, -1, -1], [-1, 1, -1], [1, -1, 1], [1, 1, 1]], dtype=float)
+    assert aliases.resolution(runs) == 2
+    assert "the effect of A cannot be told from the effect of C" in aliases.sentences(runs, "ABC")
+
+
+@pytest.mark.parametrize("resolution", [3, 4, 5])
+@pytest.mark.parametrize("count", [4, 5, 6, 7, 8])
+def test_fractions_by_resolution_keep_their_word(count: int, resolution: int) -> None:
+    try:
+        runs = generators.by_resolution(count, resolution)
+    except ValueError:
+        pytest.skip("the library has no such fraction")
+    found = aliases.resolution(runs)
+    assert found is None or found >= resolution
+    assert gram(runs).tolist() == (len(runs) * np.eye(count)).tolist()
+
+
+@pytest.mark.parametrize("count", range(2, 16))
+def test_plackett_burman_is_orthogonal(count: int) -> None:
+    runs = generators.plackett_burman(count)
+    assert len(runs) % 4 == 0
+    assert count < len(runs) <= count + 4
+    assert gram(runs).tolist() == (len(runs) * np.eye(count)).tolist()
+    assert runs.sum(axis=0).tolist() == [0.0] * count
+
+
+def test_plackett_burman_of_twelve_mixes_by_thirds() -> None:
+    # each main effect has correlation 1/3 with every interaction of two others (Lin and
+    # Draper 1992, Technometrics 34, 423)
+    runs = generators.plackett_burman(11)
+    assert len(runs) == 12
+    mixed = [a for a in aliases.aliases(runs) if len(a.term) == 1]
+    assert {round(abs(a.r), 12) for a in mixed} == {round(1 / 3, 12)}
+    assert len(mixed) == 11 * 45
+    told = aliases.sentences(runs, NAMES[:11])
+    assert told[0] == (
+        "the effect of A is mixed with a part (up to 0.333) of 45 interactions of two other factors"
+    )
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_central_composite(count: int) -> None:
+    runs = generators.central_composite(count)
+    assert len(runs) == 2**count + 2 * count + 1
+    assert np.abs(runs).max() == pytest.approx(1)
+    assert (np.abs(runs).sum(axis=1) == 0).sum() == 1
+    corner = np.abs(runs[(np.abs(runs) > 1e-12).all(axis=1)])
+    # rotatable: stars at 2^(k/4) times the corners (Box and Hunter 1957, Ann. Math. Stat. 28)
+    assert np.unique(np.round(1 / corner, 10)).tolist() == [round(2 ** (count / 4), 10)]
+    # the fourth moments of a rotatable design: sum x^4 = 3 sum x^2 y^2
+    assert (runs[:, 0] ** 4).sum() == pytest.approx(3 * (runs[:, 0] ** 2 * runs[:, 1] ** 2).sum())
+    faced = generators.central_composite(count, "faced")
+    assert set(np.unique(faced)) == {-1.0, 0.0, 1.0}
+
+
+@pytest.mark.parametrize(("count", "runs"), [(3, 13), (4, 25), (5, 41)])
+def test_box_behnken(count: int, runs: int) -> None:
+    # 12, 24 and 40 runs without the center (Box and Behnken 1960)
+    found = generators.box_behnken(count)
+    assert len(found) == runs
+    assert set(np.unique(found)) == {-1.0, 0.0, 1.0}
+    assert sorted(set(np.abs(found).sum(axis=1))) == [0.0, 2.0]
+    assert (np.abs(found).sum(axis=1) == 0).sum() == 1
+    square = gram(found)
+    assert np.count_nonzero(square - np.diag(np.diag(square))) == 0
+
+
+def test_latin_hypercube_has_one_run_in_each_slice() -> None:
+    runs = generators.latin_hypercube(4, 20, seed=3)
+    for column in runs.T:
+        assert sorted((column * 20).astype(int)) == list(range(20))
+    assert runs.tolist() == generators.latin_hypercube(4, 20, seed=3).tolist()
+    assert runs.tolist() != generators.latin_hypercube(4, 20, seed=4).tolist()
+
+
+def test_sobol_is_a_net() -> None:
+    # 32 points of a (t, m, 2)-net with t = 0: every elementary box of volume 1/32 has one
+    runs = generators.sobol(2, 32, seed=3)
+    for power in range(6):
+        boxes = {(int(x * 2**power), int(y * 2 ** (5 - power))) for x, y in runs}
+        assert len(boxes) == 32
+    assert runs.tolist() == generators.sobol(2, 32, seed=3).tolist()

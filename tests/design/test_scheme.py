@@ -1,0 +1,301 @@
+"""Table ``[design]``: which cells are run, what they can tell, and what is refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from study import design
+from study.design.describe import calibration_factors, inert_cells
+from study.errors import InputError
+
+BASE = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+displacement = "6 mm"
+interface = "bonded"
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+poisson_ratio = 0.4995
+[model]
+mesh = "coarse"
+[[response]]
+name = "seconds"
+"""
+TWO = """
+[factors]
+model.space = ["axisymmetric", "3d"]
+test.interface = ["frictionless", "bonded"]
+model.element_order = ["linear", "quadratic"]
+specimen.height = { low = "28 mm", high = "32 mm" }
+"""
+RANGES = """
+[factors]
+specimen.height = { low = "28 mm", high = "32 mm" }
+specimen.radius = { low = "2.4 cm", high = "2.6 cm" }
+material.poisson_ratio = { low = 0.49, high = 0.499 }
+"""
+HALF = 'kind = "fractional"\ngenerators = ["specimen.height = -model.space:test.interface"]\n'
+
+
+def load(factors: str, table: str = "", more: str = "") -> design.Design:
+    return design.loads(f"{BASE}{factors}[design]\n{table}{more}", "x.toml")
+
+
+def faults(factors: str, table: str, more: str = "") -> dict[str, str]:
+    with pytest.raises(InputError) as caught:
+        load(factors, table, more)
+    return {f.where.removeprefix("x.toml: "): f"{f.rule} | {f.mend}" for f in caught.value.faults}
+
+
+def test_a_range_has_two_levels_in_a_factorial() -> None:
+    study = load(TWO)
+    assert len(design.treatments(study)) == 16
+    assert study.factors[-1].labels == ("28 mm", "32 mm")
+    heights = {cell.config["specimen"]["height_mm"] for cell in design.treatments(study)}
+    assert heights == {28.0, 32.0}
+    assert study.scheme.rows is None
+
+
+def test_a_fraction_says_what_it_cannot_tell() -> None:
+    study = load(TWO, HALF)
+    cells = design.treatments(study)
+    assert len(cells) == 8
+    sign = {"axisymmetric": -1, "3d": 1, "frictionless": -1, "bonded": 1, "28 mm": -1, "32 mm": 1}
+    for cell in cells:
+        level = {name: sign.get(label, 0) for name, label in cell.levels.items()}
+        product = level["model.space"] * level["test.interface"]
+        assert level["specimen.height"] == -product
+    found = design.describe(study)["scheme"]
+    assert found["resolution"] == 3
+    assert found["defining_relation"] == "I = -model.space:test.interface:specimen.height"
+    assert "8 of 16 cells, resolution III, verified over all 15 products" in found["summary"]
+    assert (
+        "the effect of model.space cannot be told from the interaction of test.interface and "
+        "specimen.height" in found["aliases"]
+    )
+
+
+@pytest.mark.parametrize(("resolution", "model"), [(3, 1), (4, 1)])
+def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> None:
+    study = load(TWO, f'kind = "fractional"\nresolution = {resolution}\n')
+    assert study.scheme.resolution == resolution
+    assert study.analysis.model == model
+    asked = load(
+        TWO, f'kind = "fractional"\nresolution = {resolution}\n', '[analysis]\nmodel = "full"\n'
+    )
+    assert asked.analysis.model == "full"
+
+
+@pytest.mark.parametrize(
+    ("factors", "table", "cells"),
+    [
+        (TWO, HALF, 8),
+        (TWO, 'kind = "plackett-burman"', 8),
+        (RANGES, 'kind = "central-composite"', 15),
+        (RANGES, 'kind = "central-composite"\nstar = "faced"', 15),
+        (RANGES, 'kind = "box-behnken"', 13),
+        (RANGES, 'kind = "latin-hypercube"\nruns = 12', 12),
+        (RANGES, 'kind = "sobol"\nruns = 16', 16),
+        (TWO, 'kind = "sobol"\nruns = 16', 16),
+        (TWO, 'zip = [["model.space", "test.interface"]]', 8),
+    ],
+)
+def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: int) -> None:
+    study = load(factors, table)
+    assert len(design.treatments(study)) == cells
+    again = design.loads(design.dump(study))
+    assert again == study
+    assert [c.case_id for c in design.cases(again)] == [c.case_id for c in design.cases(study)]
+    assert len({c.case_id for c in design.cases(study)}) == cells
+
+
+def test_response_surfaces_stay_in_their_ranges() -> None:
+    for kind in ("central-composite", "box-behnken"):
+        for cell in design.treatments(load(RANGES, f'kind = "{kind}"')):
+            assert 28 <= cell.config["specimen"]["height_mm"] <= 32
+            assert 24 <= cell.config["specimen"]["radius_mm"] <= 26
+            assert 0.49 <= cell.config["material"]["poisson_ratio"] <= 0.499
+    center = load(RANGES, 'kind = "box-behnken"')
+    labels = [cell.label for cell in design.treatments(center)]
+    assert labels.count("30 mm / 2.5 cm / 0.4945") == 1
+
+
+def test_draws_follow_the_seed() -> None:
+    def cells(table: str, more: str = "") -> list[str]:
+        study = load(RANGES, f'kind = "latin-hypercube"\nruns = 8\n{table}', more)
+        return [cell.label for cell in design.treatments(study)]
+
+    assert cells("") == cells("", "[study]\nseed = 2011\n")
+    assert cells("") != cells("", "[study]\nseed = 7\n")
+    assert cells("seed = 7\n") == cells("", "[study]\nseed = 7\n")
+
+
+def test_zipped_factors_change_together() -> None:
+    study = load(TWO, 'zip = ["model.space", "test.interface"]')
+    pairs = {
+        (c.levels["model.space"], c.levels["test.interface"]) for c in design.treatments(study)
+    }
+    assert pairs == {("axisymmetric", "frictionless"), ("3d", "bonded")}
+    terms = study.analysis.model
+    assert isinstance(terms, tuple)
+    # one name stands for both
+    assert not any("test.interface" in term for term in terms)
+    assert "nothing tells their effects apart" in study.scheme.aliases[0]
+
+
+NESTED = """
+[factors]
+model.space = ["axisymmetric", "3d"]
+model.mesh_size = ["4 mm", "5 mm", "6 mm", "7 mm"]
+test.interface = ["frictionless", "bonded"]
+[[design.nested]]
+factor = "model.mesh_size"
+within = "model.space"
+levels = { axisymmetric = ["4 mm", "5 mm"], 3d = ["6 mm", "7 mm"] }
+"""
+
+
+def test_nested_levels_exist_in_one_level_of_their_parent() -> None:
+    text = BASE.replace('mesh = "coarse"\n', "") + NESTED
+    study = design.loads(text)
+    cells = {
+        (c.levels["model.space"], c.levels["model.mesh_size"]) for c in design.treatments(study)
+    }
+    assert cells == {
+        ("axisymmetric", "4 mm"), ("axisymmetric", "5 mm"), ("3d", "6 mm"), ("3d", "7 mm"),
+    }  # fmt: skip
+    assert len(design.treatments(study)) == 8
+    # a nested factor stands only beside its parent (Montgomery, chapter 14)
+    assert study.analysis.model == (
+        "model.space", "test.interface", "model.space:model.mesh_size",
+        "model.space:test.interface", "model.space:model.mesh_size:test.interface",
+    )  # fmt: skip
+
+
+def test_listed_cells_are_those_and_no_others() -> None:
+    rows = """kind = "listed"
+treatments = [
+  { model.space = "3d", test.interface = "bonded" },
+  { model.space = "axisymmetric", test.interface = "bonded" },
+  { model.space = "axisymmetric", test.interface = "frictionless" },
+]
+"""
+    factors = "\n".join(TWO.splitlines()[:4]) + "\n"
+    labels = [cell.label for cell in design.treatments(load(factors, rows))]
+    assert labels == ["3d / bonded", "axisymmetric / bonded", "axisymmetric / frictionless"]
+
+
+def test_what_a_factor_can_do_is_asked_of_cells_that_are_not_run() -> None:
+    # of a fraction no two cells differ in one factor only, yet the space matters where bonded
+    text = BASE.replace('C10 = "5 kPa"\n', "").replace("seconds", "mu0") + TWO
+    text += """
+[measurements]
+file = "a.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+"""
+    half = 'generators = ["specimen.height = model.space:test.interface:model.element_order"]'
+    whole = design.loads(text)
+    part = design.loads(f'{text}[design]\nkind = "fractional"\n{half}')
+    assert calibration_factors(part) == calibration_factors(whole)
+    assert inert_cells(whole, "model.space") == 8
+    assert inert_cells(part, "model.space") == 4
+    assert inert_cells(part, "specimen.height") == 0
+
+
+@pytest.mark.parametrize(
+    ("factors", "table", "where", "says"),
+    [
+        (TWO, 'kind = "fractionl"', "design.kind", "did you mean 'fractional'?"),
+        (TWO, "runs = 8", "design.runs", "unknown key"),
+        (TWO, 'kind = "fractional"', "design.generators", "must be given"),
+        (TWO, 'kind = "fractional"\nresolution = 2', "design.resolution", "from 3"),
+        (
+            TWO,
+            'kind = "fractional"\ngenerators = ["specimen.hieght = model.space:test.interface"]',
+            "design.generators",
+            "did you mean 'specimen.height'?",
+        ),
+        (
+            TWO,
+            'kind = "fractional"\ngenerators = ["specimen.height = model.space"]',
+            "design.generators",
+            "two or more different factors",
+        ),
+        (
+            TWO,
+            'kind = "fractional"\ngenerators = ["specimen.height: __import__(os)"]',
+            "design.generators",
+            "NAME = A:B",
+        ),
+        (
+            TWO,
+            'kind = "fractional"\ngenerators = ["specimen.height = model.space:test.interface", '
+            '"model.element_order = test.interface:model.space"]',
+            "design.generators",
+            "the same generator",
+        ),
+        (
+            TWO.replace(
+                '["linear", "quadratic"]', '["linear", "quadratic"]\ntest.steps = [1, 2, 3]'
+            ),
+            'kind = "plackett-burman"',
+            "factors.test.steps",
+            "has 3 levels",
+        ),
+        (TWO, 'kind = "box-behnken"', "factors.model.space", "must be a range"),
+        (
+            "[factors]\nspecimen.height = { low = '28 mm', high = '32 mm' }\n",
+            'kind = "central-composite"',
+            "design.kind",
+            "at least 2 factors",
+        ),
+        (RANGES, 'kind = "sobol"\nruns = 12', "design.runs", "power of two, got 12"),
+        (RANGES, 'kind = "latin-hypercube"', "design.runs", "is missing"),
+        (RANGES, 'kind = "central-composite"\nstar = "round"', "design.star", "unknown value"),
+        (TWO, 'zip = [["model.space"]]', "design.zip", "two or more"),
+        (TWO, 'zip = [["model.space", "plates"]]', "design.zip", "no factor 'plates'"),
+        (
+            TWO,
+            'kind = "listed"\ntreatments = [{ model.space = "3d" }, { model.space = "3d" }]',
+            "design.treatments",
+            "treatment 1 has no",
+        ),
+        (
+            TWO.replace('"32 mm"', '"32 kPa"'),
+            "",
+            "factors.specimen.height",
+            "must be a length",
+        ),
+        (TWO.replace(', high = "32 mm"', ""), "", "factors.specimen.height", "has no high"),
+        (TWO.replace('"32 mm"', '"3.2 cm"'), "", "factors.specimen.height", "in one unit"),
+        (TWO.replace('"32 mm"', '"27 mm"'), "", "factors.specimen.height", "must rise"),
+        (
+            TWO.replace('["linear", "quadratic"]', "{ low = 1, high = 2 }"),
+            "",
+            "factors.model.element_order",
+            "has no range",
+        ),
+    ],
+)
+def test_one_fault_of_a_scheme(factors: str, table: str, where: str, says: str) -> None:
+    found = faults(factors, table + "\n")
+    assert where in found
+    assert says in found[where]
+
+
+def test_exclusions_would_break_a_fraction() -> None:
+    lines = '[[exclude]]\nwhen = { model.space = "3d", test.interface = "bonded" }\nwhy = "slow"\n'
+    assert "cannot lose runs" in faults(TWO, HALF, lines)["exclude"]
+
+
+def test_nested_levels_must_be_shared_out() -> None:
+    text = BASE.replace('mesh = "coarse"\n', "") + NESTED.replace(', "7 mm"] }', "] }")
+    with pytest.raises(InputError, match="must stand in one level of 'model.space'"):
+        design.loads(text)
