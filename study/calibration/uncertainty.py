@@ -182,7 +182,8 @@ def _widest(names: Sequence[str], values: Array, known: Uncertainty) -> str:
     width = known.ci95[:, 1] - known.ci95[:, 0]
     kind = np.array([name.rstrip("0123456789") for name in names])
     size = np.array([np.abs(values[kind == k]).max() for k in kind])
-    ratio = np.where(np.abs(values) > NEAR_ZERO * size, width / np.abs(values), 0.0)
+    ratio = np.zeros(values.size)
+    np.divide(width, np.abs(values), out=ratio, where=np.abs(values) > NEAR_ZERO * size)
     worst = int(np.argmax(np.nan_to_num(ratio)))
     if not ratio[worst] > 2:
         return ""

@@ -30,7 +30,7 @@ KEYS = (
     *("fit", "score", "swap", "zero", "toe", "sign", "decimal", "citation"),
 )
 #: keys that may differ between cells
-FACTOR_KEYS = ("range", "points", "zero", "toe", "sign")
+FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
 DIMENSIONS: Mapping[str, str] = {"displacement": "length", "force": "force"}
 MAX_POINTS = 100_000
 _FIELD = re.compile(r"\{([^{}]*)\}")

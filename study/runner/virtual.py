@@ -7,6 +7,9 @@ stiffness factor; each repeat on a specimen has load-cell noise. The reference c
 from finite elements with bonded plates, quadratic elements and the fine mesh, so that no
 cell of a design generates its own data.
 
+A design that reads several files reads several tests of the same specimens: each file then
+holds its own test as the design describes it, of the same stiffness factors.
+
 One solution serves all specimens: at a given Poisson's ratio the force is proportional to
 a common factor on all constants, which is exact, and the scatter of the higher constants
 enters through the exact gradient of the reference curve, to first order. What is written
@@ -19,7 +22,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -104,31 +107,51 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
         If the design has no measurements or the reference problem cannot be solved.
     """
     generator = generator or Generator(seed=design.seed)
-    # the deepest test: every treatment reads its own range from the same files
-    config = max((t.config for t in treatments(design)), key=_depth)
-    spec = design.measurements
-    if spec is None:
+    if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
-    reference = reference_curve(config, generator)
-    tests = list(generate(reference, generator, spec))
+    sources = _sources(design)
     written = []
-    for name, rows in _files(spec, tests).items():
-        path = out / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, rows.encode())
-        truth = {"generator": asdict(generator), "citation": CITATION}
-        note = path.with_name(path.name + TRUTH_SUFFIX)
-        write_atomic(note, json.dumps(truth, indent=2, default=dict).encode())
-        written += [path, note]
+    for number, (spec, config) in enumerate(sources):
+        several = len(sources) > 1
+        reference = reference_curve(config, generator, as_designed=several)
+        tests = list(generate(reference, generator, spec, noise=number if several else None))
+        for name, rows in _files(spec, tests).items():
+            path = out / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, rows.encode())
+            truth = {"generator": asdict(generator), "citation": CITATION}
+            note = path.with_name(path.name + TRUTH_SUFFIX)
+            write_atomic(note, json.dumps(truth, indent=2, default=dict).encode())
+            written += [path, note]
     return written
+
+
+def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
+    """Each file that a design reads, with the deepest test that reads it."""
+    found: dict[str, tuple[MeasurementSpec, Mapping[str, Any]]] = {}
+    for treatment in treatments(design):
+        config = treatment.config
+        spec = config["measurements"]
+        name = str(spec.file or spec.files)
+        # every treatment reads its own range from the same file
+        if name not in found or _depth(config) > _depth(found[name][1]):
+            found[name] = (spec, config)
+    return list(found.values())
 
 
 def _depth(config: Mapping[str, Any]) -> float:
     return float(config["test"]["displacement_mm"])
 
 
-def reference_curve(config: Mapping[str, Any], generator: Generator) -> Curve:
+def reference_curve(
+    config: Mapping[str, Any], generator: Generator, *, as_designed: bool = False
+) -> Curve:
     """Solve for the reference force and its gradient, in a worker of one thread.
+
+    Parameters
+    ----------
+    as_designed : bool
+        Whether the test is the configuration's; otherwise the plates are bonded.
 
     Raises
     ------
@@ -138,16 +161,17 @@ def reference_curve(config: Mapping[str, Any], generator: Generator) -> Curve:
     plain = {k: config[k] for k in ("specimen", "test")}
     # the grid runs a little past the range, as a real test does
     depth = 1.03 * float(config["test"]["displacement_mm"])
+    plates = {} if as_designed else {"interface": "bonded", "base": "bonded"}
     task = {
         "kind": "reference",
         "config": {
             **plain,
-            "test": {**plain["test"], "interface": "bonded", "base": "bonded",
-                     "displacement_mm": depth, "steps": 20},
+            "test": {**plain["test"], **plates, "displacement_mm": depth, "steps": 20},
             "material": {"model": "reduced-polynomial", "constants": dict(generator.constants),
                          "poisson_ratio": generator.poisson_ratio},
             "model": {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"},
         },
+        "finer": as_designed,
     }  # fmt: skip
     (outcome,) = run_tasks([Task("reference", lambda _: task)], jobs=1)
     if outcome.result["status"] != "converged":
@@ -158,7 +182,14 @@ def reference_curve(config: Mapping[str, Any], generator: Generator) -> Curve:
 
 def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     """Solve the reference problem (in a worker)."""
-    solution = fits.solve(build.problem(task["config"]), gradients=True)
+    problem = build.problem(task["config"])
+    if task.get("finer"):
+        # cells of the design may use the fine mesh: none generates its own data
+        from study.forward.mesh import mesh_size
+
+        size = mesh_size(problem) / problem.model.mesh_ratio
+        problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
+    solution = fits.solve(problem, gradients=True)
     return {
         "status": solution.status,
         "message": solution.message,
@@ -167,9 +198,12 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def generate(
-    reference: Curve, generator: Generator, spec: MeasurementSpec
+    reference: Curve, generator: Generator, spec: MeasurementSpec, noise: int | None = None
 ) -> Iterator[VirtualTest]:
     """Generate every test of every specimen, in a fixed order.
+
+    ``noise`` numbers one of several tests of the same specimens: its noise then is a random
+    stream of its own, so that every test meets the same factors.
 
     Examples
     --------
@@ -181,6 +215,7 @@ def generate(
     [{'batch': '1', 'repeat': '1'}, {'batch': '1', 'repeat': '2'}]
     """
     random = np.random.default_rng(generator.seed)
+    cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
     force = reference.force_at(d)
     higher = [n for n in generator.constants if n != "C10" and n in reference.force_gradient]
@@ -194,8 +229,8 @@ def generate(
         for groups in _specimens(spec, str(batch)):
             own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
             for labels in _repeats(spec, groups, generator.repeats):
-                noise = generator.noise_N * random.standard_normal(d.size)
-                yield VirtualTest(labels, d, own * (force + shape) + noise)
+                drift = generator.noise_N * cell.standard_normal(d.size)
+                yield VirtualTest(labels, d, own * (force + shape) + drift)
 
 
 def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
