@@ -41,6 +41,7 @@ class Level:
     base_MB: float = 0.0
     predicted_seconds: float | None = None
     predicted_MB: float | None = None
+    predicted_unknowns: int | None = None
 
     @property
     def converged(self) -> bool:
@@ -59,6 +60,7 @@ class Level:
             "memory_MB": self.memory_MB,
             "predicted_seconds": self.predicted_seconds,
             "predicted_MB": self.predicted_MB,
+            "predicted_unknowns": self.predicted_unknowns,
         }
 
 
@@ -135,7 +137,8 @@ class Series:
                 return hopeless
         if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
-        return budget.refuses(*self.predicted()) if count else ""
+        seconds, memory, _ = self.predicted()
+        return budget.refuses(seconds, memory) if count else ""
 
     def _hopeless(self, budget: Budget, needed_mm: float | None) -> str:
         """Why the mesh that would be fine enough is out of reach; empty if it may be."""
@@ -152,11 +155,11 @@ class Series:
             f"{seconds:.2g} s, which the budget does not have"
         )
 
-    def predicted(self) -> tuple[float | None, float | None]:
-        """Seconds and MB of the next mesh, from what the meshes so far took."""
+    def predicted(self) -> tuple[float | None, float | None, int | None]:
+        """Seconds, MB and unknowns of the next mesh, from what the meshes so far took."""
         known = [level for level in self.good if level.dofs > 0]
         if not known:
-            return None, None
+            return None, None, None
         last, space = known[-1], self.config["model"].get("space", "axisymmetric")
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
@@ -165,11 +168,11 @@ class Series:
             time_exponent = _exponent(known[-2], last, time_exponent)
         own = max(last.memory_MB - last.base_MB, 1.0)
         memory = last.base_MB + own * growth**_MEMORY_EXPONENT
-        return last.seconds * growth**time_exponent, memory
+        return last.seconds * growth**time_exponent, memory, round(last.dofs * growth)
 
     def add(self, size_mm: float, result: Mapping[str, Any]) -> None:
         """Take the result of a solution."""
-        seconds, memory = self.predicted()
+        seconds, memory, unknowns = self.predicted()
         curve = result.get("curve") or {"displacement_mm": [], "force_N": []}
         self.levels.append(
             Level(
@@ -184,6 +187,7 @@ class Series:
                 float(result.get("base_MB", 0.0)),
                 seconds,
                 memory,
+                unknowns,
             )
         )
 

@@ -145,6 +145,7 @@ def test_costs_are_predicted_from_the_first_meshes() -> None:
     # the fake's time is linear in its elements
     assert finest["predicted_seconds"] == pytest.approx(finest["seconds"], rel=0.02)
     assert finest["predicted_MB"] >= finest["memory_MB"]
+    assert finest["predicted_unknowns"] == pytest.approx(finest["unknowns"], rel=0.01)
 
 
 def test_a_failed_level_is_said_and_replaced_by_a_finer_one() -> None:
