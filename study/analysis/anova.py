@@ -123,9 +123,23 @@ def analyze(
         exact,
     )
     options.check()
+    if unit is None and _one_cell_a_block(table, response, factors, options):
+        # a block that lies in one cell is a replicate of it, and its rows are repeats
+        unit = options.block[0]
+        options = replace(options, block=(), error="auto", replicates="runs")
     if unit is not None:
         return _with_units(table, response, factors, options, unit)
     return _complete(table, response, factors, options)
+
+
+def _one_cell_a_block(
+    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options
+) -> bool:
+    if len(options.block) != 1 or options.whole_plot:
+        return False
+    data = prepare(table, response, factors, options.block)
+    plots = whole_plots(data, ())
+    return plots is not None and set(plots.between) == set(data.factors)
 
 
 def _complete(
@@ -160,7 +174,11 @@ def _with_units(
             reason=f"cells hold several levels of {unit}; the rows of each are averaged",
         )
         result = replace(result, error_term=asked)
-    naive = _found(table, response, factors, options).anova
+    rows = _found(table, response, factors, options)
+    naive = rows.anova
+    if rows.data.missing:
+        lost = tuple(w for w in rows.data.warnings if w not in result.warnings)
+        result = replace(result, warnings=(*lost, *result.warnings))
     found = nested.compare_naive(
         table,
         response,
@@ -185,11 +203,10 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
         return out.constant()
     notes = refuse_fake_replicates(out.data, table, records=out.records, tolerance=out.tolerance)
     _refuse_undeclared(out)
-    plots = whole_plots(out.data, options.whole_plot)
-    if _repeats_in_blocks(out.data, plots):
+    if _repeats_in_blocks(out.data):
         out = _averaged(out, table, options)
         notes.append("repeats of a cell within a block are averaged: they are nested in it")
-        plots = whole_plots(out.data, options.whole_plot)
+    plots = whole_plots(out.data, options.whole_plot)
     data = out.data
     y = _transformed(data, response, out.transform)
     limit = threshold(options.practical)
@@ -255,12 +272,10 @@ def _replicates(table: pd.DataFrame, data: Data, options: Options) -> str:
     return "auto" if options.records else "runs"
 
 
-def _repeats_in_blocks(data: Data, plots: Plots | None) -> bool:
+def _repeats_in_blocks(data: Data) -> bool:
     """Whether a cell has several rows in one block, which are no independent trials."""
     if data.block is None:
         return False
-    if plots is not None and set(plots.between) == set(data.factors):
-        return False  # the strata tell blocks and rows within them apart by themselves
     _, counts = np.unique(data.layout.cell([*data.factors, *data.blocks]), return_counts=True)
     return bool(counts.max() > 1)
 

@@ -67,25 +67,12 @@ def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed
     """Cells of the factors within blocks against blocks, and the group of each block kept."""
     data = out.data
     block = str(data.block)
-    table = crossed(replace(data, factors=within), out.y) if within else _one_cell(out)
+    table = crossed(replace(data, factors=within), out.y)
     index = {name: i for i, name in enumerate(data.layout.levels[block])}
     kept = [index[name] for name in table.blocks]
     first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
     codes = {f: data.layout.codes[f][first] for f in plots.between}
     return table, Layout({f: data.layout.levels[f] for f in plots.between}, codes)
-
-
-def _one_cell(out: Outcome) -> Crossed:
-    data = out.data
-    block = str(data.block)
-    codes = data.layout.codes[block]
-    shift = float(out.y[0])
-    mean = np.bincount(codes, weights=out.y - shift) / np.bincount(codes) + shift
-    note = () if codes.size == mean.size else (f"repeats on one {block} are averaged",)
-    layout = Layout({}, {})
-    return Crossed(
-        mean[None, :], np.zeros(1, dtype=np.int64), layout, data.layout.levels[block], note
-    )
 
 
 def _parts(

@@ -47,15 +47,16 @@ def average_units(
         raise InputError(Fault("unit", f"{unit!r} is already the response, block or a factor"))
     data = prepare(table, response, factors, block)
     keys = [*factors, *block]
-    kept = table.iloc[data.rows]
     y = data.y
     if transform == "log":
         if y.min() <= 0:
             raise InputError(Fault(f"response {response!r}", "the log needs positive values"))
         y = np.log(y)
-    frame = pd.DataFrame({name: kept[name].to_numpy() for name in [*keys, unit]})
+    frame = pd.DataFrame({name: table[name].to_numpy() for name in [*keys, unit]})
     shift = float(y[0])
-    frame[response] = y - shift
+    frame[response] = np.nan
+    frame.loc[data.rows, response] = y - shift
+    # a unit without any response stays, so that it is counted among the missing
     means = frame.groupby([*keys, unit], sort=False, observed=True)[response].mean() + shift
     out = means.reset_index()
     if transform == "log":

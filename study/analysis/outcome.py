@@ -104,7 +104,8 @@ def assemble(out: Outcome) -> AnalysisResult:
         )
     )
     out = out.warn(*_inestimable(out.effects))
-    fit, residual = out.fit, None if out.fit is None else out.fit.residual
+    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
+    residual = None if fit is None else fit.residual
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
         out = out.warn(_copies_sentence(out))
@@ -210,7 +211,7 @@ def _representative(out: Outcome) -> Any:
 def _checks(out: Outcome) -> tuple[Outcome, Any, checks.CellGroups | None]:
     """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
     rows = np.flatnonzero(_representative(out))
-    if out.fit is None:
+    if out.fit is None or out.fit.df_residual == 0:
         reason = "there are no residuals"
         return (
             out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),

@@ -243,3 +243,16 @@ def test_copies_end_the_program_with_code_three_and_what_to_do(
         assert remedy in err
     assert run([*arguments[:4], "--factors", "a,c"]) == 2
     assert "copies.csv: column 'c': no such column" in capsys.readouterr().err
+
+
+def test_f22_a_unit_without_any_response_is_bounded_and_counted() -> None:
+    table = factorial({"a": 3, "s": 4}, 3, 7, a=0.5)
+    table.loc[:2, "y"] = np.nan  # the whole first specimen
+    table.loc[20, "y"] = np.nan  # one repeat of another
+    result = analyze(table, "y", ["a"], unit="s", exact=False, practical=1.0)
+    assert any("y is missing in 4 of 36 rows" in w for w in result.warnings)
+    assert any("y is missing in 1 of 12 rows" in w for w in result.warnings)
+    assert [b.term for b in result.bounds] == ["a"]
+    assert result.nested is not None
+    assert result.nested.rows == 32
+    assert result.nested.units == 11

@@ -228,3 +228,20 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     assert mixed.error_term.source == "E6"
     assert mixed.effect("a").ci95 is None
     assert mixed.effect("a").verdict == "cannot tell"
+
+
+@pytest.mark.parametrize("options", [{}, {"error": "own"}, {"records": True}])
+def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, Any]) -> None:
+    table = grid({"a": 3, "s": 4}, 5, 11)
+    table["specimen"] = table["a"] + table["s"]
+    result = analyze(table, "y", ["a"], block="specimen", exact=False, **options)
+    unit = analyze(table, "y", ["a"], unit="specimen", exact=False)
+    assert result.anova.row("a").f == unit.anova.row("a").f
+    assert result.anova.row("residual").df == 9
+    assert "other levels of specimen" in result.error_term.question
+    assert result.nested is not None
+    means = table.groupby(["a", "specimen"])["y"].mean().reset_index()
+    single = analyze(means, "y", ["a"], block="specimen", exact=False, **options)
+    assert single.anova.row("a").f == pytest.approx(result.anova.row("a").f, rel=1e-9)
+    assert single.nested is None
+    assert single.normality is not None
