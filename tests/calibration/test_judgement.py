@@ -1,0 +1,167 @@
+"""Lack of fit, pattern, choice, agreement between fits, and a search along an edge."""
+
+import numpy as np
+import pytest
+
+from study.calibration import (
+    EvaluationFailed,
+    MeasuredCurve,
+    Repeated,
+    Status,
+    akaike_weights,
+    fit,
+    lack_of_fit,
+    levenberg_marquardt,
+    pattern,
+    same_constants,
+)
+from study.calibration.agreement import agreement
+from study.curve import Curve
+from study.errors import InputError, RefusedError
+from tests.calibration.cylinder import predictor, virtual
+
+RP2 = "reduced-polynomial", ("C10", "C20")
+
+
+def test_lack_of_fit_is_the_textbook_f_test():
+    """A straight line through three points of two repeats each, by hand.
+
+    Means 1, 2, 4 at x = 0, 1, 2; the line 5/6 + 1.5 x misses them by -1/6, 1/3, -1/6, so
+    that 2 (1/36 + 1/9 + 1/36) = 1/3 has 1 degree of freedom; each pair scatters by
+    +-0.1: 2 x 0.01 x 3 = 0.06 with 3 degrees of freedom; F = (1/3) / 0.02 = 50/3.
+    """
+    residual = np.array([-1 / 6, 1 / 3, -1 / 6])
+    found = lack_of_fit([Repeated(residual, np.full(3, np.sqrt(0.02)), 2)], 2)
+    assert found is not None
+    assert (found.df, found.df_error) == (1, 3)
+    assert found.statistic == pytest.approx(50 / 3, rel=1e-12)
+    # F(1, 3) is the square of t(3), and F(1, 1) that of a Cauchy variable: both by arctan
+    t = np.sqrt(50 / 9)
+    by_hand = 1 - 2 / np.pi * (np.arctan(t) + t / (1 + t**2))
+    assert found.p_independent == pytest.approx(by_hand, rel=1e-10)
+    assert found.p_dependent == pytest.approx(1 - 2 / np.pi * np.arctan(np.sqrt(50 / 3)))
+    assert found.verdict == "undecided"
+
+
+def test_lack_of_fit_keeps_its_level():
+    """Where the model is right and errors are independent, 5 % of tests reject."""
+    rng, rejected = np.random.default_rng(2011), 0
+    x = np.linspace(0, 1, 20)
+    design = np.stack([np.ones(20), x], axis=1)
+    for _ in range(2000):
+        data = rng.normal(size=(4, 20))
+        mean = data.mean(axis=0)
+        residual = mean - design @ np.linalg.lstsq(design, mean, rcond=None)[0]
+        found = lack_of_fit([Repeated(residual, data.std(axis=0, ddof=1), 4)], 2)
+        rejected += found is not None and found.p_independent < 0.05
+    # two binomial standard deviations of 2000 trials are 1 point
+    assert rejected / 2000 == pytest.approx(0.05, abs=0.01)
+
+
+def test_nothing_repeated_and_no_degrees_of_freedom():
+    assert lack_of_fit([], 2) is None
+    assert lack_of_fit([Repeated(np.ones(2), np.ones(2), 3)], 2) is None
+    assert lack_of_fit([Repeated(np.ones(5), np.zeros(5), 3)], 2) is None
+
+
+def test_pattern_tells_misfit_from_noise():
+    rng = np.random.default_rng(2011)
+    noise = pattern([rng.normal(size=100), rng.normal(size=100)])
+    assert noise is not None
+    assert abs(noise.lag1) < 0.15  # two standard deviations of 1/sqrt(200)
+    assert noise.p > 0.05
+    wave = pattern([np.sin(np.linspace(0, 7, 100))])
+    assert wave is not None
+    assert wave.lag1 > 0.95
+    assert wave.p < 1e-10
+    assert pattern([np.ones(4)]) is None
+    assert pattern([np.zeros(20)]) is None
+
+
+def test_runs_of_a_published_sequence():
+    """Wald and Wolfowitz: 11 plus and 9 minus signs in 12 runs: expected 10.9, variance 4.6."""
+    signs = np.array([1, 1, -1, -1, 1, -1, 1, 1, 1, -1, 1, -1, -1, 1, 1, -1, -1, -1, 1, 1])
+    found = pattern([signs.astype(float)])
+    assert found is not None
+    plus, minus = int((signs > 0).sum()), int((signs < 0).sum())
+    assert found.runs == 1 + int(np.count_nonzero(np.diff(signs)))
+    assert found.expected_runs == pytest.approx(1 + 2 * plus * minus / 20)
+
+
+def test_akaike_weights_add_up_and_skip_the_infinite():
+    weights = akaike_weights({"a": 0.0, "b": 2.0, "c": np.inf})
+    assert sum(weights.values()) == pytest.approx(1)
+    assert weights["a"] / weights["b"] == pytest.approx(np.e)
+    assert weights["c"] == 0
+
+
+def test_same_constants_keeps_its_level():
+    rng, rejected = np.random.default_rng(7), 0
+    x = np.linspace(1, 2, 15)
+    for _ in range(1000):
+        y = 3 * x + rng.normal(size=(3, 15))
+        own = sum(float(np.sum((row - x * (row @ x) / (x @ x)) ** 2)) for row in y)
+        slope = float((y @ x).sum() / (3 * x @ x))
+        p = same_constants(float(np.sum((y - slope * x) ** 2)), own, 45, 1, 3)
+        rejected += p is not None and p < 0.05
+    assert rejected / 1000 == pytest.approx(0.05, abs=0.014)
+    assert same_constants(1.0, 0.0, 45, 1, 3) is None
+
+
+def _fits(shift, rng):
+    predict, d = predictor(*RP2, depth=9.0, points=30)
+    found = []
+    for true in ([7e-3, 1e-3], [(1 + shift) * 7e-3, 1e-3], [7e-3, 1e-3]):
+        data = virtual(predict, true, d, 0.02, rng)
+        found.append(fit(predict, data, RP2[1], [5e-3, 0.0]))
+    return found
+
+
+def test_agreement_keeps_its_level_and_sees_a_difference():
+    rng = np.random.default_rng(2011)
+    p = [agreement(_fits(0.0, rng)).p for _ in range(100)]
+    # chi-square of t-distributed distances rejects a little more often than 5 %
+    assert 0.01 <= np.mean(np.array(p) < 0.05) <= 0.12
+    different = agreement(_fits(0.05, rng))
+    assert different.p < 1e-6
+    assert different.df == 4
+    # a common uncertainty of that size, added to each, makes them agree
+    extra = [np.diag([(0.05 * 7e-3) ** 2, (1e-3) ** 2])] * 3
+    assert agreement(_fits(0.05, rng), extra).p > 0.05
+
+
+def test_agreement_of_what_cannot_be_compared():
+    one, two, _ = _fits(0.0, np.random.default_rng(1))
+    with pytest.raises(InputError, match="two or more"):
+        agreement([one])
+    predict, d = predictor(*RP2, depth=9.0, points=2)
+    exact = fit(predict, virtual(predict, [7e-3, 1e-3], d), RP2[1], [5e-3, 0.0])
+    with pytest.raises(RefusedError, match="without a covariance"):
+        agreement([two, exact])
+
+
+def test_a_search_along_an_edge_ends_there():
+    """A valley that leads along constants without an answer: told, and not crept along for ever."""
+
+    def walled(x):
+        if x[1] > 1 + 0.3 * np.sin(40 * x[0]):
+            raise EvaluationFailed("no equilibrium")
+        return np.array([x[0] - 3, 10 * (x[1] - 2)]), np.diag([1.0, 10.0])
+
+    patient = levenberg_marquardt(walled, [0.0, 0.0], max_evaluations=400)
+    hasty = levenberg_marquardt(walled, [0.0, 0.0], max_evaluations=400, edge=1e-2)
+    assert hasty.status is Status.at_edge
+    assert not hasty.converged
+    assert hasty.status.usable
+    assert hasty.evaluations < patient.evaluations
+    assert hasty.cost <= 1.3 * patient.cost
+
+
+def test_the_reason_of_a_failure_is_told():
+    def never(_):
+        raise EvaluationFailed("stopped at 3 mm of 6 mm")
+
+    data = [MeasuredCurve("A", Curve(np.linspace(1, 9, 9), np.linspace(1, 9, 9)))]
+    found = fit(never, data, RP2[1], [5e-3, 0.0])
+    assert found.status is Status.start_failed
+    assert found.message.endswith("(stopped at 3 mm of 6 mm)")
