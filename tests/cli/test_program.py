@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from study import design
+from study import api, design
 from study.cli.app import app
 from tests.cli.small import study
 
@@ -56,7 +56,8 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     state = study("status", "small", "--json").json
     # what is finished is kept, and nothing half-finished counts
     assert state["cases"]["done"] + state["cases"]["missing"] == 12
-    assert study("run", "small.toml", "--data", "data", "--jobs", "1").code == 0
+    resumed = api.run("small.toml", data="data", jobs=1, reports=None)
+    assert (len(resumed.records), resumed.failed) == (12, 0)
     assert state["running"] is None
 
 
