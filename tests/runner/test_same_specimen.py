@@ -1,0 +1,94 @@
+"""The thesis's central claim: three tests of one specimen give the same constants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study import design
+from study.calibration import Fit, MeasuredCurve
+from study.calibration.agreement import agreement
+from study.runner import fits
+from study.runner.expand import FitJob, Work, expand
+from study.runner.staged import Part, staged_fit
+from study.runner.virtual import ECOFLEX_00_10, Generator, write_virtual
+
+DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
+WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
+
+
+def test_the_design_plans_three_tests_of_every_specimen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One file a test, the same factors of every specimen in each, and no shared fit."""
+    from study.curve import Curve
+    from study.runner import virtual
+
+    def line(config: Any, generator: Any, *, as_designed: bool) -> Curve:
+        assert as_designed
+        d = np.linspace(0.3, 6.3, 21)
+        stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
+        return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
+
+    monkeypatch.setattr(virtual, "reference_curve", line)
+    loaded = design.load(DESIGN)
+    write_virtual(loaded, tmp_path, Generator(noise_N=0.0, batches=3))
+    work = expand(loaded, tmp_path)
+    assert len(work.jobs) == 9
+    assert [job.case.levels["way"] for job in work.jobs if job.case.block == "1"] == WAYS
+    assert len({job.directions[0].fit_key for job in work.jobs}) == 9
+    slopes = {
+        (job.case.block, job.case.levels["way"]): job.directions[0].measured.force_N[-1]
+        / job.directions[0].measured.displacement_mm[-1]
+        for job in work.jobs
+    }
+    for block in "123":
+        ratio = slopes[block, WAYS[0]] / slopes[block, WAYS[2]]
+        assert ratio == pytest.approx(4.0, rel=1e-4)  # the same stiffness factor in both files
+    assert slopes["1", WAYS[0]] != pytest.approx(slopes["2", WAYS[0]], rel=1e-3)
+
+
+def _fit(work: Work, way: str, block: str) -> Fit:
+    job = next(j for j in work.jobs if j.case.block == block and j.case.levels["way"] == way)
+    return _done(work, work.fits[job.directions[0].fit_key or ""])
+
+
+def _done(work: Work, job: FitJob) -> Fit:
+    start = None if job.start is None else _done(work, work.fits[job.start]).constants()
+    problem = job.problem
+    names, first = fits.start_values(problem.config, job.measured, start)
+    data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
+    found = staged_fit([Part(problem.method, problem.config, data)], names, first, fits.model).fit
+    assert found.converged, found.message
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_three_tests_agree_within_their_joint_intervals(tmp_path: Path) -> None:
+    """Data of a mesh finer than the fit's; what the mesh moves counts as uncertainty."""
+    loaded = design.load(DESIGN)
+    write_virtual(loaded, tmp_path, Generator(seed=loaded.seed, batches=1))
+    fine = expand(loaded, tmp_path)
+    medium = expand(design.load(DESIGN, ["model.mesh=medium"]), tmp_path)
+    found = [_fit(fine, way, "1") for way in WAYS]
+    moved = [
+        (one.values - _fit(medium, way, "1").values) / (1.5 - 1)
+        for one, way in zip(found, WAYS, strict=True)
+    ]
+    # first order at the corners: what is left of the error is the last change over r - 1
+    plain, joint = agreement(found), agreement(found, [np.outer(m, m) for m in moved])
+    for way, one, shift in zip(WAYS, found, moved, strict=True):
+        pairs = zip(one.names, one.values, one.standard_error, shift, strict=True)
+        words = ", ".join(f"{n} {1e3 * v:.4f} +- {1e3 * s:.4f} (mesh {1e3 * m:+.4f})"
+                          for n, v, s, m in pairs)  # fmt: skip
+        print(f"\n{way}: {words} kPa", end="")
+    print(f"\nsame constants: p = {plain.p:.3g}; with the mesh's error {joint.p:.3g}")
+    assert joint.p > 0.05
+    # mu0 = 2 C10 agrees to a percent in all tests, whatever the intervals
+    c10 = np.array([one.values[0] for one in found])
+    assert np.ptp(c10) / c10.mean() < 0.01
+    assert c10.mean() == pytest.approx(ECOFLEX_00_10["C10"], rel=0.15)  # of its factor's scatter
