@@ -157,6 +157,8 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
     extrapolated = by_pair if limited else fit.extrapolated
     error = max(abs(f[0] - extrapolated), abs(f[0] - by_pair))
     u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
+    if not fit.carried:  # the finest change may be small by accident: what else changed counts
+        u = max(u, float(np.ptp(f[:3])))
     u32 = _SAFE * abs(f[2] - f[1]) / a32
     u21 = _SAFE * abs(f[1] - f[0]) / a21
     ratio = None

@@ -158,3 +158,12 @@ def test_an_uncertain_order_says_its_range() -> None:
     assert vague.order_interval[0] < 2 < vague.order_interval[1]
     assert "do not carry an order" in vague.verdict
     assert vague.u_num > sure.u_num
+
+
+def test_a_change_that_is_small_by_accident_is_not_believed() -> None:
+    """1.5e-6 after 1e-3: an order of ten at this tolerance is an accident, not accuracy."""
+    f = [1.0, 1.0 + 1.5e-6, 1.001]
+    result = grid_convergence([1, 2, 4], f, formal_order=1, tolerance=1e-7)
+    assert result.behaviour == "monotone"
+    assert result.observed_order is None
+    assert result.u_num == pytest.approx(1e-3)
