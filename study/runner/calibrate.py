@@ -91,11 +91,13 @@ def calibrate(
     """
     began = time.perf_counter()
     curves, notes = read_tests(config["tests"], root)
+    own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = _setting(config, curves, progress, checkpoint)
     done = setting.fitted(curves, checkpoint)
     found = done.fit
-    specimens, cross = _parts(setting, curves)
+    specimens = tuple(_partial(setting, label, group) for label, group in own.items())
+    cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
     result = replace(
         result,
@@ -183,22 +185,16 @@ def _simpler(problem: fits.FitProblem) -> list[fits.FitProblem]:
     return chain
 
 
-def _parts(
-    setting: _Setting, curves: Sequence[FitCurve]
-) -> tuple[tuple[PartialFit, ...], tuple[PartialFit, ...]]:
-    """Fit every specimen for itself, and with each specimen or test left out, where asked."""
-    asked = setting.config["calibration"]
-    own: tuple[PartialFit, ...] = ()
-    if asked["specimens"] == "each":
-        groups = of_specimens(curves)
-        if len(groups) < 2:
-            mend = "name the column of the specimens in measurements.block"
-            raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
-        own = tuple(_partial(setting, label, group) for label, group in groups.items())
-    if not asked["leave_out"]:
-        return own, ()
-    left = left_out(curves, asked["leave_out"])
-    return own, tuple(_partial(setting, label, group) for label, group in left)
+def _splits(
+    config: Config, curves: Sequence[FitCurve]
+) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
+    """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
+    asked = config["calibration"]
+    own = of_specimens(curves) if asked["specimens"] == "each" else {}
+    if asked["specimens"] == "each" and len(own) < 2:
+        mend = "name the column of the specimens in measurements.block"
+        raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
+    return own, left_out(curves, asked["leave_out"]) if asked["leave_out"] else []
 
 
 def _partial(setting: _Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:

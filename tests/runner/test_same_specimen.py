@@ -51,6 +51,13 @@ def test_the_design_plans_three_tests_of_every_specimen(
     assert slopes["1", WAYS[0]] != pytest.approx(slopes["2", WAYS[0]], rel=1e-3)
 
 
+def test_the_calibration_reads_the_same_files() -> None:
+    found = design.load_calibration(DESIGN.with_name("same-specimen-calibration.toml"))
+    assert found["calibration"]["leave_out"] == "test"
+    files = [test["measurements"].file for test in found["tests"]]
+    assert files == [f"same-specimen/{way}.csv" for way in WAYS]
+
+
 def _fit(work: Work, way: str, block: str) -> Fit:
     job = next(j for j in work.jobs if j.case.block == block and j.case.levels["way"] == way)
     return _done(work, work.fits[job.directions[0].fit_key or ""])
