@@ -1,0 +1,130 @@
+"""Series exactly as ``study converge`` makes them, on problems with a known answer.
+
+The solver's own graded meshes, whole numbers of cells, contact at a sharp edge: the intervals
+must hold the truth (bar: 95 %, at most 10 % refused, half-width over error at most 10).
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.design import loads_problem
+from study.runner import build, refine_judge
+from study.runner.refine_formal import formal_order
+from study.runner.refine_series import Budget, refine, series_of
+from study.runner.refine_store import in_process
+from tests.forward.answers import layers
+
+DISC = """
+schema = 1
+specimen = { shape = "cylinder", radius = "%g mm", height = "1 mm" }
+test = { kind = "compression", interface = "bonded", displacement = "1e-6 mm", steps = 1 }
+[material]
+model = "neo-hookean"
+C10 = "0.5 MPa"
+%s
+[model]
+element_order = "%s"
+mesh_size = "0.12 mm"
+"""
+PUNCH = """
+schema = 1
+specimen = { shape = "cylinder", radius = "%g mm", height = "%g mm" }
+[test]
+kind = "indentation"
+interface = "frictionless"
+base = "bonded"
+displacement = "0.001 mm"
+steps = 1
+indenter = { shape = "flat", radius = "1 mm" }
+[material]
+model = "linear-elastic"
+youngs_modulus = "1 MPa"
+%s
+[model]
+element_order = "%s"
+mesh_size = "0.06 mm"
+"""
+
+
+def volume_law(nu: float) -> str:
+    return "incompressible = true" if nu == 0.5 else f"poisson_ratio = {nu:g}"
+
+
+def series(text: str) -> dict[str, Any]:
+    config = loads_problem(text, "known.toml")
+    formal = formal_order(build.problem(config))
+    one = series_of(config, config["converge"])
+    with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
+        warnings.simplefilter("ignore", RuntimeWarning)
+        refine([one], in_process, Budget(), lambda s: refine_judge.outlook(s, formal.order))
+    return refine_judge.document(one, formal)
+
+
+def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:
+    """Whether the interval holds the truth (None: refused), and half-width over error."""
+    found = series(text)
+    value = found["value"][0] / unit
+    u = None if found["u_num"] is None else found["u_num"] / unit
+    error = abs(value - truth)
+    holds = None if u is None else error <= u + digits * truth
+    width = "refused" if u is None else f"{u / truth:.1e}"
+    order = "-" if found["observed_order"] is None else f"{found['observed_order']:.2f}"
+    print(f"{name:32} truth {truth:<9g} got {value:<9.6g} error {error / truth:.1e} "
+          f"half-width {width} {found['behaviour']} order {order} "
+          f"({found['formal_order']:.2f}) {holds}")  # fmt: skip
+    return holds, math.nan if u is None else u / error
+
+
+def discs(order: str) -> list[tuple[Any, float]]:
+    rows = []
+    for ratio, nu, truth, digits in layers("bonded disc"):
+        unit = 2 * (1 + nu) * math.pi * ratio**2 * 1e-6  # mu0 = 1 MPa, strain 1e-6
+        text = DISC % (ratio, volume_law(nu), order)
+        rows.append(judged(f"disc {order} R/H={ratio:g} nu={nu:g}", text, truth, digits, unit))
+    return rows
+
+
+def punches(order: str) -> list[tuple[Any, float]]:
+    rows = []
+    for ratio, nu, truth, digits in layers("punch on layer"):
+        height = 1 / ratio
+        unit = 4 * (1 / (2 * (1 + nu))) * 1e-3 / (1 - nu)  # 4 mu a d / (1 - nu)
+        text = PUNCH % (1 + 9 * height, height, volume_law(nu), order)
+        rows.append(judged(f"punch {order} a/h={ratio:g} nu={nu:g}", text, truth, digits, unit))
+    return rows
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_intervals_of_converge_hold_the_truth() -> None:
+    print()
+    rows = [
+        row
+        for order in ("quadratic", "linear")
+        for group in (discs, punches)
+        for row in group(order)
+    ]
+    given = [row for row in rows if row[0] is not None]
+    holding, refused = sum(row[0] for row in given) / len(given), 1 - len(given) / len(rows)
+    ratio = float(np.median([row[1] for row in given]))
+    print(f"all: {len(rows)} series, {100 * holding:.1f} % hold the truth, "
+          f"{100 * refused:.1f} % refused, median half-width over error {ratio:.2f}")  # fmt: skip
+    assert len(rows) == 60
+    assert holding >= 0.95
+    assert refused <= 0.10
+    assert ratio <= 10
+
+
+def test_one_disc_as_converge_does_it() -> None:
+    ratio, nu, truth, digits = next(layers("bonded disc"))
+    unit = 2 * (1 + nu) * math.pi * ratio**2 * 1e-6
+    text = DISC % (ratio, volume_law(nu), "quadratic")
+    holds, width = judged("disc", text, truth, digits, unit)
+    assert holds
+    assert width < 10
