@@ -17,6 +17,7 @@ from study.record import Record
 from study.runner import build
 from study.runner.costs import Costs
 from study.runner.expand import CaseJob, FitJob, Work, case_job
+from study.runner.refine_formal import formal_of_case
 from study.runner.refine_judge import by_elements
 
 PURPOSE = "refinement"
@@ -55,6 +56,8 @@ class Numerical:
     note: str
     mesh_size: tuple[float, ...] = ()
     series: tuple[float, ...] = ()
+    formal_order: float | None = None
+    formal_reason: str = ""
 
 
 def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
@@ -162,13 +165,13 @@ def _one(
     note = f"{where}; {len(known)} meshes of ratio {ratio:g}, {dofs} unknowns"
     sizes = record_sizes([dict(good)[k] for k, _ in known], base)
     numbers = tuple(v for _, v in known)
-    behaviour, u = (
-        "two meshes",
-        two_mesh_uncertainty(numbers[0], numbers[1], ratio_of(sizes, ratio)),
-    )
+    real, formal = ratio_of(sizes, ratio), formal_of_case(base)
+    behaviour, u = "two meshes", two_mesh_uncertainty(numbers[0], numbers[1], real)
     if len(known) > 2:
-        behaviour, u = series_uncertainty(numbers, ratio, sizes)
-    return Numerical(levels, name, numbers[0], u, unit, behaviour, note, sizes, numbers)
+        behaviour, u = series_uncertainty(numbers, ratio, sizes, formal.order)
+    return Numerical(
+        levels, name, numbers[0], u, unit, behaviour, note, sizes, numbers, formal.order, formal.why
+    )
 
 
 def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
@@ -198,7 +201,10 @@ def ratio_of(sizes: Sequence[float], asked: float) -> float:
 
 
 def series_uncertainty(
-    values: Sequence[float], ratio: float, sizes: Sequence[float] = ()
+    values: Sequence[float],
+    ratio: float,
+    sizes: Sequence[float] = (),
+    formal: float | None = None,
 ) -> tuple[str, float]:
     """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
 
@@ -215,7 +221,8 @@ def series_uncertainty(
     from study.analysis.convergence import grid_convergence
 
     usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
-    found = grid_convergence(sizes if usable else [ratio**-k for k in range(len(values))], values)
+    nominal = [ratio**-k for k in range(len(values))]
+    found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)
     ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
     if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
         error = abs(values[0] - found.extrapolated)

@@ -7,10 +7,9 @@ from typing import Any
 
 from study.curve import Curve
 from study.record import Record
-from study.runner import build
 from study.runner.expand import CaseJob, Work
 from study.runner.refine import base_size_mm
-from study.runner.refine_formal import FormalOrder, formal_order
+from study.runner.refine_formal import FormalOrder, formal_of_case
 from study.runner.refine_judge import QUANTITIES, by_elements, combined, judged
 
 #: relative error of a fitted constant or a score at the tolerances of fit and solver
@@ -37,7 +36,7 @@ def _document(
         else:
             why = "it was not computed" if record is None else record.message
             said.append(f"the mesh of {size:.4g} mm gave no answer: {why}")
-    formal, spec = _formal(base), work.design.converge
+    formal, spec = formal_of_case(base), work.design.converge
     facts = {
         "levels": dict(base.case.levels), "block": base.case.block, "formal_reason": formal.why,
     }  # fmt: skip
@@ -47,14 +46,6 @@ def _document(
     qoi = spec.qoi if spec.qoi in values else next(iter(values))
     results = judged(_sizes(good, base), values, formal.order, TOLERANCE)
     return combined(qoi, results, spec.tolerance, said) | facts
-
-
-def _formal(base: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet."""
-    config = base.case.config
-    section = {**config["material"], "model": "neo-hookean", "order": None}
-    depth = max((float(d.measured.displacement_mm.max()) for d in base.directions), default=1.0)
-    return formal_order(build.problem({**config, "material": section}, {"C10": 1.0}, depth))
 
 
 def _sizes(good: Sequence[tuple[float, Record]], base: CaseJob) -> list[float]:

@@ -10,9 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from study.forward.problem import Cylinder, Flat, Problem
 from study.material import Material
+from study.runner import build
+
+if TYPE_CHECKING:
+    from study.runner.expand import CaseJob
 
 _DEGREE = {"linear": 1, "quadratic": 2}
 
@@ -33,6 +38,14 @@ def formal_order(problem: Problem) -> FormalOrder:
     limits += _limits(problem)
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)
+
+
+def formal_of_case(job: CaseJob) -> FormalOrder:
+    """Formal order of a case whose constants are not known yet."""
+    config = job.case.config
+    section = {**config["material"], "model": "neo-hookean", "order": None}
+    depth = max((float(d.measured.displacement_mm.max()) for d in job.directions), default=1.0)
+    return formal_order(build.problem({**config, "material": section}, {"C10": 1.0}, depth))
 
 
 def _limits(problem: Problem) -> list[tuple[float, str]]:

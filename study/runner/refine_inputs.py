@@ -165,6 +165,7 @@ def mesh_shares(
         series_uncertainty,
         two_mesh_uncertainty,
     )
+    from study.runner.refine_formal import formal_of_case
 
     found: dict[str, Array] = {}
     for base in bases:
@@ -178,7 +179,8 @@ def mesh_shares(
         if len(forces) == 2:
             u = [two_mesh_uncertainty(a, b, ratio_of(sizes, ratio)) for a, b in columns]
         else:
-            u = [series_uncertainty(list(column), ratio, sizes)[1] for column in columns]
+            formal = formal_of_case(base).order
+            u = [series_uncertainty(list(column), ratio, sizes, formal)[1] for column in columns]
         found[base.case.case_id] = np.array(u) / np.abs(columns[:, 0])
     return found
 

@@ -93,8 +93,11 @@ def stored_convergence(rows: Sequence[Numerical]) -> list[dict[str, Any]]:
     for row in rows:
         cell: dict[str, Any] = {"levels": dict(row.levels), "note": row.note}
         if len(row.series) >= 3:
-            judged = grid_convergence(row.mesh_size, row.series, qoi=row.response, unit=row.unit)
-            cell |= judged.to_json()
+            judged = grid_convergence(
+                row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,
+                unit=row.unit,
+            )  # fmt: skip
+            cell |= judged.to_json() | {"formal_reason": row.formal_reason}
         else:
             cell |= {
                 "qoi": row.response, "unit": row.unit,
