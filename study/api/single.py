@@ -111,7 +111,12 @@ def write_picture(solution: Solution, path: str | Path) -> None:
 
 
 def virtual(
-    out: str | Path, source: str | Path | None = None, *, overrides: Sequence[str] = ()
+    out: str | Path,
+    source: str | Path | None = None,
+    *,
+    overrides: Sequence[str] = (),
+    truth: str = "yeoh",
+    blocks: int | None = None,
 ) -> list[Path]:
     """Write virtual measurements for a design; the demo's by default.
 
@@ -121,15 +126,21 @@ def virtual(
         Data root: the files get the names that the design gives them below it.
     source : str or Path, optional
         The design.
+    truth : str
+        Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
+    blocks : int, optional
+        Number of specimens (or batches); 6 by default.
     """
     from importlib import resources
 
     from study.design import load, loads
-    from study.runner.virtual import write_virtual
+    from study.runner.virtual import usual_generator, write_virtual
 
     if source is None:
         text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
         design = loads(text, "demo.toml", overrides)
     else:
         design = load(source, overrides)
-    return write_virtual(design, Path(out))
+    return write_virtual(
+        design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
+    )

@@ -68,12 +68,19 @@ def virtual(
     source: Annotated[
         Path | None, typer.Option("--from", help="Design whose measurements are imitated.")
     ] = None,
+    truth: Annotated[
+        str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
+    ] = "yeoh",
+    specimens: Annotated[
+        int | None, typer.Option(min=2, help="Number of specimens (or batches).")
+    ] = None,
     settings: Set = None,
 ) -> None:
     """Write virtual measurements as CSV."""
     from study import api
 
-    for path in api.virtual(out, source, overrides=settings or ()):
+    chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
+    for path in api.virtual(out, source, **chosen):
         print(path)
 
 

@@ -1,18 +1,20 @@
 """Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 
-The generator, in full. A batch of silicone has the constants of a reduced polynomial of
-order 3 (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0) times a stiffness
-factor, and higher constants that scatter besides; each specimen of a batch has a further
-stiffness factor; each repeat on a specimen has load-cell noise. The reference curve comes
-from finite elements with bonded plates, quadratic elements and the fine mesh, so that no
-cell of a design generates its own data.
+The generator, in full. A batch of silicone has the constants of one of the energies of
+:mod:`study.runner.truths` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
+times a stiffness factor, and a shape of response that scatters besides; each specimen of a
+batch has a further stiffness factor; each repeat on a specimen has load-cell noise, a
+load-cell zero and position noise. The reference curve comes from finite elements with bonded
+plates, quadratic elements and the fine mesh, so that no cell of a design generates its own
+data; a block under an indenter is solved in 3D.
 
 A design that reads several files reads several tests of the same specimens: each file then
-holds its own test as the design describes it, of the same stiffness factors.
+holds its own test as the design describes it, of the same stiffness factors, on a mesh finer
+than the fine one.
 
 One solution serves all specimens: at a given Poisson's ratio the force is proportional to
-a common factor on all constants, which is exact, and the scatter of the higher constants
-enters through the exact gradient of the reference curve, to first order. What is written
+a common factor on all moduli, which is exact, and the scatter of the shape enters through
+the exact gradient of the reference curve, to first order. What is written
 is the truth of this generator, and p values on it describe this scatter and nothing else.
 """
 
@@ -22,7 +24,7 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +38,12 @@ from study.record.files import write_atomic
 from study.runner import build, fits
 from study.runner.expand import TRUTH_SUFFIX
 from study.runner.pool import Task, run_tasks
+from study.runner.truths import TRUTHS, truth
 
 Array = NDArray[np.float64]
 
-#: published constants of EF10_0T in MPa (hyperelastic_parameters_ef10.json, Yeoh order 3)
-ECOFLEX_00_10 = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
+#: constants of the usual truth, MPa
+ECOFLEX_00_10 = TRUTHS["yeoh"].constants
 CITATION = (
     "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
     "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
@@ -61,6 +64,12 @@ class Generator:
         Relative standard deviation of each higher constant between batches.
     noise_N : float
         Standard deviation of the load cell.
+    noise_share, zero_share : float
+        Further noise, and the load cell's zero of a test, over the largest force of the test.
+    position_mm : float
+        Standard deviation of the position.
+    truth : str
+        Name of the material, see :mod:`study.runner.truths`.
     spacing_mm : float
         Distance between samples.
     """
@@ -72,8 +81,11 @@ class Generator:
     specimen_sd: float = 0.02
     shape_sd: float = 0.15
     noise_N: float = 0.02
+    noise_share: float = 0.0
+    zero_share: float = 0.0
+    position_mm: float = 0.0
     spacing_mm: float = 0.05
-    constants: Mapping[str, float] = field(default_factory=lambda: dict(ECOFLEX_00_10))
+    truth: str = "yeoh"
     poisson_ratio: float = 0.4995
 
 
@@ -84,6 +96,18 @@ class VirtualTest:
     groups: Mapping[str, str]
     displacement_mm: Array
     force_N: Array
+
+
+def usual_generator(
+    design: Design, *, truth_name: str = "yeoh", blocks: int | None = None
+) -> Generator:
+    """Numbers that suit a design: an indentation is measured with a smaller load cell."""
+    usual = Generator(seed=design.seed, truth=truth_name)
+    if any(c["test"]["kind"] == "indentation" for _, c in _sources(design)):
+        usual = replace(
+            usual, noise_N=0.0, noise_share=0.003, zero_share=0.002, position_mm=0.005, repeats=1
+        )
+    return usual if blocks is None else replace(usual, batches=blocks)
 
 
 def write_virtual(design: Design, out: Path, generator: Generator | None = None) -> list[Path]:
@@ -106,7 +130,7 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     InputError
         If the design has no measurements or the reference problem cannot be solved.
     """
-    generator = generator or Generator(seed=design.seed)
+    generator = generator or usual_generator(design)
     if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
     sources = _sources(design)
@@ -119,9 +143,13 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
             path = out / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, rows.encode())
-            truth = {"generator": asdict(generator), "citation": CITATION}
+            note_of = {
+                "generator": asdict(generator),
+                "material": asdict(truth(generator.truth)),
+                "citation": CITATION,
+            }
             note = path.with_name(path.name + TRUTH_SUFFIX)
-            write_atomic(note, json.dumps(truth, indent=2, default=dict).encode())
+            write_atomic(note, json.dumps(note_of, indent=2, default=dict).encode())
             written += [path, note]
     return written
 
@@ -130,12 +158,15 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
     """Each file that a design reads, with the deepest test that reads it."""
     found: dict[str, tuple[MeasurementSpec, Mapping[str, Any]]] = {}
     for treatment in treatments(design):
-        config = treatment.config
-        spec = config["measurements"]
-        name = str(spec.file or spec.files)
-        # every treatment reads its own range from the same file
-        if name not in found or _depth(config) > _depth(found[name][1]):
-            found[name] = (spec, config)
+        own = (treatment.config.get("calibration") or {}).get("problem") or {}
+        for config in (treatment.config, own):
+            spec = config.get("measurements")
+            if spec is None:
+                continue
+            name = str(spec.file or spec.files)
+            # every treatment reads its own range from the same file
+            if name not in found or _depth(config) > _depth(found[name][1]):
+                found[name] = (spec, config)
     return list(found.values())
 
 
@@ -162,22 +193,29 @@ def reference_curve(
     # the grid runs a little past the range, as a real test does
     depth = 1.03 * float(config["test"]["displacement_mm"])
     plates = {} if as_designed else {"interface": "bonded", "base": "bonded"}
+    material = truth(generator.truth)
     task = {
         "kind": "reference",
         "config": {
             **plain,
             "test": {**plain["test"], **plates, "displacement_mm": depth, "steps": 20},
-            "material": {"model": "reduced-polynomial", "constants": dict(generator.constants),
+            "material": {"model": material.model, "constants": dict(material.constants),
                          "poisson_ratio": generator.poisson_ratio},
-            "model": {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"},
+            "model": {"space": _space(config), "element_order": "quadratic", "mesh": "fine"},
         },
-        "finer": as_designed,
+        "finer": as_designed and not build.is_homogeneous(config),
     }  # fmt: skip
     (outcome,) = run_tasks([Task("reference", lambda _: task)], jobs=1)
     if outcome.result["status"] != "converged":
         message = outcome.result.get("message", "")
         raise InputError(Fault("virtual specimens", f"the reference curve failed: {message}"))
     return Curve.from_dict(outcome.result["curve"])
+
+
+def _space(config: Mapping[str, Any]) -> str:
+    """3D where the specimen is no body of revolution and that matters."""
+    block = config["specimen"]["shape"] == "block"
+    return "3d" if block and config["test"]["kind"] == "indentation" else "axisymmetric"
 
 
 def perform(task: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,20 +255,37 @@ def generate(
     random = np.random.default_rng(generator.seed)
     cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
-    force = reference.force_at(d)
-    higher = [n for n in generator.constants if n != "C10" and n in reference.force_gradient]
+    force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
     for batch in range(1, generator.batches + 1):
-        shape = sum(
-            (generator.constants[n] * generator.shape_sd * random.standard_normal()
-             * reference.gradient_at(n, d) for n in higher),
-            np.zeros_like(d),
-        )  # fmt: skip
+        numbers = generator.shape_sd * random.standard_normal(len(slopes))
+        shape = sum((n * slope for n, slope in zip(numbers, slopes, strict=True)), 0.0 * d)
         stiffness = np.exp(generator.batch_sd * random.standard_normal())
         for groups in _specimens(spec, str(batch)):
             own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
             for labels in _repeats(spec, groups, generator.repeats):
-                drift = generator.noise_N * cell.standard_normal(d.size)
-                yield VirtualTest(labels, d, own * (force + shape) + drift)
+                yield VirtualTest(labels, d, _measured(d, own * (force + shape), generator, cell))
+
+
+def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Array]:
+    """Change of the force with each direction of the truth's scatter."""
+    return [
+        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
+        for direction in truth(generator.truth).directions
+        if set(direction) <= set(reference.force_gradient)
+    ]
+
+
+def _measured(d: Array, force: Array, generator: Generator, random: np.random.Generator) -> Array:
+    """Force as a load cell at an uncertain position gives it."""
+    largest = float(np.abs(force).max())
+    spread = np.hypot(generator.noise_N, generator.noise_share * largest)
+    measured = force + spread * random.standard_normal(d.size)
+    if generator.zero_share:
+        measured = measured + generator.zero_share * largest * random.standard_normal()
+    if generator.position_mm:
+        wrong = generator.position_mm * random.standard_normal(d.size)
+        measured = measured + np.gradient(force, d) * wrong
+    return np.asarray(measured)
 
 
 def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
