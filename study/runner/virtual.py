@@ -10,7 +10,7 @@ data; a block under an indenter is solved in 3D.
 
 A design that reads several files reads several tests of the same specimens: each file then
 holds its own test as the design describes it, of the same stiffness factors, on a mesh finer
-than the fine one.
+than any of the design.
 
 One solution serves all specimens: at a given Poisson's ratio the force is proportional to
 a common factor on all moduli, which is exact, and the scatter of the shape enters through
@@ -42,6 +42,8 @@ from study.runner.truths import TRUTHS, truth
 
 Array = NDArray[np.float64]
 
+#: steps of a reference curve; between them it is interpolated with its tangent
+_STEPS = 12
 #: constants of the usual truth, MPa
 ECOFLEX_00_10 = TRUTHS["yeoh"].constants
 CITATION = (
@@ -155,7 +157,7 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
 
 
 def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
-    """Each file that a design reads, with the deepest test that reads it."""
+    """Each file that a design reads, with the deepest test and the finest mesh that read it."""
     found: dict[str, tuple[MeasurementSpec, Mapping[str, Any]]] = {}
     for treatment in treatments(design):
         own = (treatment.config.get("calibration") or {}).get("problem") or {}
@@ -164,10 +166,20 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
             if spec is None:
                 continue
             name = str(spec.file or spec.files)
-            # every treatment reads its own range from the same file
-            if name not in found or _depth(config) > _depth(found[name][1]):
-                found[name] = (spec, config)
+            if name in found:  # every treatment reads its own range from the same file
+                deepest = max(config, found[name][1], key=_depth)
+                finest = min(found[name][1]["model"], config["model"], key=_coarseness)
+                config = {**deepest, "model": finest}
+                spec = config["measurements"]
+            found[name] = (spec, config)
     return list(found.values())
+
+
+def _coarseness(model: Mapping[str, Any]) -> tuple[float, int]:
+    """Order of meshes: a given size, else the named level."""
+    size = model.get("mesh_size_mm")
+    named = ("fine", "medium", "coarse").index(model.get("mesh") or "medium")
+    return (np.inf if size is None else float(size), named)
 
 
 def _depth(config: Mapping[str, Any]) -> float:
@@ -198,10 +210,10 @@ def reference_curve(
         "kind": "reference",
         "config": {
             **plain,
-            "test": {**plain["test"], **plates, "displacement_mm": depth, "steps": 20},
+            "test": {**plain["test"], **plates, "displacement_mm": depth, "steps": _STEPS},
             "material": {"model": material.model, "constants": dict(material.constants),
                          "poisson_ratio": generator.poisson_ratio},
-            "model": {"space": _space(config), "element_order": "quadratic", "mesh": "fine"},
+            "model": _reference_model(config, as_designed),
         },
         "finer": as_designed and not build.is_homogeneous(config),
     }  # fmt: skip
@@ -212,17 +224,25 @@ def reference_curve(
     return Curve.from_dict(outcome.result["curve"])
 
 
-def _space(config: Mapping[str, Any]) -> str:
-    """3D where the specimen is no body of revolution and that matters."""
+def _reference_model(config: Mapping[str, Any], as_designed: bool) -> dict[str, Any]:
+    """Quadratic elements; 3D where the specimen is no body of revolution and that matters.
+
+    Where every test is as the design has it, the mesh is the finest that the design uses,
+    to be made finer still.
+    """
     block = config["specimen"]["shape"] == "block"
-    return "3d" if block and config["test"]["kind"] == "indentation" else "axisymmetric"
+    solid = block and config["test"]["kind"] == "indentation"
+    found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
+    if not as_designed:
+        return {**found, "mesh": "fine"}
+    return found | {k: config["model"].get(k) for k in ("mesh", "mesh_size_mm", "mesh_ratio")}
 
 
 def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     """Solve the reference problem (in a worker)."""
     problem = build.problem(task["config"])
     if task.get("finer"):
-        # cells of the design may use the fine mesh: none generates its own data
+        # no cell of the design generates its own data
         from study.forward.mesh import mesh_size
 
         size = mesh_size(problem) / problem.model.mesh_ratio
