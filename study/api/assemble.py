@@ -80,7 +80,9 @@ def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
 
 def _named(row: dict[str, Any]) -> dict[str, Any]:
     """Name a series by its levels and its response."""
-    return row | {"levels": {**row["levels"], "response": row["qoi"]}}
+    from study.reporting.text import name_of
+
+    return row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}}
 
 
 def _numerical(study: StudyResult) -> Iterator[NumericalRow]:
