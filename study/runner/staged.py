@@ -7,6 +7,7 @@ function of the case alone.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -139,7 +140,7 @@ def single_stage(
     checkpoint: Checkpoint,
 ) -> Staged:
     """Fit on the given meshes; the name of the stage is that of its progress and checkpoint."""
-    from study.calibration import fit
+    from study.calibration import EvaluationFailed, fit
 
     models = [make(p.method, p.config, [m.curve for m in p.measured], names) for p in parts]
 
@@ -151,6 +152,11 @@ def single_stage(
         if progress is not None:
             progress(Step(stage, names, iteration))
 
+    resume = checkpoint.last(stage)
+    if resume is not None:
+        # models interpolate relative to what they solved first: make that the start again
+        with contextlib.suppress(EvaluationFailed):
+            predict(np.asarray(start, float))
     simulated = any(part.method == "inverse-fem" for part in parts)
     tolerances = "start" if stage == "coarse mesh" else "inverse-fem"
     found = fit(
@@ -160,7 +166,7 @@ def single_stage(
         start,
         bounds=bounds,
         callback=accepted,
-        resume=checkpoint.last(stage),
+        resume=resume,
         **TOLERANCES[tolerances if simulated else "closed-form"],
     )
     return Staged(found, tuple(models))

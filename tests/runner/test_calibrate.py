@@ -263,6 +263,27 @@ def test_an_interrupted_fit_goes_on_where_it_was(tmp_path: Path) -> None:
     assert not kept.exists()
 
 
+def test_an_interrupted_simulation_ends_where_the_whole_one_does(tmp_path: Path) -> None:
+    """Curves are interpolated relative to the first one, which resuming must find again."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02, factor=1.3)
+    path = case(tmp_path, [{"points": 25, "range": '["1 %", "20 %"]'}])
+    path.write_text(path.read_text().replace('"frictionless"', '"bonded"'), encoding="utf-8")
+    through = calibrated(path)
+    assert through.converged
+
+    def stop(step: Any) -> None:
+        if step.stage == "wanted mesh" and step.iteration.iteration == 1:
+            raise KeyboardInterrupt
+
+    results = tmp_path / "results"
+    with pytest.raises(KeyboardInterrupt):
+        calibrated(path, results=results, progress=stop)
+    resumed = calibrated(path, results=results)
+    # the solver's own tolerance is left; with another first curve it would be 1e-3
+    assert resumed.fit.values == pytest.approx(through.fit.values, rel=1e-6)
+    assert resumed.fit.rss == pytest.approx(through.fit.rss, rel=1e-5)
+
+
 def test_a_checkpoint_of_another_fit_or_a_damaged_one_is_not_read(tmp_path: Path) -> None:
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     path, results = case(tmp_path, [{}]), tmp_path / "results"
