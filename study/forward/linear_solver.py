@@ -61,6 +61,11 @@ _IPARM = {
     21: 1,  # Bunch-Kaufman pivoting for an indefinite matrix
 }
 
+#: scaling and weighted matching: for matrices whose diagonal gives no good pivots
+_MATCHING = {11: 1, 13: 1}
+#: relative residual of a solution above which its factorization is not trusted
+_TRUSTED = 1e-5
+
 
 @functools.cache
 def _pardiso_template() -> Any:
@@ -80,7 +85,12 @@ def _fresh_pardiso() -> Any:
 
 
 class Pardiso:
-    """MKL PARDISO: symbolic analysis once, numerical factorization for each matrix."""
+    """MKL PARDISO: symbolic analysis once, numerical factorization for each matrix.
+
+    A solution that does not solve its system (pivots had to be perturbed, as with the zero
+    diagonal of an incompressible body) makes the solver change over to weighted matching,
+    which looks at the values and is analyzed anew for each matrix.
+    """
 
     name = "pardiso"
 
@@ -93,13 +103,13 @@ class Pardiso:
         self._matrix = sp.csr_matrix(
             (np.zeros(pattern.indices.size), pattern.indices, pattern.indptr), shape=(n, n)
         )
-        self._analyzed = False
+        self._analyzed = self._matching = False
 
     def factorize(self, data: Array) -> None:
         """Numerical factorization (phase 22), after the analysis (11) the first time."""
         self._matrix.data = data
-        empty = np.zeros(data.shape[0] and self._matrix.shape[0])
-        if not self._analyzed:
+        empty = np.zeros(self._matrix.shape[0])
+        if not self._analyzed or self._matching:
             self._call(11, empty)
             self._analyzed = True
         self._call(22, empty)
@@ -107,7 +117,21 @@ class Pardiso:
     def solve(self, right: Array) -> Array:
         """Back-substitution (phase 33) for one or several right-hand sides."""
         b = np.asfortranarray(right, dtype=np.float64)
+        x = np.ascontiguousarray(self._call(33, b))
+        if self._matching or self._solved(x, b):
+            return x
+        self._matching = True
+        for number, value in _MATCHING.items():
+            self._solver.iparm[number - 1] = value
+        self.factorize(self._matrix.data)
         return np.ascontiguousarray(self._call(33, b))
+
+    def _solved(self, x: Array, b: Array) -> bool:
+        """Whether ``x`` leaves a small residual; the matrix is kept as its upper triangle."""
+        upper = self._matrix
+        diagonal = upper.diagonal()
+        product = upper @ x + upper.T @ x - (x.T * diagonal).T
+        return bool(np.linalg.norm(b - product) <= _TRUSTED * np.linalg.norm(b))
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""

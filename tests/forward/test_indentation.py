@@ -256,3 +256,14 @@ def test_3d_agrees_with_axisymmetric(
 def test_impossible_indentations_are_refused(problem: Problem, words: str) -> None:
     with pytest.raises(InputError, match=words):
         solve(problem)
+
+
+def test_an_incompressible_body_without_diagonal_is_solved() -> None:
+    """Discontinuous pressures leave zeros on the diagonal, where pivots alone fail (V29)."""
+    problem = indentation(
+        Flat(0.2), 2e-4, material=linear(0.5), specimen=Cylinder(8, 1), steps=1, mesh="fine",
+        element_shape="tensor",
+    )  # fmt: skip
+    solution = solve(problem, gradients=False)
+    assert solution.curve.force_N[-1] / (4 * 0.2 * 2e-4 / 0.5) == pytest.approx(1.28064, rel=2e-3)
+    assert sum(solution.newton_iterations) < 10
