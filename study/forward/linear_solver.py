@@ -63,8 +63,11 @@ _IPARM = {
 
 #: scaling and weighted matching: for matrices whose diagonal gives no good pivots
 _MATCHING = {11: 1, 13: 1}
-#: relative residual of a solution above which its factorization is not trusted
-_TRUSTED = 1e-5
+#: residual of a solution, over its right-hand side, above which the factorization is not
+#: trusted; below it Newton corrects what perturbed pivots leave
+_TRUSTED = 0.05
+#: residual over matrix times solution: stays small where only the matrix is nearly singular
+_BACKWARD = 1e-11
 
 
 @functools.cache
@@ -127,11 +130,15 @@ class Pardiso:
         return np.ascontiguousarray(self._call(33, b))
 
     def _solved(self, x: Array, b: Array) -> bool:
-        """Whether ``x`` leaves a small residual; the matrix is kept as its upper triangle."""
+        """Whether ``x`` solves this system or one next to it (Higham 2002, sec. 7.1)."""
         upper = self._matrix
         diagonal = upper.diagonal()
         product = upper @ x + upper.T @ x - (x.T * diagonal).T
-        return bool(np.linalg.norm(b - product) <= _TRUSTED * np.linalg.norm(b))
+        residual, size = float(np.linalg.norm(b - product)), float(np.linalg.norm(b))
+        if residual <= _TRUSTED * size:
+            return True
+        largest = float(np.abs(upper.data).max()) * float(np.linalg.norm(x))
+        return residual <= _BACKWARD * (largest + size)
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""

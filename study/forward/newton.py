@@ -14,6 +14,8 @@ from study.forward.system import Assembly, State, System
 Array = NDArray[np.float64]
 
 
+#: iterations after which a residual that was never below the next figure is given up
+_HOPELESS, _FAR = 9, 0.1
 #: relative residual below which contact may be decided point by point
 _CALM = 0.01
 
@@ -30,8 +32,8 @@ class NewtonSettings:
         Largest |gap| of an active contact point, in multiples of the specimen's height.
     pull : float
         Largest tension of a held contact point over the largest contact pressure.
-    max_iterations : int
-        After as many the step has failed.
+    max_iterations, max_switching : int
+        After as many the step has failed; the second counts while contact still changes.
     j_filter : float
         A step is halved until no J falls below this fraction of its last value.
     """
@@ -39,7 +41,8 @@ class NewtonSettings:
     tolerance: float = 1e-8
     gap: float = 2e-9
     pull: float = 0.05
-    max_iterations: int = 40
+    max_iterations: int = 25
+    max_switching: int = 40
     j_filter: float = 0.1
 
 
@@ -76,7 +79,7 @@ def solve_step(
         state = lifted_from
     residuals: list[float] = []
     switches = Switches(system)
-    for iteration in range(settings.max_iterations + 1):
+    for iteration in range(settings.max_switching + 1):
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
@@ -91,7 +94,9 @@ def solve_step(
             residuals.append(_relative(system, state, assembly))
             if _done(system, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
-        if iteration == settings.max_iterations:
+        if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
+            break
+        if iteration >= (settings.max_switching if switches.changing else settings.max_iterations):
             break
         try:
             system.factorize()
@@ -108,8 +113,8 @@ def solve_step(
         if moved is None:
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
         state, lift = moved, np.zeros(0)
-    reason = f"no equilibrium after {settings.max_iterations} iterations"
-    return NewtonResult(state, False, settings.max_iterations, reason, tuple(residuals))
+    reason = f"no equilibrium after {iteration} iterations"
+    return NewtonResult(state, False, iteration, reason, tuple(residuals))
 
 
 def _filtered(

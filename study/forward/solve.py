@@ -204,7 +204,8 @@ class _Run:
         guess = self._sound(State(target, x, pressed), step.state.x, 0.5)
         if guess is None:
             return None
-        result = solve_step(self.system, guess, replace(self.options.newton, max_iterations=8))
+        quick = replace(self.options.newton, max_iterations=8, max_switching=8)
+        result = solve_step(self.system, guess, quick)
         return result if result.converged else None
 
     def _sound(self, guess: State, reference: Array, fraction: float) -> State | None:

@@ -31,7 +31,7 @@ class StepSettings:
     first_touch: float = 0.1
     largest_touch: float = 0.25
     deeper: float = 0.08
-    smallest: float = 3e-4
+    smallest: float = 0.03
     growth: float = 1.4
     easy: int = 7
     hard: int = 14

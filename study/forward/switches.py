@@ -32,6 +32,8 @@ class Switches:
         self._last: list[Flags] = []
         self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
         self._iteration = 0
+        #: whether the last decision moved a point to the other side
+        self.changing = False
 
     def decided(self, state: State, *, calm: bool) -> State:
         """Return a state with the active sets of the next iteration.
@@ -40,7 +42,7 @@ class Switches:
         """
         if not self._system.contact:
             return state
-        chosen = []
+        chosen, self.changing = [], False
         for number, touch in enumerate(self._system.touching(state)):
             side = touch.wanted.copy()
             if self._last:
@@ -52,6 +54,7 @@ class Switches:
                         side[most] = not before[most]
                 self._count[number] += side != before
                 side |= self._count[number] >= _RESTLESS
+                self.changing |= bool((side != before).any())
             chosen.append(side)
         self._last, self._iteration = chosen, self._iteration + 1
         return replace(state, closed=tuple(chosen))
