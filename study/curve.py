@@ -66,11 +66,6 @@ class Curve:
             return np.asarray(np.interp(d, knots, values))
         return np.asarray(CubicSpline(knots, values)(d))
 
-    def work_N_mm(self) -> float:
-        """Work done on the specimen up to the last point (trapezoid, from the origin)."""
-        knots, force, _ = self._with_origin()
-        return float(np.trapezoid(force, knots))
-
     def as_dict(self) -> dict[str, Any]:
         """Plain lists, for JSON."""
         out: dict[str, Any] = {

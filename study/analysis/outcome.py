@@ -96,14 +96,7 @@ def assemble(out: Outcome) -> AnalysisResult:
     names = out.data.cell_names()
     out, normality, groups = _checks(out)
     equal, spread = _spread_tests(out, groups)
-    out = out.warn(
-        *(
-            f"{name}: not applicable: {test.reason}"
-            for name, test in (("bartlett", equal), ("levene", spread))
-            if test is not None and test.reason
-        )
-    )
-    out = out.warn(*_inestimable(out.effects))
+    out = out.warn(*_inapplicable(bartlett=equal, levene=spread), *_inestimable(out.effects))
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     residual = None if fit is None else fit.residual
     groups_of = out.copies.groups
@@ -145,6 +138,14 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.box_cox,
         power=_power(out),
     )
+
+
+def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
+    return [
+        f"{name}: not applicable: {test.reason}"
+        for name, test in tests.items()
+        if test is not None and test.reason
+    ]
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:

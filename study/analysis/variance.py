@@ -29,15 +29,7 @@ class BartlettResult:
 
     def to_json(self) -> dict[str, Any] | None:
         """JSON document; None where the test does not apply."""
-        if not self.applicable:
-            return None
-        return {
-            "statistic": self.statistic,
-            "df": self.df,
-            "p": self.p,
-            "p_monte_carlo": self.p_monte_carlo,
-            "approximate": self.approximate,
-        }
+        return _document(self, df=self.df)
 
 
 @dataclass(frozen=True)
@@ -55,16 +47,20 @@ class LeveneResult:
 
     def to_json(self) -> dict[str, Any] | None:
         """JSON document; None where the test does not apply."""
-        if not self.applicable:
-            return None
-        return {
-            "statistic": self.statistic,
-            "df": list(self.df or ()),
-            "p": self.p,
-            "center": self.center,
-            "p_monte_carlo": self.p_monte_carlo,
-            "approximate": self.approximate,
-        }
+        return _document(self, df=list(self.df or ()), center=self.center)
+
+
+def _document(test: BartlettResult | LeveneResult, **own: Any) -> dict[str, Any] | None:
+    """JSON document of either test, with what is its own."""
+    if not test.applicable:
+        return None
+    return {
+        "statistic": test.statistic,
+        **own,
+        "p": test.p,
+        "p_monte_carlo": test.p_monte_carlo,
+        "approximate": test.approximate,
+    }
 
 
 def _named(groups: Groups) -> dict[str, Array]:

@@ -176,8 +176,7 @@ def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
 def _collocation(space: Discretization, chosen: NDArray[np.bool_]) -> tuple[Ints, Array, Array]:
     """Contact points of some facets: as many conditions as their surface can satisfy.
 
-    Quadratic edges carry two Gauss points; six-node triangles their mid-side nodes, where
-    the rule of degree two has its points; everything else its nodes. More points than the
+    Quadratic edges carry two Gauss points, everything else its nodes. More points than the
     surface has normal displacements over-constrain it.
     """
     facets, areas = space.facets[chosen], space.facet_weights[chosen]
@@ -194,11 +193,19 @@ def _collocation(space: Discretization, chosen: NDArray[np.bool_]) -> tuple[Ints
     if share is None:
         r = space.nodes[facets][:, :, 0]
         share = (r + r.sum(axis=1, keepdims=True)) / (3 * r.sum(axis=1, keepdims=True))
-    nodal = np.bincount(
-        facets.ravel(), (areas[:, None] * share).ravel(), minlength=len(space.nodes)
-    )
-    nodes = np.flatnonzero(nodal > 0)
-    return nodes[:, None], np.ones((nodes.size, 1)), nodal[nodes].astype(float)
+    return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+def _nodal_areas(space: Discretization, facets: Ints, shares: Array) -> Array:
+    """Sum over facets of the area that each gives to its nodes, shape (n_nodes,)."""
+    nodal = np.bincount(facets.ravel(), shares.ravel(), minlength=len(space.nodes))
+    return nodal.astype(float)
+
+
+def _at_nodes(areas: Array) -> tuple[Ints, Array, Array]:
+    """Contact points at the nodes that have an area."""
+    nodes = np.flatnonzero(areas > 0)
+    return nodes[:, None], np.ones((nodes.size, 1)), areas[nodes]
 
 
 def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array]:
@@ -228,11 +235,9 @@ def _side_points(
 ) -> ContactPoints:
     side = _side_facets(space, mesh)
     facets, areas = space.facets[side], space.facet_weights[side]
-    shares = np.repeat(areas / facets.shape[1], facets.shape[1])
-    nodal = np.bincount(facets.ravel(), shares, len(space.nodes)).astype(float)
-    free = np.abs(space.nodes[:, -1] - plate.height_mm) > _SAME * mesh.height_mm
-    chosen = np.flatnonzero((nodal > 0) & free)
-    return _points(problem, mesh, plate, chosen[:, None], np.ones((chosen.size, 1)), nodal[chosen])
+    nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
+    nodal[_at(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
+    return _points(problem, mesh, plate, *_at_nodes(nodal))
 
 
 def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:

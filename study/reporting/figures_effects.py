@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -151,32 +151,11 @@ def draw_level_means(
             low, high = center / practical**0.5, center * practical**0.5
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
-    ax.annotate(
-        f"grand mean {quantity(center, facts.unit)}",
-        (1.0, center),
-        xytext=(4, 0),
-        xycoords=ax.get_yaxis_transform(),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        color=MUTED,
-        annotation_clip=False,
-    )
+    _at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
     ticks, names, start = [], [], 0.0
     for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
         places = start + np.arange(len(group))
-        ax.plot(places, group["mean"], "o-", color=color_of(index), markersize=5.5)
-        means = group["mean"].tolist()
-        for place, mean, side in zip(places, means, _sides(means), strict=True):
-            ax.annotate(
-                significant(mean),
-                (place, mean),
-                xytext=(0, 6 * side),
-                textcoords="offset points",
-                ha="center",
-                fontsize=7.5,
-                va="bottom" if side > 0 else "top",
-            )
+        _draw_factor(ax, places, group["mean"].tolist(), index)
         ax.text(
             float(places.mean()),
             1.02,
@@ -203,6 +182,36 @@ def draw_level_means(
     ax.set_ylabel(axis_label(facts))
     ax.tick_params(axis="x", length=0)
     return figure
+
+
+def _draw_factor(ax: Axes, places: Any, means: list[float], index: int) -> None:
+    """Draw the level means of one factor, each with its number."""
+    ax.plot(places, means, "o-", color=color_of(index), markersize=5.5)
+    for place, mean, side in zip(places, means, _sides(means), strict=True):
+        ax.annotate(
+            significant(mean),
+            (place, mean),
+            xytext=(0, 6 * side),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7.5,
+            va="bottom" if side > 0 else "top",
+        )
+
+
+def _at_right(ax: Axes, words: str, height: float, **looks: Any) -> None:
+    """Write outside the right edge at a height of the vertical axis."""
+    ax.annotate(
+        words,
+        (1.0, height),
+        xytext=(4, 0),
+        xycoords=ax.get_yaxis_transform(),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        annotation_clip=False,
+        **looks,
+    )
 
 
 def _sides(means: Sequence[float]) -> list[int]:
@@ -286,16 +295,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     means = frame.drop_duplicates("rank")
     ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
-        ax.annotate(
-            significant(float(mean)),
-            (1.0, float(place)),
-            fontsize=7.5,
-            xycoords=ax.get_yaxis_transform(),
-            xytext=(4, 0),
-            va="center",
-            textcoords="offset points",
-            annotation_clip=False,
-        )
+        _at_right(ax, significant(float(mean)), float(place))
     names = [wrap(label, 56, 130) for label in means["label"]]
     ax.set_yticks(means["rank"], names, fontsize=7.5)
     ax.set_ylim(count - 0.4, -0.8)

@@ -266,11 +266,6 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
     return f" {TIMES} ".join(name_of(part, labels) for part in term.split(":"))
 
 
-def cell_name(levels: Mapping[str, str]) -> str:
-    """Write a cell as its levels, separated by dots."""
-    return " \N{MIDDLE DOT} ".join(clean(level) for level in levels.values())
-
-
 def listing(items: Sequence[str], word: str = "and") -> str:
     """Items as in a sentence.
 
