@@ -11,8 +11,9 @@ from study.calibration.lack_of_fit import (
     pattern,
     same_constants,
 )
-from study.calibration.levenberg_marquardt import Iteration, LMResult, levenberg_marquardt
+from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
 from study.calibration.profile import Profile, profile
+from study.calibration.search import Iteration
 from study.calibration.status import EvaluationFailed, Status
 
 __all__ = [

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from study.calibration.evaluation import Function
-from study.calibration.levenberg_marquardt import Iteration, LMResult, levenberg_marquardt
+from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
+from study.calibration.search import Iteration
 from study.calibration.status import EvaluationFailed, Status
 from study.calibration.uncertainty import Uncertainty, identifiability, uncertainty
 from study.curve import Curve

@@ -11,42 +11,38 @@ independent of the parameters' units. Convergence is judged by the full Gauss-Ne
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from study.calibration.damped import Linearization, bounded_step
 from study.calibration.evaluation import Function, checked_bounds, evaluate
+from study.calibration.kinks import SHARES, SHORT, SMALL, step_along, turned
+from study.calibration.search import (
+    EPS,
+    Iteration,
+    State,
+    accept,
+    beside_failure,
+    converged_at,
+    crawling,
+    first_state,
+    gain_of,
+    held_by_bounds,
+    size_of,
+    snapshot,
+    steepest,
+    trusted,
+)
 from study.calibration.status import Status
 
 Array = NDArray[np.float64]
 
-EPS = float(np.finfo(float).eps)
-#: first trust-region radius as a multiple of the start's scaled length
-FIRST_RADIUS = 1.0
+#: gain from which a step is taken
+ACCEPTED = 1e-4
 #: cosine below which a point where no step helps is a minimum with a singular Jacobian
 STATIONARY = 1e-6
-#: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
-NEXT_DOOR = 0.01
-#: accepted steps over which a search that creeps along failures is judged
-CRAWL = 5
-#: growth of a parameter over its start that counts as running to infinity
-FAR = 1e8
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """One accepted point: what a progress line shows and what a resumed fit needs."""
-
-    iteration: int
-    evaluations: int
-    x: Array
-    cost: float
-    radius: float
-    damping: float
-    offset: float
-    scale: Array
 
 
 Callback = Callable[[Iteration], bool | None]
@@ -95,29 +91,6 @@ class LMResult:
         return self.status.converged
 
 
-@dataclass
-class _State:
-    """The search in progress."""
-
-    x: Array
-    residual: Array
-    jacobian: Array
-    scale: Array
-    reach: Array
-    peak: Array
-    radius: float
-    rank: int = 0
-    damping: float = 0.0
-    evaluations: int = 1
-    history: list[Iteration] = field(default_factory=list)
-    failed: list[Array] = field(default_factory=list)
-    failures: list[int] = field(default_factory=list)
-
-    @property
-    def cost(self) -> float:
-        return 0.5 * float(self.residual @ self.residual)
-
-
 def levenberg_marquardt(
     function: Function,
     start: ArrayLike,
@@ -154,7 +127,8 @@ def levenberg_marquardt(
         space of the Jacobian over the length of the residual.
     edge : float
         Relative decrease that five accepted steps beside failed ones must bring, or the search
-        ends ``at_edge``; for models whose evaluations are dear.
+        ends ``at_edge``; for models whose evaluations are dear, which also end ``at_kink`` as
+        soon as the kink is seen.
     callback : callable, optional
         Gets every accepted :class:`Iteration`; returning True stops the search.
     resume : Iteration, optional
@@ -176,7 +150,7 @@ def levenberg_marquardt(
         empty = np.zeros((0, first.size))
         none = np.zeros(first.size, bool)
         return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
-    state = _first_state(first, *evaluated, resume)
+    state = first_state(first, *evaluated, resume)
     status, offset, held = _search(
         function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
     )
@@ -209,7 +183,9 @@ def updated_radius(radius: float, length: float, gain: float, damping: float) ->
     if gain <= 0.25:
         # the parabola through both costs and the slope has its minimum at 1/(2 (2 - gain))
         shrink = 0.1 if not np.isfinite(gain) else min(max(0.5 / (2 - gain), 0.1), 0.5)
-        return shrink * min(radius, 10 * length)
+        # a full step that failed far inside the region must not be tried a second time
+        reach = length if damping == 0 and gain <= ACCEPTED else 10 * length
+        return shrink * min(radius, reach)
     if damping == 0 or gain >= 0.75:
         return 2 * length
     return radius
@@ -217,7 +193,7 @@ def updated_radius(radius: float, length: float, gain: float, damping: float) ->
 
 def _search(
     function: Function,
-    state: _State,
+    state: State,
     low: Array,
     high: Array,
     max_evaluations: int,
@@ -226,33 +202,34 @@ def _search(
 ) -> tuple[Status, float, NDArray[np.bool_]]:
     ftol, xtol, gtol, edge = tolerances
     while True:
-        held = _held(state, low, high)
+        held = held_by_bounds(state, low, high)
         linear = Linearization.of(state.jacobian[:, ~held], state.residual, state.scale[~held])
         state.rank = max(state.rank, linear.rank + int(held.sum()))
-        state.history.append(_snapshot(state, linear.offset))
+        state.history.append(snapshot(state, linear.offset))
         state.failures.append(len(state.failed))
-        status = _converged(state, linear, held, xtol, gtol)
-        if status is None and _crawling(state, edge):
+        status = converged_at(state, linear, held, xtol, gtol)
+        if status is None and crawling(state, edge):
             status = Status.at_edge
         if status is None and callback is not None and callback(state.history[-1]):
             status = Status.stopped
         if status is None:
-            status = _advance(function, state, held, linear, low, high, max_evaluations, ftol)
+            limits = (low, high, max_evaluations)
+            status = _advance(function, state, held, linear, limits, ftol, edge)
         if status is not None:
-            return _trusted(status, state, linear, held), linear.offset, held
+            return trusted(status, state, linear, held), linear.offset, held
 
 
 def _advance(
     function: Function,
-    state: _State,
+    state: State,
     held: NDArray[np.bool_],
     linear: Linearization,
-    low: Array,
-    high: Array,
-    max_evaluations: int,
+    limits: tuple[Array, Array, int],
     ftol: float,
+    edge: float,
 ) -> Status | None:
     """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
+    low, high, max_evaluations = limits
     answered = False
     while state.evaluations < max_evaluations:
         step, damping = bounded_step(
@@ -268,131 +245,61 @@ def _advance(
         answered = answered or evaluated is not None
         if evaluated is None:
             state.failed.append(trial)
-        gain = _gain(state, step, evaluated)
+        gain = gain_of(state, step, evaluated)
         state.radius, state.damping = updated_radius(state.radius, length, gain, damping), damping
-        if evaluated is not None and gain > 1e-4:
-            _accept(state, trial, *evaluated)
+        if evaluated is not None and gain > ACCEPTED:
+            accept(state, trial, *evaluated)
             return None
         if linear.offset**2 <= ftol and answered and damping == 0:
             return Status.converged_cost
+        short = 0 < length <= min(SHORT * linear.full_length, SMALL * size_of(state, held))
+        if short and evaluated is not None:
+            before, after = state.jacobian.T @ state.residual, evaluated[1].T @ evaluated[0]
+            state.kink = turned(before, after, step)
+            if state.kink and _moved_along(function, state, held, after - before, limits, edge):
+                return None
+        if state.kink and edge > 0:
+            return Status.at_kink
     return Status.max_evaluations
 
 
 def _no_step(
-    state: _State, linear: Linearization, held: NDArray[np.bool_], answered: bool, ftol: float
+    state: State, linear: Linearization, held: NDArray[np.bool_], answered: bool, ftol: float
 ) -> Status:
-    if not answered:
+    if not answered and beside_failure(state):
         return Status.too_many_failures
     # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
     if linear.offset**2 <= ftol:
         return Status.converged_cost
-    if _steepest(state, held) <= STATIONARY:
+    if steepest(state, held) <= STATIONARY:
         return Status.converged_gradient
-    if linear.full_length <= 1e-9 * _size(state, held):
+    if linear.full_length <= 1e-9 * size_of(state, held):
         return Status.converged_step
-    return Status.at_edge if _beside_failure(state) else Status.no_decrease
+    if beside_failure(state):
+        return Status.at_edge
+    return Status.at_kink if state.kink else Status.no_decrease
 
 
-def _beside_failure(state: _State) -> bool:
-    """Whether the model had no answer at constants next to the best ones."""
-    size = float(np.linalg.norm(state.scale * state.x))
-    distances = [float(np.linalg.norm(state.scale * (x - state.x))) for x in state.failed]
-    return min(distances, default=np.inf) <= NEXT_DOOR * size
-
-
-def _crawling(state: _State, edge: float) -> bool:
-    """Whether the search creeps along constants at which the model has no answer."""
-    if len(state.history) <= CRAWL:
-        return False
-    gained = state.history[-1 - CRAWL].cost - state.cost
-    blocked = state.failures[-1] - state.failures[-1 - CRAWL]
-    return gained < edge * state.cost and blocked >= 2 and _beside_failure(state)
-
-
-def _steepest(state: _State, held: NDArray[np.bool_]) -> float:
-    """Largest cosine between the residual and a column of the Jacobian."""
-    norms = np.linalg.norm(state.jacobian, axis=0) * float(np.linalg.norm(state.residual))
-    slopes = np.abs(state.jacobian.T @ state.residual)
-    return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
-
-
-def _size(state: _State, held: NDArray[np.bool_]) -> float:
-    return float(np.linalg.norm((state.scale * state.x)[~held]))
-
-
-def _converged(
-    state: _State, linear: Linearization, held: NDArray[np.bool_], xtol: float, gtol: float
-) -> Status | None:
-    length = float(np.linalg.norm(state.residual))
-    influence = float(np.linalg.norm(state.jacobian, axis=0) @ np.abs(state.x))
-    if length <= EPS * influence or length == 0:
-        return Status.converged_zero
-    if linear.offset <= gtol:
-        return Status.converged_gradient
-    if linear.full_length <= xtol * _size(state, held):
-        return Status.converged_step
-    return None
-
-
-def _trusted(
-    status: Status, state: _State, linear: Linearization, held: NDArray[np.bool_]
-) -> Status:
-    """No success where a parameter, or a combination, lost the influence it once had."""
-    first = np.abs(state.history[0].x)
-    if status is Status.no_decrease and np.any((np.abs(state.x) > FAR * first) & (first > 0)):
-        return Status.running_away
-    norms = np.linalg.norm(state.jacobian, axis=0)
-    length = float(np.linalg.norm(state.residual))
-    lost = (norms * state.reach <= 1e-8 * length) & (state.peak > norms) & ~held
-    singular = linear.rank + int(held.sum()) < state.rank
-    doubtful = status.converged and status is not Status.converged_zero
-    return Status.no_influence if doubtful and (singular or np.any(lost)) else status
-
-
-def _gain(state: _State, step: Array, evaluated: tuple[Array, Array] | None) -> float:
-    """Actual over foretold decrease of the sum of squares."""
-    if evaluated is None:
-        return -np.inf
+def _moved_along(
+    function: Function,
+    state: State,
+    held: NDArray[np.bool_],
+    jump: Array,
+    limits: tuple[Array, Array, int],
+    edge: float,
+) -> bool:
+    """Step along a kink; False if that lowers the cost by no more than ``edge`` of it."""
+    low, high, _ = limits
+    step = step_along(state.jacobian, state.residual, state.scale, held, jump)
     change = state.jacobian @ step
-    foretold = -float(change @ (2 * state.residual + change))
-    new = evaluated[0]
-    # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
-    actual = float((state.residual - new) @ (state.residual + new))
-    return actual / foretold if foretold > 0 else -np.inf
-
-
-def _accept(state: _State, x: Array, residual: Array, jacobian: Array) -> None:
-    state.x, state.residual, state.jacobian = x, residual, jacobian
-    norms = np.linalg.norm(jacobian, axis=0)
-    state.scale, state.peak = np.maximum(state.scale, norms), np.maximum(state.peak, norms)
-    state.reach = np.maximum(state.reach, np.abs(x))
-
-
-def _held(state: _State, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Parameters at a bound that the gradient pushes against."""
-    gradient = state.jacobian.T @ state.residual
-    at_low = (state.x <= low) & (gradient >= 0)
-    return np.asarray(at_low | ((state.x >= high) & (gradient <= 0)))
-
-
-def _first_state(x: Array, residual: Array, jacobian: Array, resume: Iteration | None) -> _State:
-    norms = np.linalg.norm(jacobian, axis=0)
-    if resume is not None:
-        scale = np.maximum(resume.scale, norms)
-        return _State(x, residual, jacobian, scale, np.abs(x), scale, resume.radius)
-    scale = np.where(norms > 0, norms, 1.0)
-    length = float(np.linalg.norm(scale * x))
-    return _State(x, residual, jacobian, scale, np.abs(x), norms, FIRST_RADIUS * (length or 1.0))
-
-
-def _snapshot(state: _State, offset: float) -> Iteration:
-    return Iteration(
-        len(state.history),
-        state.evaluations,
-        state.x.copy(),
-        state.cost,
-        state.radius,
-        state.damping,
-        offset,
-        state.scale.copy(),
-    )
+    if -float(change @ (2 * state.residual + change)) <= 2 * max(edge, EPS) * state.cost:
+        return False
+    for share in SHARES:
+        trial = np.clip(state.x + share * step, low, high)
+        evaluated = evaluate(function, trial)
+        state.evaluations += 1
+        if evaluated is not None and gain_of(state, share * step, evaluated) > ACCEPTED:
+            state.radius = float(np.linalg.norm(state.scale * share * step))
+            accept(state, trial, *evaluated)
+            return True
+    return False

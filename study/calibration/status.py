@@ -19,6 +19,10 @@ class Status(Enum):
     max_evaluations = "the evaluations allowed were used up before a minimum was reached"
     no_decrease = "no step lowers the sum of squares although its gradient is not zero"
     at_edge = "the sum of squares falls on towards constants at which the model has no answer"
+    at_kink = (
+        "the sum of squares has a kink at its lowest point: contact sets in on one side of it, "
+        "so that a standard error would mean nothing"
+    )
     no_influence = "a parameter lost all influence on the model: this is no minimum to trust"
     running_away = "a parameter runs to infinity: no minimum lies within reach"
     start_failed = "the model has no answer at the start values"
@@ -33,7 +37,7 @@ class Status(Enum):
     @property
     def usable(self) -> bool:
         """Whether the constants describe the data as well as the model can."""
-        return self.converged or self is Status.at_edge
+        return self.converged or self in (Status.at_edge, Status.at_kink)
 
     @property
     def sentence(self) -> str:

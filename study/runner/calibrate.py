@@ -28,7 +28,7 @@ from study.runner.fit_tests import (
     warnings_of,
 )
 from study.runner.identity import code_version, digest
-from study.runner.staged import Progress, Staged, coarser, single_stage, staged_fit
+from study.runner.staged import Progress, Staged, cheaper, single_stage, staged_fit
 
 if TYPE_CHECKING:
     from study.calibration import Fit, Profile
@@ -166,7 +166,7 @@ def _start(
         own = replace(part, config=before.config)
         stage = f"start ({before.config['material']['model']}, {len(names)} constants)"
         found = single_stage(
-            stage, [coarser(own) or own], names, first, fits.model, None, progress, checkpoint
+            stage, [cheaper(own) or own], names, first, fits.model, None, progress, checkpoint
         ).fit
         if not found.status.usable:
             message = f"the {stage} did not converge: {found.message}"

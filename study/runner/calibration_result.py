@@ -117,7 +117,7 @@ class CalibrationResult:
     curves : tuple of CurveFit
         Every curve and its prediction.
     evaluations : int
-        Calls of the model, those on the coarse mesh included.
+        Calls of the model, those of the cheaper stage included.
     seconds : float
         Wall time.
     lack_of_fit, pattern : LackOfFit, Pattern, optional

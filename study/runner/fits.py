@@ -26,6 +26,9 @@ Array = NDArray[np.float64]
 Config = Mapping[str, Any]
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
+#: smallest load step over the largest: constants that need less are next to having no answer,
+#: and an optimizer that asks there should hear so soon
+_CUTBACKS = 0.12
 #: sections of a configuration that a calibration problem of its own may replace
 _REPLACEABLE = ("specimen", "test")
 
@@ -291,7 +294,7 @@ class InverseFem:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
             problem = build.problem(self._config, constants, self._depth)
-            solution = solve(problem, gradients=True, warm=self._last)
+            solution = solve(problem, gradients=True, warm=self._last, cutbacks=_CUTBACKS)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
         self.solves += 1
@@ -343,11 +346,21 @@ def mesh_facts(solution: Any) -> dict[str, Any]:
     }
 
 
-def solve(problem: Any, **options: Any) -> Any:
-    """Forward solution; the solver is loaded on first use."""
-    from study.forward.solve import solve as forward_solve
+def solve(problem: Any, *, cutbacks: float | None = None, **asked: Any) -> Any:
+    """Forward solution; the solver is loaded on first use.
 
-    return forward_solve(problem, **options)
+    Parameters
+    ----------
+    cutbacks : float, optional
+        Smallest load step over the largest one, where that is not the solver's own.
+    """
+    from study.forward.solve import Options
+    from study.forward.solve import solve as forward_solve
+    from study.forward.steps import StepSettings
+
+    if cutbacks is not None:
+        asked["options"] = Options(steps=StepSettings(smallest=cutbacks))
+    return forward_solve(problem, **asked)
 
 
 def _bare(curve: Curve) -> Curve:

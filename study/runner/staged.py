@@ -1,8 +1,8 @@
-"""One fit in stages: the coarse mesh gives the start, the wanted mesh the answer.
+"""One fit in stages: a cheaper problem gives the start, the wanted one the answer.
 
-The first steps of a fit are far from its end, so that the error of a coarse mesh does not
-matter to them; on the wanted mesh one or two simulations are left. Start values remain a
-function of the case alone.
+The first steps of a fit are far from its end, so that the error of a coarse mesh, or of the
+equivalent cylinder in axisymmetric space, does not matter to them; on the wanted mesh one or
+two simulations are left. Start values remain a function of the case alone.
 """
 
 from __future__ import annotations
@@ -30,9 +30,11 @@ Predict = Callable[[Array], list[Curve]]
 #: are not worth one; a start needs fewer still
 TOLERANCES: dict[str, dict[str, Any]] = {
     "closed-form": {},
-    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-7, "edge": 1e-3},
+    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-5, "edge": 1e-3},
     "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3, "edge": 1e-2},
 }
+#: name of the stage that gives the start
+FIRST = "cheaper model"
 #: coarse over fine of the named meshes
 _COARSER = 2.25
 #: elements over the height below which a mesh is coarse already
@@ -116,15 +118,15 @@ def staged_fit(
         Keeps accepted iterations, so that an interrupted fit goes on where it was.
     """
     kept = checkpoint or Checkpoint()
-    coarse = [coarser(part) for part in parts]
+    cheap = [cheaper(part) for part in parts]
     before, first = None, start
-    if len(names) > 1 and any(one is not None for one in coarse):
-        rough = [own if own is not None else part for own, part in zip(coarse, parts, strict=True)]
-        before = single_stage("coarse mesh", rough, names, start, make, bounds, progress, kept).fit
+    if len(names) > 1 and any(one is not None for one in cheap):
+        rough = [own if own is not None else part for own, part in zip(cheap, parts, strict=True)]
+        before = single_stage(FIRST, rough, names, start, make, bounds, progress, kept).fit
         first = before.values if before.status.usable else start
     done = single_stage("wanted mesh", parts, names, first, make, bounds, progress, kept)
     if done.fit.status is Status.start_failed and first is not start:
-        # what the coarse mesh could solve is beyond the wanted one
+        # what the cheaper problem could solve is beyond the wanted one
         done = single_stage("wanted mesh", parts, names, start, make, bounds, progress, kept)
     return replace(done, rough=before)
 
@@ -158,7 +160,7 @@ def single_stage(
         with contextlib.suppress(EvaluationFailed):
             predict(np.asarray(start, float))
     simulated = any(part.method == "inverse-fem" for part in parts)
-    tolerances = "start" if stage == "coarse mesh" else "inverse-fem"
+    tolerances = "start" if stage == FIRST else "inverse-fem"
     found = fit(
         predict,
         [m for part in parts for m in part.measured],
@@ -172,19 +174,25 @@ def single_stage(
     return Staged(found, tuple(models))
 
 
-def coarser(part: Part) -> Part | None:
-    """Make the same part on a coarse mesh; None where that is no cheaper."""
+def cheaper(part: Part) -> Part | None:
+    """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None
     model = dict(part.config["model"])
+    if model.get("space") == "3d":
+        model["space"] = "axisymmetric"
+    elif not _coarsened(model, part.config["specimen"]):
+        return None
+    return replace(part, config={**part.config, "model": model})
+
+
+def _coarsened(model: dict[str, Any], specimen: Config) -> bool:
+    """Put a coarse mesh into ``model``; False where it has one already."""
     size = model.get("mesh_size_mm")
     if size is None:
-        if model.get("mesh", "medium") == "coarse":
-            return None
+        coarse = model.get("mesh", "medium") == "coarse"
         model["mesh"] = "coarse"
-    else:
-        height = part.config["specimen"].get("height_mm")
-        if height is None or float(height) / (_COARSER * float(size)) < _FEW:
-            return None
-        model["mesh_size_mm"] = _COARSER * float(size)
-    return replace(part, config={**part.config, "model": model})
+        return not coarse
+    height = specimen.get("height_mm")
+    model["mesh_size_mm"] = _COARSER * float(size)
+    return height is not None and float(height) / model["mesh_size_mm"] >= _FEW

@@ -165,3 +165,28 @@ def test_the_reason_of_a_failure_is_told():
     found = fit(never, data, RP2[1], [5e-3, 0.0])
     assert found.status is Status.start_failed
     assert found.message.endswith("(stopped at 3 mm of 6 mm)")
+
+
+def kinked(x):
+    """Least squares of (x - 2) on the left of 1 and of 3 (x - 1) + 0.5 on its right."""
+    a, b = x
+    left = np.array([a - 2, b]), np.eye(2)
+    right = np.array([-1 + 3 * (1 - a), b]), np.array([[-3.0, 0.0], [0.0, 1.0]])
+    return left if a < 1 else right
+
+
+def test_a_kink_is_a_minimum_without_standard_errors():
+    for edge in (0.0, 1e-3):
+        found = levenberg_marquardt(kinked, [0.3, 1.0], edge=edge)
+        assert found.status is Status.at_kink
+        assert found.x == pytest.approx([1, 0], abs=1e-3)
+        assert found.status.usable
+        assert not found.converged
+
+
+def test_a_wrong_gradient_is_no_kink():
+    def wrong(x):
+        return np.array([x[0] - 1, x[1]]), np.array([[-1.0, 0.0], [0.0, 1.0]])
+
+    for edge in (0.0, 1e-3):
+        assert levenberg_marquardt(wrong, [3.0, 0.0], edge=edge).status is Status.no_decrease
