@@ -181,7 +181,7 @@ class _Batch:
     def _tasks(self) -> list[Task]:
         """Cases first: each is scored as soon as its fits are there."""
         tasks = [
-            Task(key, _case_payload(self.work, job), needs=job.needs)
+            Task(key, _case_payload(self.work, job), needs=job.needs, group=job.group)
             for key, job in self.cases.items()
         ]
         tasks += [
@@ -259,9 +259,21 @@ def _case_payload(
             **_case_frame(work, job),
             "config": for_workers(job.case.config),
             "directions": directions,
+            "anchor": _anchor(job, results),
         }
 
     return make
+
+
+def _anchor(job: CaseJob, results: Mapping[str, dict[str, Any]]) -> dict[str, Any] | None:
+    """Name of the shared solution and its constants; None where they could not be fitted."""
+    if not job.group:
+        return None
+    if job.anchor is None:
+        return {"group": job.group, "constants": None}
+    fit = results[job.anchor]
+    known = fit.get("status") == "converged" and fit.get("usable", True)
+    return {"group": job.group, "constants": dict(fit["values"])} if known else None
 
 
 @contextlib.contextmanager

@@ -16,13 +16,19 @@ from study.runner.identity import digest
 _OVERHEAD_S = 0.02
 #: forward solutions of a fit in units of a cold one; the later ones start from the one before
 _SOLVES_LINEAR, _SOLVES_FIRST, _SOLVES_PER_CONSTANT = 1.5, 2.0, 0.7
+#: a prediction that starts from the solution of its cell, in units of a cold one
+_FROM_ANCHOR = 0.25
 
 
 class Costs:
-    """Cost of computations; each distinct forward problem is estimated once."""
+    """Cost of computations; each distinct forward problem is estimated once.
+
+    The first case of a cell that is asked for bears the cost of the cell's cold solution.
+    """
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[float, float]] = {}
+        self._anchored: set[str] = set()
 
     def fit_seconds(self, problem: FitProblem) -> float:
         """Seconds of one calibration."""
@@ -47,7 +53,11 @@ class Costs:
         if shared or (asked == "analytic" and build.is_homogeneous(config)):
             return _OVERHEAD_S
         depth = max(_depth(d.measured) for d in job.directions)
-        return _OVERHEAD_S + len(job.directions) * self.solve_seconds(config, depth)
+        one, solves = self.solve_seconds(config, depth), float(len(job.directions))
+        if job.group:
+            solves = _FROM_ANCHOR * solves + (job.group not in self._anchored)
+            self._anchored.add(job.group)
+        return _OVERHEAD_S + solves * one
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""

@@ -13,9 +13,13 @@ from study.curve import Curve
 from study.errors import InputError
 from study.record import STATUSES, Record
 from study.runner import build, closed_form, fits, scoring
+from study.runner.anchors import Anchors
 from study.runner.identity import versions
 
 Config = Mapping[str, Any]
+
+#: of this worker, which runs one case after the other
+_ANCHORS = Anchors()
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ def _executed(task: Mapping[str, Any]) -> Record:
     config, directions = task["config"], task["directions"]
     for direction in directions:
         _check_fit(direction)
-    predictions = [_predict(config, direction) for direction in directions]
+    anchor = task.get("anchor")
+    predictions = [_predict(config, direction, anchor) for direction in directions]
     scores = [
         scoring.score(p.curve, Curve.from_dict(d["measured"]))
         | scoring.constants_in_kPa(_constants(config, d))
@@ -150,7 +155,9 @@ def _check_fit(direction: Mapping[str, Any]) -> None:
         raise _Stopped("unstable", f"the fitted constants are unstable: {fit.get('stability')}")
 
 
-def _predict(config: Config, direction: Mapping[str, Any]) -> _Prediction:
+def _predict(
+    config: Config, direction: Mapping[str, Any], anchor: Mapping[str, Any] | None
+) -> _Prediction:
     """Predicted curve of the scored test with the constants of the fit."""
     fit, measured = direction["fit"], Curve.from_dict(direction["measured"])
     problem = fits.fit_problem(config)
@@ -170,14 +177,14 @@ def _predict(config: Config, direction: Mapping[str, Any]) -> _Prediction:
         return _Prediction(
             Curve(curve.displacement_mm, curve.force_N), solver={"name": "closed form"}
         )
-    began = time.perf_counter()
-    solution = fits.solve(build.problem(config, constants, depth), gradients=False)
+    predicted = _ANCHORS.predict(config, constants, depth, anchor)
+    solution = predicted.solution
     if solution.status != "converged":
         raise _Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     curve = solution.curve
     return _Prediction(
         Curve(curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm),
-        time.perf_counter() - began,
+        predicted.cold_seconds,
         fits.mesh_facts(solution),
         {"name": str(solution.solver), "min_j": float(solution.min_j)},
     )

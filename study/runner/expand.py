@@ -12,6 +12,7 @@ from study.design import Case, Design, MeasurementSpec, case_id, cases, plain, t
 from study.errors import Fault, InputError
 from study.record import SORTED, MeasuredTest, Measurements, read_measurements
 from study.runner import build
+from study.runner.cells import anchored
 from study.runner.execute import Direction
 from study.runner.fits import FitProblem, fit_key, fit_problem, start_problem
 from study.runner.identity import code_version, digest
@@ -37,17 +38,24 @@ class FitJob:
 
 @dataclass(frozen=True)
 class CaseJob:
-    """One case and the fits that it needs."""
+    """One case and the fits that it needs.
+
+    ``group`` names the cell whose cases share a solution to start from, and ``anchor`` the fit
+    that gives the constants of that one (see :mod:`study.runner.anchors`).
+    """
 
     case: Case
     directions: tuple[Direction, ...]
     input_hash: str
     extra: Mapping[str, Any] = field(default_factory=dict)
+    group: str = ""
+    anchor: str | None = None
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Keys of its fits."""
-        return tuple(dict.fromkeys(d.fit_key for d in self.directions if d.fit_key))
+        keys = (self.anchor, *(d.fit_key for d in self.directions))
+        return tuple(dict.fromkeys(key for key in keys if key))
 
 
 @dataclass(frozen=True)
@@ -116,8 +124,8 @@ def expand(design: Design, data_root: Path) -> Work:
     all_cases = _distinct(cases(design, found))
     fits: dict[str, FitJob] = {}
     responses = _responses(design)
-    jobs = tuple(case_job(case, data, fits, responses) for case in all_cases)
-    return Work(design, jobs, fits, responses, found, data)
+    jobs = [case_job(case, data, fits, responses) for case in all_cases]
+    return Work(design, anchored(jobs), fits, responses, found, data)
 
 
 def _distinct(found: Sequence[Case]) -> list[Case]:

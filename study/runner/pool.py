@@ -34,13 +34,15 @@ WORKER_COMMAND = (sys.executable, "-m", "study.runner.worker")
 
 @dataclass(frozen=True)
 class Task:
-    """One unit of work: ``payload`` is made only when every task it needs is finished."""
+    """One unit of work: ``payload`` is made only when every task it needs is finished.
+
+    Tasks of one ``group`` share something that a worker keeps: one worker does them all.
+    """
 
     key: str
     payload: Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]
     needs: tuple[str, ...] = ()
-    label: str = ""
-    cost: float = 1.0
+    group: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,7 @@ class _Worker:
     connection: Connection
     task: Task | None = None
     started: float = 0.0
+    group: str = ""
 
 
 def run_tasks(
@@ -118,22 +121,32 @@ class _Run:
         self.workers.clear()
 
     def _dispatch(self) -> None:
-        idle = [w for w in self.workers if w.task is None]
-        while idle or len(self.workers) < self.jobs:
-            task = self._next()
+        for worker in [w for w in self.workers if w.task is None]:
+            task = self._next(worker.group)
+            if task is not None:
+                self._send(worker, task)
+        while len(self.workers) < self.jobs:
+            task = self._next("")
             if task is None:
                 return
-            worker = idle.pop() if idle else self._start()
-            worker.task, worker.started = task, time.monotonic()
-            message = json.dumps(task.payload(self.results), allow_nan=False).encode()
-            with contextlib.suppress(OSError):  # a dead worker is noticed when collecting
-                worker.connection.send_bytes(message)
+            self._send(self._start(), task)
 
-    def _next(self) -> Task | None:
-        for index, task in enumerate(self.waiting):
-            if all(need in self.results for need in task.needs):
-                return self.waiting.pop(index)
-        return None
+    def _send(self, worker: _Worker, task: Task) -> None:
+        worker.task, worker.started, worker.group = task, time.monotonic(), task.group
+        message = json.dumps(task.payload(self.results), allow_nan=False).encode()
+        with contextlib.suppress(OSError):  # a dead worker is noticed when collecting
+            worker.connection.send_bytes(message)
+
+    def _next(self, group: str) -> Task | None:
+        """Take a ready task: of the worker's own group, else of one that no worker has."""
+        held = {w.group for w in self.workers if w.group}
+        ready = [t for t in self.waiting if all(need in self.results for need in t.needs)]
+        own = (t for t in ready if group and t.group == group)
+        free = (t for t in ready if t.group not in held)
+        task = next(own, None) or next(free, None)
+        if task is not None:
+            self.waiting.remove(task)
+        return task
 
     def _start(self) -> _Worker:
         ours, theirs = Pipe()

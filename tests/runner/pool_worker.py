@@ -26,6 +26,9 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         os.write(1, b"noise of a library\n")
     if kind == "threads":
         return {"status": "converged", "threads": os.environ["OMP_NUM_THREADS"]}
+    if kind == "process":
+        time.sleep(0.05)
+        return {"status": "converged", "process": os.getpid()}
     return {"status": "converged", "value": task.get("value", 0) + 1}
 
 

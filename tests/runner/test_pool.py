@@ -99,3 +99,13 @@ def test_leaving_early_kills_the_workers() -> None:
 def _children() -> list[str]:
     listed = Path(f"/proc/self/task/{os.getpid()}/children")
     return listed.read_text().split() if listed.exists() else []
+
+
+def test_tasks_of_a_group_stay_with_one_worker() -> None:
+    grouped = [
+        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
+    ]
+    found = run(grouped)
+    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
+    assert all(len(own) == 1 for own in processes.values())
+    assert processes["a"] != processes["b"]
