@@ -226,6 +226,8 @@ def _print_plan(found: Plan) -> None:
     print()
     if found.blocks:
         print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
+    if described["replicates"] is not None:
+        print(f"replicates: {described['replicates']['sentence']}")
     cases = found.to_json()["cases"]
     print(show.counts(cases))
     if found.missing and found.fits:

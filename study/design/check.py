@@ -8,6 +8,7 @@ from typing import Any
 from study.design.cases import combinations, excluded, resolve_cell
 from study.design.factors import Presets, quoted_path
 from study.design.reader import Faults
+from study.design.replicates import check_replicates
 from study.design.settings import RESPONSES, SCORED
 from study.design.spec import Config, Design, Level
 from study.errors import Fault, InputError, nearest
@@ -38,6 +39,7 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     _check_left(design, out, faults)
     if not found and configs:
         _check_responses(design, configs, faults)
+        check_replicates(design, configs, faults)
 
 
 def _listed(cells: Sequence[str]) -> str:

@@ -107,6 +107,7 @@ def describe(design: Design) -> dict[str, Any]:
         ``factors``: ``name``, ``levels``, ``calibrates``, ``inert_cells``, ``note``;
         ``matrix``: ``label``, ``levels``, ``group``, ``calibration``, ``homogeneous`` of each
         cell; ``excluded``: ``label``, ``why``; ``duplicates``: lists of labels;
+        ``replicates``: ``kind``, ``count``, ``sentence`` (None without any);
         ``scheme``: ``kind``, ``summary``, ``resolution``, ``defining_relation``, ``aliases``;
         ``warnings``: sentences.
     """
@@ -128,9 +129,28 @@ def describe(design: Design) -> dict[str, Any]:
             "defining_relation": design.scheme.defining_relation,
             "aliases": list(design.scheme.aliases),
         },
+        "replicates": replication(design),
         "duplicates": [[cell.label for cell in group] for group in duplicates(design)],
         "warnings": list(warnings(design)),
     }
+
+
+def replication(design: Design) -> dict[str, Any] | None:
+    """Say what is computed several times, and which question that answers."""
+    asked = design.replicates
+    if asked.mesh_seeds:
+        sentence = (
+            f"every cell is solved on {asked.mesh_seeds} meshes of its size that differ by a seed: "
+            "is an effect larger than the mesh noise at this size? (E3)"
+        )
+        return {"kind": "mesh-seeds", "count": asked.mesh_seeds, "sentence": sentence}
+    if asked.noise:
+        sentence = (
+            f"every fit is made {asked.noise} times more, to its curve with resampled residuals: "
+            "is an effect larger than the noise in the measured data alone would give? (E2)"
+        )
+        return {"kind": "noise", "count": asked.noise, "sentence": sentence}
+    return None
 
 
 def _factor(design: Design, cells: Sequence[Treatment], index: int) -> dict[str, Any]:

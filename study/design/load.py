@@ -32,7 +32,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "design": (
         *_COMMON,
         *("presets", "factors", "design", "exclude", "measurements", "calibration", "response"),
-        *("analysis", "uncertainty"),
+        *("analysis", "uncertainty", "replicates"),
     ),
     "calibration": ("schema", "study", "specimen", "material", "model", "tests", "calibration"),
 }
@@ -287,6 +287,7 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         calibration=_base_calibration(tables),
         analysis=analysis,
         scheme=scheme,
+        replicates=settings.read_replicates(tables.get("replicates"), faults),
         converge=settings.read_converge(tables.get("converge"), faults),
         uncertainty=settings.read_uncertainty(tables.get("uncertainty"), faults),
         report=settings.read_report(tables.get("report"), faults),

@@ -21,7 +21,14 @@ from study.design.reader import (
     slug,
     text,
 )
-from study.design.spec import AnalysisSpec, ConvergeSpec, Practical, ReportSpec, Response
+from study.design.spec import (
+    AnalysisSpec,
+    ConvergeSpec,
+    Practical,
+    Replicates,
+    ReportSpec,
+    Response,
+)
 from study.errors import nearest
 
 #: unit of every response; constants are reported in kPa, exponents plain
@@ -40,6 +47,9 @@ _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
 MAX_RESPONSES = 50
+#: least and most meshes of a cell (below five their scatter is not known well enough), and
+#: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
+SEEDS, RESAMPLES = (5, 1000), (20, 10_000)
 
 
 def response_unit(name: str) -> str | None:
@@ -205,6 +215,33 @@ def _tolerance(value: Any) -> float:
             raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
         return percent / 100
     return float(number(0, 1, mend='for example "1 %"')(value))
+
+
+def read_replicates(table: Any, faults: Faults) -> Replicates:
+    """Read ``[replicates]``: ``mesh_seeds`` or ``noise``, each the number of repeats of a cell."""
+    section = Section({} if table is None else table, "replicates", faults)
+    seeds = section.take("mesh_seeds", _count(*SEEDS, "the scatter of the mesh is not known"), 0)
+    noise = section.take("noise", _count(*RESAMPLES, "the scatter of the fits is not known"), 0)
+    section.finish()
+    if "mesh_seeds" in section and "noise" in section:
+        rule = "mesh_seeds and noise are two error terms, with different questions"
+        faults.add("replicates", rule, "give one of them, and the other in a study of its own")
+    elif table is not None and not section.broken and not section.table:
+        faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
+    return Replicates(seeds or 0, noise or 0)
+
+
+def _count(low: int, high: int, why: str) -> Read:
+    """Reader of a number of repeats; below ``low`` the reason is told."""
+    whole = integer(0, high)
+
+    def read(value: Any) -> int:
+        count: int = whole(value)
+        if count < low:
+            raise Bad(f"must be at least {low}, got {shown(value)}: with fewer {why}")
+        return count
+
+    return read
 
 
 def read_report(table: Any, faults: Faults) -> ReportSpec:

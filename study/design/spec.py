@@ -255,6 +255,22 @@ class ConvergeSpec:
 
 
 @dataclass(frozen=True)
+class Replicates:
+    """What is computed several times for an error term; at most one of the two.
+
+    Parameters
+    ----------
+    mesh_seeds : int
+        Meshes of every cell that differ by a seed only (error source E3); 0 for the one mesh.
+    noise : int
+        Refits of every fit to its measured curve with resampled residuals (E2); 0 for none.
+    """
+
+    mesh_seeds: int = 0
+    noise: int = 0
+
+
+@dataclass(frozen=True)
 class ReportSpec:
     """Formats of the report."""
 
@@ -284,6 +300,8 @@ class Design:
         Standard uncertainty of inputs, in internal units, by dotted key.
     scheme : Scheme
         Which combinations of the levels are run.
+    replicates : Replicates
+        What is computed several times, for an error term.
     source : str
         The file it was read from; no part of the study's identity.
     text : str
@@ -305,6 +323,7 @@ class Design:
     uncertainty: Mapping[str, float]
     report: ReportSpec
     scheme: Scheme = field(default_factory=Scheme)
+    replicates: Replicates = field(default_factory=Replicates)
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 
