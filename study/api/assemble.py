@@ -6,6 +6,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from study.api.depths import effects_by_depth
 from study.curve import Curve
 from study.design import calibration_factors, equivalent_groups, excluded, treatments
 from study.reporting.data import (
@@ -54,6 +55,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         checks=tuple(_checks(study)),
         numerical=tuple(_numerical(study)),
         convergence=_convergence(study),
+        depths=effects_by_depth(study),
         validation=tuple(study.validation),
         controls=tuple(_controls(design, study.records)),
         virtual=bool(manifest["virtual"]),

@@ -237,6 +237,9 @@ class ReportData:
     numerical : sequence of NumericalRow
     convergence : sequence of mapping
         Series of three meshes or more, as ``study converge --json`` gives them.
+    depths : sequence of mapping
+        Main effects with the test scored to less of its depth: ``response``, ``term``,
+        ``depth_mm``, ``difference``, ``low``, ``high``, ``practical``, ``verdict``.
     validation : sequence of mapping
         E and u_val of every case along its curve, where inputs are uncertain.
     controls : sequence of Check
@@ -282,6 +285,7 @@ class ReportData:
     checks: tuple[Check, ...] = ()
     numerical: tuple[NumericalRow, ...] = ()
     convergence: tuple[Mapping[str, Any], ...] = ()
+    depths: tuple[Mapping[str, Any], ...] = ()
     validation: tuple[Mapping[str, Any], ...] = ()
     controls: tuple[Check, ...] = ()
     virtual: bool = False

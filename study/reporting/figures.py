@@ -86,6 +86,8 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
         makers["contrasts"] = (title, lambda: _contrasts(data, facts))
     if len(data.factors) < 2:
         del makers["interactions"]
+    if any(row["response"] == facts.name for row in data.depths):
+        makers["depth"] = ("Effects against depth", lambda: _depth(data, facts))
     if facts.response.better and "seconds" in data.table:
         makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
     return {
@@ -140,6 +142,13 @@ def _effects(data: ReportData, facts: Facts) -> Drawn:
     if frame.empty:
         raise ValueError("no effect could be estimated")
     return frame, lambda: effects.draw_effect_sizes(frame, facts), captions.effects(facts, data)
+
+
+def _depth(data: ReportData, facts: Facts) -> Drawn:
+    from study.reporting import figures_depth as depth
+
+    frame = depth.points(data.depths, facts.name, data)
+    return frame, lambda: depth.draw(frame, facts), depth.caption(frame, facts)
 
 
 def _contrasts(data: ReportData, facts: Facts) -> Drawn:

@@ -1,0 +1,72 @@
+"""Effects over less of the test: the curves are kept, so no simulation is needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import study
+from study.api.depths import effects_by_depth
+from study.api.studies import StudyResult
+from study.curve import Curve
+from study.reporting.page import build
+from tests.cli.small import DESIGN, write_files
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    home = tmp_path_factory.mktemp("depths")
+    write_files(home)
+    text = DESIGN.replace('range = ["small", "large"]\n', "")
+    text = text[: text.index("[presets.range.small]")] + text[text.index("[measurements]") :]
+    text = text.replace("points = 30", 'points = 30\nrange = ["1 %", "20 %"]')
+    (home / "one.toml").write_text(text)
+    return study.run(
+        home / "one.toml", data=home / "data", jobs=1, results=home / "results", reports=None
+    )
+
+
+def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
+    d = measured.displacement_mm
+    inside = d <= depth_mm * (1 + 1e-9)
+    force = measured.force_N[inside]
+    apart = predicted.force_at(d[inside]) - force
+    return float(100 * np.sqrt(np.mean(apart**2) / np.mean(force**2)))
+
+
+def test_whole_depth_is_the_study_itself(outcome: StudyResult) -> None:
+    (own,) = [v for v in outcome.verdicts if v["factor"] == "material"]
+    row = effects_by_depth(outcome)[-1]
+    assert row["term"] == "material"
+    assert row["depth_mm"] == pytest.approx(6.0)
+    assert row["difference"] == pytest.approx(own["effect"], rel=1e-12)
+
+
+def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
+    (row,) = [r for r in effects_by_depth(outcome) if r["depth_mm"] == pytest.approx(3.0)]
+    means = {
+        level: np.mean(
+            [
+                error(r.curves[f"measured:{label}"], r.curves[f"predicted:{label}"], 3.0)
+                for r in outcome.records
+                if r.levels["material"] == level
+                for label in [r.extra["directions"][0]["score"]]
+            ]
+        )
+        for level in ("neo-hookean", "mooney-rivlin")
+    }
+    assert row["difference"] == pytest.approx(max(means.values()) - min(means.values()), rel=1e-9)
+    assert row["highest"] == max(means, key=lambda level: means[level])
+
+
+def test_the_page_draws_it(outcome: StudyResult) -> None:
+    from study.api.assemble import report_data
+
+    data = report_data(outcome, {})
+    page = build(data)
+    assert "A second look" in page
+    assert "f-relative-rms-force-error-depth" in page
+    assert "was not drawn" not in page
+    assert "A second look" not in build(replace(data, depths=()))
