@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.problem import Problem, mesh_level
+from study.forward.problem import Flat, Problem, mesh_level
 from study.forward.structured import (
     cross_section,
     equivalent_radius,
@@ -78,13 +78,35 @@ def mesh_size(problem: Problem) -> float:
 
 
 def build_mesh(problem: Problem) -> Mesh:
-    """Mesh of a problem.
+    """Mesh of a problem, its nodes moved at random where the model has a ``mesh_seed``.
 
     Raises
     ------
     MeshError
         If no usable mesh could be made.
     """
+    mesh, seed = _regular_mesh(problem), problem.model.mesh_seed
+    if seed is None:
+        return mesh
+    from study.forward.jitter import jittered
+
+    return jittered(mesh, seed, _at_edge(problem, mesh))
+
+
+def _at_edge(problem: Problem, mesh: Mesh) -> NDArray[np.bool_] | None:
+    """Nodes that follow the edge of a flat end: they are part of what is modelled."""
+    pressed = problem.test.indenter
+    if problem.test.kind != "indentation" or not isinstance(pressed, Flat):
+        return None
+    ring = pressed.radius_mm - pressed.edge_radius_mm
+    rho = np.linalg.norm(mesh.points[:, :-1], axis=1)
+    on_top = mesh.points[:, -1] >= mesh.height_mm * (1 - 1e-9)
+    # in 3D the nodes lie on chords as long as the elements there
+    sagitta = mesh.size_mm**2 / (8 * ring) if mesh.points.shape[1] == 3 and ring > 0 else 0.0
+    return np.asarray(on_top & (np.abs(rho - ring) <= 1.2 * sagitta + 1e-9 * mesh.height_mm))
+
+
+def _regular_mesh(problem: Problem) -> Mesh:
     if problem.test.kind == "indentation":
         from study.forward.graded import indentation_mesh
 

@@ -86,7 +86,10 @@ class Test:
 
 @dataclass(frozen=True)
 class Model:
-    """Discretisation. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins)."""
+    """Discretisation. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins).
+
+    A ``mesh_seed`` moves the nodes of the mesh at random (see :mod:`study.forward.jitter`).
+    """
 
     space: Space = "axisymmetric"
     element_order: Order = "quadratic"
@@ -95,6 +98,7 @@ class Model:
     mesh: Literal["coarse", "medium", "fine"] = "medium"
     mesh_ratio: float = 1.5
     mesh_size_mm: float | None = None
+    mesh_seed: int | None = None
 
 
 @dataclass(frozen=True)

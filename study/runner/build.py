@@ -136,6 +136,7 @@ def model(section: Config) -> Model:
         mesh=section.get("mesh") or "medium",
         mesh_ratio=float(section.get("mesh_ratio") or 1.5),
         mesh_size_mm=None if size is None else float(size),
+        mesh_seed=section.get("mesh_seed"),
     )
 
 
