@@ -17,6 +17,7 @@ _HOME = {
     "why": "study.api.planning",
     "report": "study.api.studies",
     "open_study": "study.api.studies",
+    "diff": "study.api.compare",
     "analyze": "study.api.statistics",
     "anova": "study.api.statistics",
     "ryan_joiner": "study.api.statistics",

@@ -1,4 +1,4 @@
-"""Verbs about whole studies: demo, plan, run, status, report, why."""
+"""Verbs about whole studies: demo, plan, run, status, report, diff, why."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from study.cli import show
 if TYPE_CHECKING:
     from study.api.planning import Plan
     from study.api.studies import StudyResult
+    from study.reporting.data_beside import Beside
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 Data = Annotated[
@@ -121,6 +122,23 @@ def report(
     _finish(api.report(path, reports=reports, results=results, formats=wanted), as_json)
 
 
+def diff(
+    first: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    second: Annotated[Path, typer.Argument(help="The study to compare it with, named likewise.")],
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Compare two studies: what was changed, and which conclusions hold under both."""
+    from study import api
+
+    found = api.diff(first, second, results=results)
+    show.warn(found.warnings)
+    if as_json:
+        show.print_json(found.to_json())
+    else:
+        _print_diff(found.beside)
+
+
 def why(
     case: Annotated[str, typer.Argument(help="Case id, or its beginning.")],
     study: Annotated[Path | None, typer.Option(help="Study to look in; all by default.")] = None,
@@ -153,7 +171,7 @@ def why(
         print(record.extra["traceback"])
 
 
-VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, why)
+VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why)
 
 
 def _words(runner: dict[str, Any]) -> str:
@@ -188,6 +206,25 @@ def _print_study(study: StudyResult) -> None:
         show.warn([f"the verdict table could not be printed: {error}"])
     if study.report is not None:
         print(f"\nreport: {study.report}")
+
+
+def _print_diff(beside: Beside) -> None:
+    """Print what was changed, what holds, then the numbers of both studies."""
+    from study.reporting import terminal
+
+    changed = terminal.changes_rows(beside)
+    if len(changed) > 1:
+        show.table(changed, "what was changed")
+    else:
+        print("nothing was changed: design, measurements and code are the same")
+    print()
+    for line in terminal.beside_lines(beside):
+        show.paragraph(line)
+    for title, rows, note in terminal.beside_tables(beside):
+        print()
+        show.table(rows, title)
+        if note:
+            show.paragraph(note)
 
 
 def _print_scheme(scheme: dict[str, Any]) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from study.reporting import beside as two
 from study.reporting import tables
 from study.reporting.data import ReportData
+from study.reporting.data_beside import Beside, Conclusion
 from study.reporting.facts import facts
 from study.reporting.tables import Table
 
@@ -48,6 +50,31 @@ def answer_lines(data: ReportData) -> list[str]:
     change = f"What would change this? {sentences.would_change(data, found)}"
     lines = [*sentences.answer(data, found), change]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+
+
+def changes_rows(beside: Beside) -> Rows:
+    """Return the inputs in which two studies differ; the first row is the header."""
+    return _rows(two.changes(beside))
+
+
+def beside_lines(beside: Beside) -> list[str]:
+    """Return what holds in both studies, and what only one of them has."""
+    lines = [*two.summary(beside), *two.only_lines(beside)]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+
+
+def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
+    """Title, table and note of each response; a term is named in the first of its two rows."""
+    header, *rows = _rows(two.table(beside))
+    found: dict[str, Rows] = {}
+    for row in rows:
+        table = found.setdefault(row[0], [header[1:]])
+        second = len(table) % 2 == 0
+        table.append(["", "", *row[3:]] if second else row[1:])
+    notes: dict[str, list[Conclusion]] = {}
+    for item in beside.conclusions:
+        notes.setdefault(two.response_of(item), []).append(item)
+    return [(title, table, two.quiet_line(notes[title])) for title, table in found.items()]
 
 
 def _rows(table: Table) -> Rows:
