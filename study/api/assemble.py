@@ -69,6 +69,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         design_text=manifest["text"] or manifest["design"],
         scheme=design.scheme.summary,
         cells=None if design.scheme.rows is None else len(treatments(design)),
+        beside=study.beside,
     )
 
 

@@ -299,7 +299,8 @@ def _warnings(studies: _Studies, names: tuple[str, str], pairs: Sequence[_Pair])
     """Say what makes the comparison weaker than it looks."""
     for name, study in zip(names, studies, strict=True):
         if study.failed:
-            yield f"{study.failed} cases of {name} failed: its conclusions leave them out"
+            cases = "1 case" if study.failed == 1 else f"{study.failed} cases"
+            yield f"{cases} of {name} failed: its conclusions leave out what failed"
     for pair in pairs:
         first, second = pair.responses
         if first.transform != second.transform:

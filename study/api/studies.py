@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.reporting.data import ResponseAnalysis
+    from study.reporting.data_beside import Beside
     from study.runner.batch import Progress, Summary
     from study.runner.expand import Work
     from study.runner.refine import Numerical
@@ -46,6 +47,8 @@ class StudyResult:
         The report, once written.
     validation : tuple of mapping
         E and u_val of every case along its curve, where inputs are uncertain.
+    beside : Beside, optional
+        Which of its conclusions hold in another study too.
     """
 
     design: Design
@@ -59,6 +62,7 @@ class StudyResult:
     report: Path | None = None
     predicted_seconds: float = 0.0
     validation: tuple[Mapping[str, Any], ...] = ()
+    beside: Beside | None = None
 
     @property
     def table(self) -> pd.DataFrame:
@@ -79,7 +83,7 @@ class StudyResult:
     def to_json(self) -> dict[str, Any]:
         """Document of ``study run --json``."""
         done = len(self.records) - self.failed
-        return {
+        found = {
             "study": self.design.name,
             "cases": {
                 "total": self.total,
@@ -92,6 +96,11 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
+        if self.beside is not None:
+            from study.api.compare import document
+
+            found["beside"] = document(self.beside)
+        return found
 
 
 @dataclass
@@ -193,6 +202,7 @@ def _refine(
 def _write_manifest(
     store: Store, work: Work, timings: Mapping[str, float], summary: Summary | None
 ) -> None:
+    from study.api.changes import read_truths
     from study.runner.identity import versions
 
     known = store.read_manifest() or {}
@@ -212,6 +222,7 @@ def _write_manifest(
                 "notes": list(work.notes),
                 "files": dict(work.files),
                 "virtual": work.virtual,
+                "truths": read_truths(work.data.root, work.files),
                 "versions": versions(),
                 "timings": spent,
             }
@@ -291,6 +302,7 @@ def report(
     reports: Path | None = REPORTS,
     results: Path = RESULTS,
     formats: Sequence[str] = (),
+    beside: str | Path | None = None,
     extra_warnings: Sequence[str] = (),
     began: _Clock | None = None,
 ) -> StudyResult:
@@ -302,10 +314,21 @@ def report(
     ----------
     formats : sequence of str
         Formats instead of those of the design.
+    beside : str or Path, optional
+        Another finished study; the report says which conclusions hold in both.
+
+    Raises
+    ------
+    InputError
+        If one of the studies has no results, or they have nothing in common.
     """
     from dataclasses import replace
 
     study = path if isinstance(path, StudyResult) else open_study(path, results)
+    if beside is not None:
+        from study.api.compare import compare
+
+        study = replace(study, beside=compare(study, open_study(beside, results)))
     study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
     if began is not None:
         began.mark("statistics")

@@ -111,6 +111,9 @@ def report(
     formats: Annotated[
         str, typer.Option("--format", help="html, pdf, tex, csv: one or several with commas.")
     ] = "",
+    beside: Annotated[
+        Path | None, typer.Option(help="Another study: say which conclusions hold in both.")
+    ] = None,
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     as_json: Json = False,
@@ -119,7 +122,8 @@ def report(
     from study import api
 
     wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
-    _finish(api.report(path, reports=reports, results=results, formats=wanted), as_json)
+    found = api.report(path, reports=reports, results=results, formats=wanted, beside=beside)
+    _finish(found, as_json)
 
 
 def diff(
@@ -204,6 +208,10 @@ def _print_study(study: StudyResult) -> None:
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         show.warn([f"the verdict table could not be printed: {error}"])
+    if study.beside is not None:
+        print()
+        for line in terminal.beside_lines(study.beside):
+            show.paragraph(line)
     if study.report is not None:
         print(f"\nreport: {study.report}")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from study.reporting import data_beside as kinds
 from study.reporting.data import ResponseAnalysis
-from study.reporting.data_beside import Beside, Conclusion, Found, OnlyInOne
+from study.reporting.data_beside import Beside, Change, Conclusion, Found, OnlyInOne
 from study.reporting.facts import CANNOT_TELL, MATTERS, Effect, Facts
 from study.reporting.tables import Table
 from study.reporting.text import (
@@ -25,7 +25,6 @@ from study.reporting.verdicts import over_numerical, size, size_interval
 Labels = Mapping[str, str] | None
 #: letters of a value that a table of changes shows
 LONGEST = 70
-_NOT_SET = "not set"
 
 
 def response_of(row: Conclusion, labels: Labels = None) -> str:
@@ -66,7 +65,7 @@ def _of_response(rows: Sequence[Conclusion], beside: Beside, labels: Labels) -> 
     parts = [f"under both: {both}"] if both else []
     for row in groups[kinds.DIFFERS]:
         parts.append(f"{_term(row, labels)} differs: {_how(row, beside)}")
-    parts += [f"{_term(row, labels)} cannot be told: {_how(row, beside)}"
+    parts += [f"{_term(row, labels)}: {_how(row, beside)}"
               for row in told if row.conclusion == kinds.ONE_CANNOT_TELL]  # fmt: skip
     never = [_term(row, labels) for row in told if row.conclusion == kinds.NONE_CAN_TELL]
     if never:
@@ -88,8 +87,9 @@ def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
             else (f"; the interaction {_term(quiet[0], labels)} does not matter in either")
         )
     return (
-        f"; of {count(len(quiet), 'other interaction')}, {small} make no practical difference in "
-        "both and the rest cannot be told"
+        f"; of {count(len(quiet), 'interaction')} that matter{'s' * (len(quiet) == 1)} in neither, "
+        f"{small} make{'s' * (small == 1)} no practical difference in both and the rest cannot be "
+        "told in one or both"
     )
 
 
@@ -134,8 +134,11 @@ def _how(row: Conclusion, beside: Beside) -> str:
     said = []
     for name, one in zip(beside.names, row.found, strict=True):
         number = size(effect_of(row, one), facts)
-        lead = f", {row.end} with {clean(one.best)}" if row.same_best is False and one.best else ""
-        said.append(f"{one.verdict} under {clean(name)} ({number}{lead})")
+        number = "" if number == MISSING else number
+        lead = f"{row.end} with {clean(one.best)}" if row.same_best is False else ""
+        why = clean(one.why) if one.verdict == CANNOT_TELL else ""
+        known = ", ".join(part for part in (number, lead, why) if part)
+        said.append(f"{one.verdict} under {clean(name)}{f' ({known})' if known else ''}")
     return ", ".join(said)
 
 
@@ -165,7 +168,7 @@ def answer_lines(beside: Beside | None, labels: Labels = None) -> tuple[str, ...
     parts = [f"these conclusions hold beside {other}: {held}"] if held else []
     parts += [f"these do not: {broken}" if held else f"beside {other} these do not hold: {broken}"
               ] if broken else []  # fmt: skip
-    parts += [f"these cannot be told there or here: {open_ones}"] if open_ones else []
+    parts += [f"whether these hold cannot be told: {open_ones}"] if open_ones else []
     return (" ".join(sentence(part) for part in parts),) if parts else ()
 
 
@@ -194,7 +197,7 @@ def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:
 def changes(beside: Beside) -> Table:
     """Return the inputs that differ, the first thing to read."""
     rows = tuple(
-        (clean(c.key, LONGEST), *(clean(_NOT_SET if v is None else v, LONGEST) for v in c.values))
+        (clean(c.key, LONGEST), *(clean(_absent(c) if v is None else v, LONGEST) for v in c.values))
         for c in beside.changes
     )
     raw = tuple(
@@ -202,6 +205,10 @@ def changes(beside: Beside) -> Table:
         for c in beside.changes
     )
     return Table("changes", ("input", *map(clean, beside.names)), rows, 3, raw=raw)
+
+
+def _absent(change: Change) -> str:
+    return "not set" if change.kind in ("design", "truth") else "none"
 
 
 def only_lines(beside: Beside, labels: Labels = None) -> tuple[str, ...]:
@@ -234,7 +241,15 @@ def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     for row in rows:
         if not row.is_main and not _strong(row):
             groups.setdefault(row.conclusion, []).append(_term(row, labels))
-    return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in groups.items())
+    named = ((kind.replace(":", ","), names) for kind, names in groups.items())
+    return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in named)
+
+
+def quiet_lines(beside: Beside, labels: Labels = None) -> tuple[tuple[str, str], ...]:
+    """Response and what is known of the interactions that its table leaves out."""
+    groups = _by_response(beside.conclusions).values()
+    lines = [(response_of(rows[0], labels), quiet_line(rows, labels)) for rows in groups]
+    return tuple((title, line) for title, line in lines if line)
 
 
 def short(row: Conclusion) -> str:

@@ -21,6 +21,8 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.reporting.data_beside import Beside
+
 #: level of a factor that a fit does not depend on
 ANY = "any"
 OUTCOMES = ("pass", "caution", "fail", "not applicable")
@@ -266,6 +268,8 @@ class ReportData:
         Cells of that part.
     labels : mapping of str to str
         Better names for factors or responses; made from the key when absent.
+    beside : Beside, optional
+        What another study says of the same conclusions.
     """
 
     name: str
@@ -300,6 +304,7 @@ class ReportData:
     scheme: str = ""
     cells: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    beside: Beside | None = None
 
     @property
     def planned(self) -> int:

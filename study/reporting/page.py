@@ -9,6 +9,7 @@ from typing import Any
 
 from study.reporting import (
     assumptions,
+    beside,
     checks,
     figures,
     figures_validation,
@@ -77,6 +78,9 @@ def prepare(data: ReportData) -> Contents:
         known["numerical"] = tables.numerical(data.numerical, data)
     if data.validation:
         known["validation"] = figures_validation.table(data.validation, data.block)
+    if data.beside is not None:
+        known["beside"] = beside.table(data.beside, data.labels)
+        known["changes"] = beside.changes(data.beside)
     if data.failures:
         known["failures"] = tables.failures(data)
     sections = tuple(_section(data, item) for item in found)
@@ -138,7 +142,10 @@ def render(contents: Contents) -> str:
     text: str = environment.get_template("page.html.j2").render(
         c=contents,
         data=data,
-        answer=sentences.answer(data, contents.found),
+        answer=(
+            *sentences.answer(data, contents.found),
+            *beside.answer_lines(data.beside, data.labels),
+        ),
         would_change=sentences.would_change(data, contents.found),
         checks=checks.grouped(checks.all_checks(data, contents.found)),
         controls=checks.grouped(data.controls),
@@ -151,6 +158,7 @@ def render(contents: Contents) -> str:
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
         what_if=assumptions.WHAT_IF,
+        two=beside,
         provenance=_provenance(data),
         total_time=sum(data.timings.values()),
     )

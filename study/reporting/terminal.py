@@ -5,7 +5,7 @@ from __future__ import annotations
 from study.reporting import beside as two
 from study.reporting import tables
 from study.reporting.data import ReportData
-from study.reporting.data_beside import Beside, Conclusion
+from study.reporting.data_beside import Beside
 from study.reporting.facts import facts
 from study.reporting.tables import Table
 
@@ -71,10 +71,8 @@ def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
         table = found.setdefault(row[0], [header[1:]])
         second = len(table) % 2 == 0
         table.append(["", "", *row[3:]] if second else row[1:])
-    notes: dict[str, list[Conclusion]] = {}
-    for item in beside.conclusions:
-        notes.setdefault(two.response_of(item), []).append(item)
-    return [(title, table, two.quiet_line(notes[title])) for title, table in found.items()]
+    notes = dict(two.quiet_lines(beside))
+    return [(title, table, notes.get(title, "")) for title, table in found.items()]
 
 
 def _rows(table: Table) -> Rows:
