@@ -1,0 +1,66 @@
+"""Studies made of numbers alone: known effects, real analyses, nothing computed."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from study.analysis import analyze
+from study.api.studies import StudyResult
+from study.design import loads
+from study.reporting.data import ResponseAnalysis
+from tests.cli.small import DESIGN
+
+FACTORS = {"material": ("soft", "stiff", "other"), "space": ("flat", "full")}
+BLOCKS = ("B1", "B2", "B3", "B4", "B5", "B6")
+
+
+def made(
+    folder: Path,
+    *,
+    name: str = "first",
+    material: tuple[float, ...] = (5.0, 7.0, 5.1),
+    space: float = 0.02,
+    noise: float = 0.02,
+    height: str = "30 mm",
+    practical: str = "0.5 pp",
+    response: str = "relative_rms_force_error",
+    rename: dict[str, str] | None = None,
+    better: str = "lower",
+    transform: str = "none",
+    **manifest: Any,
+) -> StudyResult:
+    """Study whose cell means are ``material`` plus ``space`` for the second space.
+
+    ``rename`` gives factors or levels other names.
+    """
+    new = rename or {}
+    rng = np.random.default_rng(3)
+    shift = rng.normal(0, 0.3, len(BLOCKS))
+    rows = [
+        {
+            new.get("material", "material"): new.get(m, m),
+            new.get("space", "space"): new.get(s, s),
+            "block": b,
+            response: mean + space * (s == "full") + shift[i] + noise * rng.normal(),
+        }
+        for (m, mean), s, (i, b) in product(
+            zip(FACTORS["material"], material, strict=True), FACTORS["space"], enumerate(BLOCKS)
+        )
+    ]
+    names = [new.get(f, f) for f in FACTORS]
+    result = analyze(
+        pd.DataFrame(rows), response, names, block="block", practical=practical, exact=False,
+        transform=transform,
+    )  # fmt: skip
+    limit = float(practical.split()[0])
+    analysis = ResponseAnalysis(response, "%", result, limit, transform=transform, better=better)
+    known = {"blocks": list(BLOCKS), "files": {"a.csv": "0" * 64}, "virtual": False,
+             "versions": {"study": "1"}}  # fmt: skip
+    text = DESIGN.replace('"small"', f'"{name}"', 1).replace('"30 mm"', f'"{height}"')
+    design = loads(text.replace('"0.5 pp"', f'"{practical}"'), name)
+    return StudyResult(design, folder / name, (), 36, (analysis,), (), known | manifest)

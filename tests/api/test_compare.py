@@ -1,0 +1,173 @@
+"""Two studies beside each other: what was changed, what holds, what only one of them has."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from study.api.compare import compare, document
+from study.api.studies import StudyResult
+from study.errors import InputError
+from study.reporting import beside as words
+from study.reporting import data_beside as kinds
+from study.reporting.data_beside import Beside, Conclusion
+from tests.api.made import made
+
+
+def row(beside: Beside, term: str) -> Conclusion:
+    return next(row for row in beside.conclusions if row.term == term)
+
+
+def test_conclusions_that_hold_under_both(tmp_path: Path) -> None:
+    found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.0, 7.5, 5.1)))
+    material, space = row(found, "material"), row(found, "space")
+    assert (material.conclusion, material.holds) == (kinds.MATTERS, True)
+    assert (space.conclusion, space.holds) == (kinds.NO_DIFFERENCE, True)
+    # the means are made: 7.0 - 5.0 and 7.5 - 5.0; 12 values each with a deviation of 0.02
+    assert material.found[0].effect == pytest.approx(2.0, abs=0.05)
+    assert material.found[1].effect == pytest.approx(2.5, abs=0.05)
+    assert [one.best for one in material.found] == ["soft", "soft"]
+    said = words.summary(found)
+    assert said[0] == "Of 2 conclusions about single factors, 2 hold under both first and second."
+    assert "under both: material matters (2.0" in said[1]
+    assert "lowest with soft in both" in said[1]
+
+
+def test_each_number_is_that_of_its_own_study(tmp_path: Path) -> None:
+    studies = made(tmp_path), made(tmp_path, name="second", noise=0.05, practical="0.4 pp")
+    found = compare(*studies)
+    for which, study in enumerate(studies):
+        for row_ in found.conclusions:
+            effect = study.analyses[0].result.effect(row_.term)
+            one = row_.found[which]
+            assert (one.verdict, one.effect, one.p) == (effect.verdict, effect.range, effect.p)
+            assert (one.low, one.high) == effect.ci95
+            assert one.practical == effect.practical
+    assert "the smallest difference that matters is not the same in both" in found.warnings[0]
+
+
+def test_a_factor_that_matters_in_one_only(tmp_path: Path) -> None:
+    found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.0, 5.1, 5.05)))
+    material = row(found, "material")
+    assert material.holds is False
+    assert material.conclusion == (
+        "differs: matters under first; no practical difference under second"
+    )
+
+
+def test_the_other_way_round_is_another_conclusion(tmp_path: Path) -> None:
+    found = compare(made(tmp_path), made(tmp_path, name="second", material=(7.0, 5.0, 7.0)))
+    material = row(found, "material")
+    assert material.holds is False
+    assert material.same_best is False
+    assert material.conclusion.startswith("differs: matters in both, but the lowest is with")
+    assert "soft under first and stiff under second" in material.conclusion
+
+
+def test_levels_within_what_matters_of_the_best_are_as_good(tmp_path: Path) -> None:
+    # "other" leads by 0.1 pp in the second study, where 0.5 pp matters
+    found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.1, 7.0, 5.0)))
+    material = row(found, "material")
+    assert [one.best for one in material.found] == ["soft", "other"]
+    assert material.same_best is True
+    assert material.holds is True
+    assert "which lie within what matters" in words.summary(found)[1]
+
+
+def test_one_that_cannot_tell_leaves_it_open(tmp_path: Path) -> None:
+    found = compare(made(tmp_path), made(tmp_path, name="second", noise=3.0))
+    material = row(found, "material")
+    assert material.holds is None
+    assert material.conclusion == kinds.ONE_CANNOT_TELL
+    noisy = made(tmp_path, name="third", noise=3.0), made(tmp_path, name="fourth", noise=3.0)
+    assert row(compare(*noisy), "material").conclusion == kinds.NONE_CAN_TELL
+
+
+def test_ratios_are_compared_as_ratios(tmp_path: Path) -> None:
+    log = {"transform": "log", "practical": "10 % of mean", "better": "", "response": "mu0"}
+    found = compare(made(tmp_path, **log), made(tmp_path, name="second", **log))  # type: ignore[arg-type]
+    material = row(found, "material")
+    assert material.ratio
+    assert material.found[0].effect == pytest.approx(7.0 / 5.0, rel=0.02)
+    # without a better end the highest level is named, and nothing is called best
+    assert (material.end, material.best_is_better) == ("highest", False)
+    assert material.found[0].best == "stiff"
+
+
+def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:
+    second = made(tmp_path, name="second", rename={"space": "plates", "other": "third"})
+    found = compare(made(tmp_path), second)
+    named = {(item.what, item.name, item.study) for item in found.only}
+    assert named >= {
+        ("factor", "space", 0), ("factor", "plates", 1), ("term", "material:space", 0),
+        ("term", "material:plates", 1), ("level", "material = other", 0),
+        ("level", "material = third", 1),
+    }  # fmt: skip
+    assert [item.term for item in found.conclusions] == ["material"]
+    said = " ".join(words.only_lines(found))
+    assert "Only in first: level material = other." in said
+
+
+def test_differing_inputs_are_listed(tmp_path: Path) -> None:
+    second = made(
+        tmp_path, name="second", height="31 mm", practical="0.4 pp", files={"a.csv": "1" * 64},
+        versions={"study": "2"}, virtual=True, truths={"a.csv": {"generator": {"truth": "ogden"}}},
+    )  # fmt: skip
+    changed = {c.key: (c.kind, c.values) for c in compare(made(tmp_path), second).changes}
+    assert changed == {
+        "specimen.height": ("design", ("30 mm", "31 mm")),
+        "response.relative_rms_force_error.practical": ("design", ("0.5 pp", "0.4 pp")),
+        "sha256 of a.csv": ("measurements", ("0" * 12, "1" * 12)),
+        "kind": ("measurements", ("measured", "virtual specimens")),
+        "truth of the specimens": ("truth", ("measured, not generated", "of virtual specimens")),
+        "version of study": ("code", ("1", "2")),
+    }
+
+
+def test_two_truths_are_compared_key_by_key(tmp_path: Path) -> None:
+    def virtual(name: str, truth: str) -> StudyResult:
+        notes = {"a.csv": {"generator": {"truth": truth, "seed": 2011}}}
+        return made(tmp_path, name=name, virtual=True, truths=notes)
+
+    found = compare(virtual("first", "yeoh"), virtual("second", "ogden"))
+    assert [(c.key, c.values) for c in found.changes] == [
+        ("truth.generator.truth", ("yeoh", "ogden"))
+    ]
+
+
+def test_nothing_in_common_is_refused_with_the_mend(tmp_path: Path) -> None:
+    other = made(tmp_path, name="second", response="rms_force_error")
+    with pytest.raises(InputError, match="no analyzed response") as caught:
+        compare(made(tmp_path), other)
+    assert "rms_force_error" in str(caught.value)
+    assert "share a [[response]] and a factor by name" in str(caught.value)
+
+
+def test_a_response_in_common_but_no_factor_is_refused(tmp_path: Path) -> None:
+    other = made(tmp_path, name="second", rename={"space": "plates", "material": "energy"})
+    with pytest.raises(InputError, match="no analyzed response with a factor in common"):
+        compare(made(tmp_path), other)
+
+
+def test_a_study_beside_itself_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="same study"):
+        compare(made(tmp_path), made(tmp_path))
+
+
+def test_studies_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    found = compare(made(tmp_path / "a"), made(tmp_path / "b"))
+    assert found.names[0] != found.names[1]
+    assert str(tmp_path / "b") in found.names[1]
+
+
+def test_the_document_is_plain_json(tmp_path: Path) -> None:
+    found = document(compare(made(tmp_path), made(tmp_path, name="second", noise=3.0)))
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert set(found) == {"summary", "changes", "conclusions", "only_in_one"}
+    first = found["conclusions"][0]
+    assert set(first) >= {"response", "factor", "conclusion", "holds", "same_best", "found"}
+    assert set(first["found"][0]) >= {
+        "verdict", "effect", "ci95", "p", "u_num", "effect_over_u_num", "practical", "best",
+    }  # fmt: skip

@@ -1,0 +1,140 @@
+"""The section of a report that sets another study beside it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html import unescape
+
+import pytest
+
+from study.reporting import beside as words
+from study.reporting import data_beside as kinds
+from study.reporting.data import ReportData
+from study.reporting.data_beside import Beside, Change, Conclusion, Found, OnlyInOne
+from study.reporting.page import Contents, render
+from study.reporting.page import prepare as prepare_page
+
+EVIL = '<script>alert("x")</script>'
+
+
+def found(verdict: str, effect: float, best: str = "") -> Found:
+    return Found(verdict, effect, effect - 0.1, effect + 0.1, 0.5, 0.003, 0.02, effect / 0.02, best)
+
+
+def conclusion(
+    term: str, kind: str, holds: bool | None, *both: Found, **more: object
+) -> Conclusion:
+    return Conclusion("work_error", term, "%", kind, holds, (both[0], both[1]), **more)  # type: ignore[arg-type]
+
+
+def example(name: str = "second") -> Beside:
+    yes, no, open_ = "matters", "no practical difference", "cannot tell"
+    lead = {"end": "lowest", "best_is_better": True}
+    rows = (
+        conclusion("material", kinds.MATTERS, True, found(yes, 1.9, "mr"), found(yes, 2.1, "mr"),
+                   same_best=True, **lead),
+        conclusion("model.space", kinds.NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.2)),
+        conclusion("plates", f"{kinds.DIFFERS}: how", False, found(yes, 1.0), found(no, 0.2)),
+        conclusion("range", kinds.ONE_CANNOT_TELL, None, found(yes, 1.0), found(open_, 0.6)),
+        conclusion("material:plates", kinds.NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.1)),
+        conclusion("plates:range", kinds.MATTERS, True, found(yes, 0.9), found(yes, 0.8)),
+    )  # fmt: skip
+    changed = (Change("design", "specimen.height", ("30 mm", "31 mm")),
+               Change("design", "test.steps", (None, "5")))  # fmt: skip
+    only = (OnlyInOne("response", "mu0", 0, "not analyzed in the other: too few"),)
+    return Beside(("first", name), changed, rows, only, ("a warning",))
+
+
+@pytest.fixture(scope="module")
+def page(contents: Contents) -> str:
+    """Page of the example with another study; its figures are drawn once for all tests."""
+    return render(with_beside(contents, example()))
+
+
+def with_beside(contents: Contents, other: Beside) -> Contents:
+    data = replace(contents.data, beside=other)
+    known = {"beside": words.table(other), "changes": words.changes(other)}
+    return replace(contents, data=data, tables={**contents.tables, **known})
+
+
+def text_of(page: str) -> str:
+    return re.sub(r"\s+", " ", unescape(re.sub(r"<[^>]+>", " ", page)))
+
+
+def section(page: str) -> str:
+    return page[page.index('<section id="beside">') : page.index('<section id="assumptions">')]
+
+
+def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
+    count, text = (s.replace("\N{NO-BREAK SPACE}", " ") for s in words.summary(example()))
+    assert count == (
+        "Of 4 conclusions about single factors, 2 hold under both first and second; 1 differs; "
+        "1 cannot be told in one or both."
+    )
+    assert text == (
+        "For the work error, under both: material matters (1.90 pp and 2.10 pp, lowest with mr in "
+        "both), plates \N{MULTIPLICATION SIGN} range matters (0.900 pp and 0.800 pp), space "
+        "(0.100 pp and 0.200 pp) does not; plates differs: matters under first (1.00 pp), no "
+        "practical difference under second (0.200 pp); range: matters under first (1.00 pp), "
+        "cannot tell under second (0.600 pp); the interaction material \N{MULTIPLICATION SIGN} "
+        "plates does not matter in either."
+    )
+
+
+def test_answer_box_says_which_conclusions_hold(page: str) -> None:
+    box = text_of(page[page.index('id="answer"') : page.index('id="study"')])
+    assert (
+        "These conclusions hold beside second: for the work error, material matters and space "
+        "makes no practical difference. These do not: for the work error, plates. Whether these "
+        "hold cannot be told: for the work error, range."
+    ) in box
+
+
+def test_section_holds_every_number_between_responses_and_assumptions(page: str) -> None:
+    found = section(page)
+    assert page.index('id="r-mu0"') < page.index('<section id="beside">')
+    assert '<a href="#beside">Beside second</a>' in page
+    said = text_of(found).replace("\N{NO-BREAK SPACE}", " ")
+    for part in ("1.90 pp", "1.80 to 2.00 pp", "> 100", "95", ".003", "mr (lowest)", "30 mm",
+                 "31 mm", "not set", "A warning.", "Only in first: response initial shear modulus",
+                 "too few"):  # fmt: skip
+        assert part in said, part
+    # five rows are shown (the sixth is named in a note), two studies each
+    assert found.count('rowspan="2"') == 2 * 5
+    assert (
+        "Holds in both, no practical difference: material \N{MULTIPLICATION SIGN} plates." in said
+    )
+
+
+def test_names_of_users_are_escaped(contents: Contents) -> None:
+    other = example(EVIL)
+    other = replace(
+        other,
+        changes=(Change("design", EVIL, (EVIL, None)),),
+        only=(OnlyInOne("factor", EVIL, 1, EVIL),),
+        warnings=(EVIL,),
+        conclusions=(
+            replace(other.conclusions[0], term=EVIL, response=EVIL, unit=EVIL,
+                    found=(found("matters", 1.0, EVIL), found("matters", 1.0, EVIL))),
+        ),
+    )  # fmt: skip
+    page = render(with_beside(contents, other))
+    assert "<script" not in page
+    assert "&lt;script&gt;" in section(page)
+
+
+def test_no_other_study_no_section(html: str) -> None:
+    assert 'id="beside"' not in html
+
+
+def test_table_is_part_of_the_prepared_report(data: ReportData) -> None:
+    small = replace(data, beside=example(), curves=(), fits=(), responses=())
+    assert set(prepare_page(small).tables) >= {"beside", "changes"}
+
+
+def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:
+    raw = words.table(example()).raw
+    assert len(raw) == 2 * 6
+    assert raw[1]["effect"] == 2.1
+    assert raw[1]["study"] == "second"
