@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
+Table = dict[tuple[int, int], list[tuple[int, ...]]]
 
 #: longest step towards one neighbor over the length of the edge to it, by dimension; a node
 #: then moves by some 0.12 of the element size (root mean square) in both
@@ -32,20 +33,20 @@ _KEPT, _TRIES = 0.3, 12
 _FLAT = 1e-9
 
 #: by (dimension, vertices): edges, facets, and for every corner the vertex and its neighbors
-_EDGES = {
+_EDGES: Table = {
     (2, 3): [(0, 1), (1, 2), (2, 0)],
     (2, 4): [(0, 1), (1, 2), (2, 3), (3, 0)],
     (3, 4): [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)],
     (3, 8): [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5),
              (2, 6), (3, 7)],
 }  # fmt: skip
-_FACETS = {
+_FACETS: Table = {
     (2, 3): [(0, 1), (1, 2), (2, 0)],
     (2, 4): [(0, 1), (1, 2), (2, 3), (3, 0)],
     (3, 4): [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)],
     (3, 8): [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)],
 }
-_CORNERS = {
+_CORNERS: Table = {
     (2, 3): [(0, 1, 2)],
     (2, 4): [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
     (3, 4): [(0, 1, 2, 3)],
@@ -120,7 +121,7 @@ def _random_steps(
     points: Array, nodes: Cells, neighbors: Cells, random: np.random.Generator
 ) -> Array:
     """Step a part of the way, up to :data:`FRACTION`, towards one neighbor per dimension."""
-    n, dim = points.shape
+    n, dim = len(points), points.shape[1]
     first, last = (np.searchsorted(nodes, np.arange(n), side) for side in ("left", "right"))
     free = np.flatnonzero(last > first)
     moved = points.copy()

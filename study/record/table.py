@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from study.errors import Fault, InputError, StoreError
 from study.record.csvfile import is_formula
@@ -15,6 +15,19 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
+#: columns that number the replicates of a cell, and the number of the case that they repeat
+REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
+
+
+def is_repeat(extra: Mapping[str, Any]) -> bool:
+    """Whether a case repeats another one for an error term; ``extra`` is that of its record.
+
+    Examples
+    --------
+    >>> is_repeat({}), is_repeat({"mesh_seed": 1}), is_repeat({"noise_seed": 1})
+    (False, False, True)
+    """
+    return any(int(extra.get(name) or first) != first for name, first in REPLICATES.items())
 
 
 def table(records: Sequence[Record]) -> DataFrame:
@@ -30,7 +43,8 @@ def table(records: Sequence[Record]) -> DataFrame:
     DataFrame
         ``case_id``, ``block``, a column of labels for each factor, ``status``, a column of
         numbers for each response (missing unless the case converged), ``seconds``, ``dofs``.
-        ``attrs["units"]`` maps each response to its unit.
+        Between them ``mesh_seed`` or ``noise_seed`` number the replicates of a cell, where there
+        are any. ``attrs["units"]`` maps each response to its unit.
 
     Raises
     ------
@@ -42,13 +56,15 @@ def table(records: Sequence[Record]) -> DataFrame:
     factors = list(records[0].levels) if records else []
     _check_same_study(records, factors)
     units = _units(records)
-    clash = [n for n in factors if n in FIXED or n in units]
+    numbered = [n for n in REPLICATES if any(n in r.extra for r in records)]
+    clash = [n for n in factors if n in FIXED or n in units or n in numbered]
     if clash:
         raise StoreError(f"factor {clash[0]!r} has the name of another column; rename it")
     columns: dict[str, list[object]] = {
         "case_id": [r.case_id for r in records],
         "block": [r.block for r in records],
         **{name: [r.levels[name] for r in records] for name in factors},
+        **{n: [int(r.extra.get(n) or REPLICATES[n]) for r in records] for n in numbered},
         "status": [r.status for r in records],
     }
     numbers = {name: [r.response(name) for r in records] for name in units}

@@ -229,7 +229,8 @@ class _Batch:
 def _fit_payload(job: FitJob) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
     def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
         start = None if job.start is None else results[job.start]
-        return fits.payload(job.problem, job.measured, start)
+        task = fits.payload(job.problem, job.measured, start)
+        return task if job.noise is None else {**task, "kind": "noise", "noise": list(job.noise)}
 
     return make
 

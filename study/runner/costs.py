@@ -11,6 +11,7 @@ from study.runner import build
 from study.runner.expand import CaseJob, FitJob
 from study.runner.fits import FitProblem
 from study.runner.identity import digest
+from study.runner.replicates import constants_only
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -47,6 +48,8 @@ class Costs:
         from study.runner.fits import fit_problem
 
         config = job.case.config
+        if constants_only(job.extra):
+            return _OVERHEAD_S
         problem = fit_problem(config)
         shared = problem.method == "inverse-fem" and problem.shares_scored_problem
         asked = (config.get("calibration") or {}).get("method") or "auto"

@@ -15,6 +15,7 @@ from study.record import STATUSES, Record
 from study.runner import build, closed_form, fits, scoring
 from study.runner.anchors import Anchors
 from study.runner.identity import versions
+from study.runner.replicates import constants_only
 
 Config = Mapping[str, Any]
 
@@ -119,6 +120,8 @@ def _executed(task: Mapping[str, Any]) -> Record:
     config, directions = task["config"], task["directions"]
     for direction in directions:
         _check_fit(direction)
+    if constants_only(task.get("extra", {})):
+        return _refitted(task)
     anchor = task.get("anchor")
     predictions = [_predict(config, direction, anchor) for direction in directions]
     scores = [
@@ -141,6 +144,21 @@ def _executed(task: Mapping[str, Any]) -> Record:
         mesh=predictions[-1].mesh,
         solver=predictions[-1].solver,
         extra={**record.extra, "directions": _direction_facts(directions, scores)},
+    )
+
+
+def _refitted(task: Mapping[str, Any]) -> Record:
+    """Record of a fit to resampled noise: its constants, and no prediction."""
+    config, directions = task["config"], task["directions"]
+    means = scoring.averaged([scoring.constants_in_kPa(_constants(config, d)) for d in directions])
+    seconds = _seconds([], directions)
+    wanted = {n: means.get(n, {"value": None, "unit": u}) for n, u in task["responses"].items()}
+    return replace(
+        blank(task, "converged", ""),
+        responses=wanted,
+        parameters=_parameters(config, directions),
+        fit=_fit_summary(directions),
+        timings=seconds,
     )
 
 
@@ -232,7 +250,7 @@ def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | No
         "method", "message", "names", "values", "standard_error", "ci95", "correlation",
         "condition", "rss", "r_squared", "aicc", "n", "identifiable", "reason", "stable",
         "usable", "stability",
-        "evaluations", "newton_iterations", "solves", "seconds", "mu0",
+        "evaluations", "newton_iterations", "solves", "seconds", "mu0", "resampling",
     )  # fmt: skip
     found = {
         d["fit_label"] or "all": {

@@ -10,13 +10,14 @@ from typing import Any
 from study.curve import Curve
 from study.design import Case, Design, MeasurementSpec, case_id, cases, plain, treatments
 from study.errors import Fault, InputError
-from study.record import SORTED, MeasuredTest, Measurements, read_measurements
+from study.record import SORTED, MeasuredTest, Measurements, is_repeat, read_measurements
 from study.runner import build
 from study.runner.cells import anchored
 from study.runner.execute import Direction
 from study.runner.fits import FitProblem, fit_key, fit_problem, start_problem
 from study.runner.identity import code_version, digest
 from study.runner.leave_out import LeftOut, distinct_tests, left_out
+from study.runner.replicates import mesh_seeded, resampled
 from study.runner.scoring import UNITS, is_plain
 
 Config = Mapping[str, Any]
@@ -27,13 +28,17 @@ TRUTH_SUFFIX = ".virtual.json"
 
 @dataclass(frozen=True)
 class FitJob:
-    """One fit: its problem, its data, and the fit that gives its start values."""
+    """One fit: its problem, its data, and the fit that gives its start values.
+
+    ``noise`` is the seed and the number of a fit to the resampled residuals of its start.
+    """
 
     key: str
     problem: FitProblem
     measured: tuple[Curve, ...]
     start: str | None = None
     label: str = ""
+    noise: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +110,10 @@ class Work:
         """Whether the measurements were generated."""
         return any((self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.files)
 
+    def plain(self) -> Work:
+        """Leave the replicates out: the first mesh of a cell, the curve as measured."""
+        return replace(self, jobs=tuple(job for job in self.jobs if not is_repeat(job.extra)))
+
     @property
     def input_hashes(self) -> dict[str, str]:
         """Case id -> hash of everything that decides its record."""
@@ -121,11 +130,12 @@ def expand(design: Design, data_root: Path) -> Work:
     """
     data = DataCache(data_root, distinct_tests([t.config for t in treatments(design)]))
     found = _blocks(design, data)
-    all_cases = _distinct(cases(design, found))
+    all_cases = mesh_seeded(_distinct(cases(design, found)), design)
     fits: dict[str, FitJob] = {}
     responses = _responses(design)
-    jobs = [case_job(case, data, fits, responses) for case in all_cases]
-    return Work(design, anchored(jobs), fits, responses, found, data)
+    jobs = anchored([case_job(case, data, fits, responses, extra) for case, extra in all_cases])
+    jobs += resampled(jobs, design, fits)
+    return Work(design, jobs, fits, responses, found, data)
 
 
 def _distinct(found: Sequence[Case]) -> list[Case]:

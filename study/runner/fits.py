@@ -174,25 +174,16 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     dict
         ``status`` is ``"converged"`` or the reason why not; constants in MPa.
     """
-    from study.calibration import MeasuredCurve
-
     began = time.perf_counter()
-    config = task["config"]
-    measured = [Curve.from_dict(c) for c in task["measured"]]
     start = task["start"]
     if start is not None and start.get("status") != "converged":  # it cannot be fitted alone
         why = f"the fit that starts it did not converge: {start.get('message', '')}"
         return {"status": str(start.get("status", "failed")), "message": why}
-    tests = _parts_of(FitProblem(task["method"], config, False))
-    config = tests[0][1]
+    measured, parts = parts_of(task)
+    config = parts[0].config
     names, first = start_values(config, measured, (start or {}).get("values"))
-    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
-    if len(tests) == 1:
-        parts = [Part(*tests[0], tuple(data))]
-    else:
-        parts = [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
     done = staged_fit(parts, names, first, model)
-    result = described(done.fit, config, names, measured[:1] if len(tests) > 1 else measured)
+    result = described(done.fit, config, names, measured[:1] if len(parts) > 1 else measured)
     predict = done.models[0]
     if isinstance(predict, InverseFem) and task["method"] == "inverse-fem":
         result |= predict.provenance(done.fit.values)
@@ -200,6 +191,18 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     result["seconds"] = time.perf_counter() - began
     result["start_seconds"] = float((start or {}).get("seconds", 0.0))
     return result
+
+
+def parts_of(task: Mapping[str, Any]) -> tuple[list[Curve], list[Part]]:
+    """Measured curves of a task, and the parts of its fit that they belong to."""
+    from study.calibration import MeasuredCurve
+
+    measured = [Curve.from_dict(c) for c in task["measured"]]
+    tests = _parts_of(FitProblem(task["method"], task["config"], False))
+    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
+    if len(tests) == 1:
+        return measured, [Part(*tests[0], tuple(data))]
+    return measured, [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
 
 
 def start_values(

@@ -23,6 +23,7 @@ _NUMERIC_RUNNER = (
     "described.py",
     "fits.py",
     "execute.py",
+    "noise.py",
     "scoring.py",
     "staged.py",
 )

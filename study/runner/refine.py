@@ -256,7 +256,7 @@ def discretization_key(config: Mapping[str, Any]) -> str:
 
 
 def _discretization(config: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in config["model"].items() if k not in ("mesh_ratio",)}
+    return {k: v for k, v in config["model"].items() if k not in ("mesh_ratio", "mesh_seed")}
 
 
 def _discretization_levels(design: Design, case: Case) -> dict[str, str]:

@@ -47,10 +47,11 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
 def _perform(task: dict[str, Any]) -> dict[str, Any]:
     if task["kind"] == "ping":
         return {"status": "converged"}
-    from study.runner import execute, fits, refine_solve, virtual
+    from study.runner import execute, fits, noise, refine_solve, virtual
 
     doers: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
         "fit": fits.perform,
+        "noise": noise.perform,
         "case": execute.perform,
         "reference": virtual.perform,
         "solve": refine_solve.perform,
