@@ -13,7 +13,7 @@ from study.forward.elements import Discretization
 from study.forward.indenters import Press, profile
 from study.forward.mesh import Mesh
 from study.forward.problem import Flat, Problem, Surface
-from study.forward.sizes import contact_radius
+from study.forward.sizes import contact_radius, sharp_edge
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -138,9 +138,57 @@ def _under_indenter(
     if test.indenter is None or test.interface == "bonded":
         return ()
     press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    if sharp_edge(test.indenter):
+        return _under_sharp_edge(problem, space, mesh, press)
+    return (_on_top(problem, space, mesh, press),)
+
+
+def _on_top(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of the loaded face that a surface may meet."""
     chosen = _top_facets(space, mesh)
-    points = _points(problem, mesh, press, *_collocation(space, chosen))
-    return (replace(points, allowance_mm=_allowance(points, space.facets[chosen])),)
+    points = _points(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
+    return replace(points, allowance_mm=_allowance(points, space.facets[chosen]))
+
+
+def _under_sharp_edge(
+    problem: Problem, space: Discretization, mesh: Mesh, press: Press
+) -> tuple[ContactPoints, ...]:
+    """Points of the closed disc under a flat face meet its plane, the others the whole punch.
+
+    The node at a sharp edge carries the largest pressure. Whether it is under the face must
+    not hang on its last digit, and a point that the face has run past must be pushed down by
+    it, not out by the nearer side. Quadratic edges touch with their nodes here: they can lie
+    in the plane exactly, and the force then comes from above as an energy does.
+    """
+    pressed = problem.test.indenter
+    rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
+    under = rho <= pressed.radius_mm * (1 + _SAME)  # type: ignore[union-attr]
+    below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
+    beside = _on_top(problem, space, mesh, press)
+    parts = (
+        _only(below, under[below.nodes].all(axis=1)),
+        _only(beside, ~under[beside.nodes].all(axis=1)),
+    )
+    return tuple(points for points in parts if points.size)
+
+
+def _only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
+    """Keep some of the points."""
+    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
+    return replace(
+        points,
+        nodes=points.nodes[kept],
+        shape=points.shape[kept],
+        weights=points.weights[kept],
+        allowance_mm=allowance,
+    )
 
 
 def _allowance(points: ContactPoints, facets: Ints) -> Array | float:
@@ -173,18 +221,22 @@ def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
 
 
-def _collocation(space: Discretization, chosen: NDArray[np.bool_]) -> tuple[Ints, Array, Array]:
+def _collocation(
+    space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
+) -> tuple[Ints, Array, Array]:
     """Contact points of some facets: as many conditions as their surface can satisfy.
 
-    Quadratic edges carry two Gauss points, everything else its nodes. More points than the
-    surface has normal displacements over-constrain it.
+    Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the
+    axis, which a uniform pressure does not load), everything else its nodes. More points than
+    the surface has normal displacements over-constrain it.
     """
     facets, areas = space.facets[chosen], space.facet_weights[chosen]
     k = facets.shape[1]
-    if space.dim == 2 and k == 3:
+    if space.dim == 2 and k == 3 and not nodal:
         return _gauss_edges(space, facets)
     share = {
         (2, 2): None,  # consistent with the radius, below
+        (2, 3): None,
         (3, 3): np.full(3, 1 / 3),
         (3, 4): np.full(4, 1 / 4),
         (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
@@ -192,8 +244,17 @@ def _collocation(space: Discretization, chosen: NDArray[np.bool_]) -> tuple[Ints
     }[(space.dim, k)]
     if share is None:
         r = space.nodes[facets][:, :, 0]
-        share = (r + r.sum(axis=1, keepdims=True)) / (3 * r.sum(axis=1, keepdims=True))
+        share = _ring_shares(r)
     return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+def _ring_shares(r: Array) -> Array:
+    """Part of an edge's ring-shaped area that each node stands for (end, end, middle)."""
+    ends = r[:, :2]
+    both = ends.sum(axis=1, keepdims=True)
+    if r.shape[1] == 2:
+        return np.asarray((ends + both) / (3 * both))
+    return np.hstack([ends / (3 * both), np.full((len(r), 1), 2 / 3)])
 
 
 def _nodal_areas(space: Discretization, facets: Ints, shares: Array) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,14 @@ from numpy.typing import NDArray
 
 from study.errors import MeshError
 from study.forward.problem import Block, Cylinder, Flat, Problem
-from study.forward.sizes import SizeField, size_field
+from study.forward.sizes import HALVINGS, SizeField, size_field
 from study.forward.structured import (
     equivalent_radius,
     extrude,
+    half_hexagon,
+    line_about,
     line_by_size,
+    line_from,
     quarter_disc_of_quadrilaterals,
     rectangle,
 )
@@ -94,6 +98,10 @@ def _grid(
     def along_axis(depth: Array) -> Array:
         return field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
 
+    if field.even and 0 < ring < equivalent_radius(specimen):  # in a plane: see size_field
+        r = line_about(equivalent_radius(specimen), along_top, ring)
+        depth = line_from(np.linspace(0, field.top_mm, 4001), along_axis)
+        return rectangle(r, field.top_mm - depth[::-1], "tensor")
     z = field.top_mm - line_by_size(field.top_mm, along_axis)[::-1]
     if space == "axisymmetric":
         return rectangle(line_by_size(equivalent_radius(specimen), along_top, ring), z, "tensor")
@@ -175,8 +183,13 @@ def _generate(gmsh: Any, dim: int) -> tuple[Array, Cells]:
 
 
 def _triangles(radius: float, height: float, field: SizeField, ring: float) -> tuple[Array, Cells]:
+    """Triangles by gmsh; those next to a sharp edge are the same on every mesh of a series."""
+    patch = _even_patch(radius, height, field, ring)
     corners = [(0.0, 0.0), (radius, 0.0), (radius, height)]
-    corners += [(ring, height)] if 0 < ring < radius else []
+    if patch:
+        corners += [(float(r), float(z)) for r, z in patch[0][patch[2]]]
+    elif 0 < ring < radius:
+        corners += [(ring, height)]
     corners += [(0.0, height)]
 
     def size(r: float, z: float, _: float) -> float:
@@ -184,10 +197,49 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
 
     with _session(size) as gmsh:
         tags = [gmsh.model.geo.addPoint(r, z, 0.0) for r, z in corners]
-        _face(gmsh, tags, {})
+        lines: dict[tuple[int, int], int] = {}
+        _face(gmsh, tags, lines)
+        if patch:  # its sides are not to be divided
+            for a, b in pairwise(tags[3 : 3 + len(patch[2])]):
+                gmsh.model.geo.mesh.setTransfiniteCurve(lines[(a, b)], 2)
         points, cells = _generate(gmsh, 2)
     points = _snapped(points[:, :2], [(0, 0.0), (0, radius), (1, 0.0), (1, height)])
+    if patch:
+        points, cells = _joined(points, cells, patch)
     return points, _turned(points, cells)
+
+
+def _even_patch(
+    radius: float, height: float, field: SizeField, ring: float
+) -> tuple[Array, Cells, Cells] | None:
+    """Triangles of one size around a sharp edge, or none where there is no room for them."""
+    room = min(ring, radius - ring, height)
+    if not field.even or room < 2.5 * field.finest_mm:
+        return None
+    points, cells, rim = half_hexagon(field.finest_mm, HALVINGS)
+    points = points + np.array([ring, height])
+    points[points[:, 1] > height - 1e-12 * height, 1] = height
+    return points, cells, rim
+
+
+def _joined(points: Array, cells: Cells, patch: tuple[Array, Cells, Cells]) -> tuple[Array, Cells]:
+    """Mesh around a patch together with it; they share the points of its rim.
+
+    Raises
+    ------
+    MeshError
+        If gmsh put further points between those of the rim.
+    """
+    inner, inside, rim = patch
+    gap = np.linalg.norm(points[None] - inner[rim][:, None], axis=2)
+    size = np.linalg.norm(inner[rim[1]] - inner[rim[0]])
+    if gap.min(axis=1).max() > 1e-6 * size:
+        raise MeshError("the triangles around the edge do not meet the others: change mesh_size")
+    number = np.empty(len(inner), dtype=np.int64)
+    new = np.setdiff1d(np.arange(len(inner)), rim)
+    number[rim] = gap.argmin(axis=1)
+    number[new] = len(points) + np.arange(new.size)
+    return np.vstack([points, inner[new]]), np.vstack([cells, number[inside]])
 
 
 def _tetrahedra(

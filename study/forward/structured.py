@@ -6,6 +6,7 @@ Bonded corners get smaller elements; cross-sections keep their exact area.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,65 @@ def line_by_size(length: float, size: Callable[[Array], Array], through: float =
     inner = points_by_density(np.linspace(0, through, 4001), size)
     outer = points_by_density(np.linspace(through, length, 4001), size)
     return np.concatenate([inner, outer[1:]])
+
+
+def line_from(s: Array, size: Callable[[Array], Array]) -> Array:
+    """Points along ``s`` whose spacing is ``size(s)`` at its start, however many fit in.
+
+    A whole number of steps is off by up to half a step; that is laid where the steps are
+    many, with the square of their number, so that a series of sizes is alike at the start.
+    """
+    density = 1 / size(s)
+    count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
+    n = max(2, round(float(count[-1])))
+    k, rest = np.arange(n + 1), count[-1] - n
+    steps = k + rest * (k / n) ** 2 if abs(rest) <= 0.5 else k * count[-1] / n
+    points = np.interp(steps, count, s)
+    points[0], points[-1] = s[0], s[-1]
+    return np.asarray(points)
+
+
+def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
+    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``."""
+    inner = line_from(np.linspace(0, place, 4001), lambda s: size(place - s))
+    outer = line_from(np.linspace(0, length - place, 4001), lambda s: size(place + s))
+    return np.concatenate([place - inner[::-1], place + outer[1:]])
+
+
+def half_hexagon(side: float, halvings: int) -> tuple[Array, Cells, Cells]:
+    """Triangles of a half hexagon around the middle of its upper side, smaller towards it.
+
+    Parameters
+    ----------
+    side : float
+        Length of the edges along its other three sides, two on each.
+    halvings : int
+        Rings between hexagons of half the size each; twelve equal triangles lie inside.
+
+    Returns
+    -------
+    points : ndarray, shape (n_points, 2)
+        The middle, then hexagon by hexagon outwards, each from the right to the left.
+    cells : ndarray, shape (12 + 12 halvings, 3)
+        Corners.
+    rim : ndarray, shape (7,)
+        Points of the outermost hexagon.
+    """
+    corner = np.array([[1, 0], [0.5, -np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)], [-1, 0]])
+    double = np.vstack([corner[:1], *((a + b, b * 2) for a, b in pairwise(corner))])
+    double[0] *= 2
+    core = np.vstack([np.zeros((1, 2)), corner])
+    sizes = side * 0.5 ** np.arange(halvings, -1.0, -1.0)
+    points = np.vstack([core * sizes[0], *(size * double for size in sizes)])
+    cells = [(0, k, k + 1) for k in (1, 2, 3)]
+    for k in (1, 2, 3):  # from the inner hexagon, one edge a side, to two edges a side
+        out = 5 + 2 * (k - 1)
+        cells += [(k, out, out + 1), (k, out + 1, k + 1), (k + 1, out + 1, out + 2)]
+    for first in 5 + 7 * np.arange(halvings):
+        for k in range(first, first + 6):
+            cells += [(k, k + 7, k + 8), (k, k + 8, k + 1)]
+    rim = np.arange(7) + 5 + 7 * halvings
+    return points, np.array(cells, dtype=np.int64), rim
 
 
 def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Array:
