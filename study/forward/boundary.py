@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -26,10 +26,14 @@ _SAME = 1e-9
 
 @dataclass(frozen=True)
 class Constraints:
-    """Prescribed unknowns: ``x[dofs] = rate * displacement``."""
+    """Prescribed unknowns: ``x[dofs] = rate * displacement``.
+
+    ``pins`` are those that only keep the specimen in its place and should carry nothing.
+    """
 
     dofs: Ints
     rate: Array
+    pins: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 class Nodes(Protocol):
@@ -46,15 +50,18 @@ class Nodes(Protocol):
 
 def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
+    if isinstance(problem.specimen, Surface):
+        from study.forward.whole import whole_constraints  # it builds on this module
+
+        return whole_constraints(problem, space, mesh)
     if problem.test.kind == "compression":
         rate = _plates(problem, space, mesh)
     else:
         rate = _base(problem, space, mesh) | _bonded_punch(problem, space, mesh)
-    if not isinstance(problem.specimen, Surface):
-        tol = _SAME * mesh.height_mm
-        for i in range(space.dim - 1):
-            symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
-            rate |= {int(n) * space.dim + i: 0.0 for n in symmetric}
+    tol = _SAME * mesh.height_mm
+    for i in range(space.dim - 1):
+        symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
+        rate |= {int(n) * space.dim + i: 0.0 for n in symmetric}
     dofs = np.array(sorted(rate), dtype=np.int64)
     return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
 
@@ -80,9 +87,6 @@ def _plates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
 def _base(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Support of an indented specimen."""
     dim = space.dim
-    if isinstance(problem.specimen, Surface):
-        low = np.flatnonzero(space.nodes[:, -1] < problem.specimen.clamp_below_mm)
-        return {int(n) * dim + i: 0.0 for n in low for i in range(dim)}
     base = _at(space, mesh, 0.0)
     rate = {int(n) * dim + dim - 1: 0.0 for n in base}
     return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
@@ -108,12 +112,8 @@ def touch_radius(problem: Problem) -> float:
     pressed = problem.test.indenter
     if problem.test.kind == "compression" or pressed is None or problem.test.interface == "bonded":
         return 0.0
-    return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * _span(problem))
-
-
-def _span(problem: Problem) -> float:
-    specimen = problem.specimen
-    return np.inf if isinstance(specimen, Surface) else specimen.height_mm
+    height = problem.specimen.height_mm
+    return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
 
 
 def contact_points(
@@ -126,6 +126,10 @@ def contact_points(
     folding : bool
         Whether the free side of a compressed specimen is kept from passing through plates.
     """
+    if isinstance(problem.specimen, Surface):
+        from study.forward.whole import whole_contact
+
+        return whole_contact(problem, space, mesh, folding=folding)
     if problem.test.kind == "indentation":
         return _under_indenter(problem, space, mesh)
     return _side_contact(problem, space, mesh) if folding else ()

@@ -21,6 +21,12 @@ def check(problem: Problem) -> None:
     InputError
         All faults at once.
     """
+    if isinstance(problem.specimen, Surface):
+        from study.forward.surface_use import surface_faults
+
+        faults = surface_faults(problem)
+        if faults:
+            raise InputError(faults)
     faults = [*_material(problem), *_depth(problem)]
     if problem.test.kind == "indentation":
         faults += [*_indenter(problem)]
@@ -36,8 +42,6 @@ def _material(problem: Problem) -> Iterator[Fault]:
 
 def _depth(problem: Problem) -> Iterator[Fault]:
     depth, specimen = problem.test.displacement_mm, problem.specimen
-    if isinstance(specimen, Surface):
-        return
     if depth >= specimen.height_mm:
         rule = f"{depth:g} mm is not smaller than the specimen's height, {specimen.height_mm:g} mm"
         yield Fault("test.displacement", rule, "press less deep")
@@ -81,7 +85,9 @@ def _half_width(specimen: Cylinder | Block | Surface) -> float:
         return specimen.radius_mm
     if isinstance(specimen, Block):
         return min(specimen.width_mm, specimen.depth_mm) / 2
-    return float("inf")
+    from study.forward.surface import body
+
+    return body(specimen).half_width_mm
 
 
 def instability(problem: Problem) -> str:
@@ -95,7 +101,7 @@ def instability(problem: Problem) -> str:
     if material.family == "linear-elastic":
         return ""
     stretches = _UNDER_INDENTER
-    if problem.test.kind == "compression" and not isinstance(specimen, Surface):
+    if problem.test.kind == "compression":
         stretches = np.linspace(1 - problem.test.displacement_mm / specimen.height_mm, 1.0, 41)
     judged = stability(material, stretches)
     return str(judged.sentence) if "uniaxial" in judged.limits else ""

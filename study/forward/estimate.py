@@ -57,8 +57,13 @@ def estimate(problem: Problem) -> Estimate:
     if problem.model.space == "axisymmetric":
         iteration, memory = 0.002 + 0.05 * (dofs / 21e3) ** 1.2, 110 + 3e-3 * dofs
     else:
-        iteration, memory = 0.5 * (dofs / 28e3) ** 1.95, 110 + 0.25e-3 * dofs**1.35
+        iteration, memory = 0.5 * (dofs / 28e3) ** 1.95, memory_3d_MB(dofs)
     return Estimate(int(dofs), float(iterations * iteration), float(memory))
+
+
+def memory_3d_MB(dofs: float) -> float:  # noqa: N802
+    """Peak memory of a solve with so many unknowns in 3D."""
+    return float(110 + 0.25e-3 * dofs**1.35)
 
 
 def unknowns(problem: Problem, mesh: Mesh) -> int:

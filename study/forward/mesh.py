@@ -1,8 +1,8 @@
 """The mesh of a problem, whatever its specimen and its test.
 
 Points are (r, z) in axisymmetric space and (x, y, z) in 3D, where the quarter with
-x, y >= 0 is meshed. The same problem gives the same mesh everywhere, and a refinement
-series has the ratio that was asked for.
+x, y >= 0 is meshed (of a specimen given as a surface the whole). The same problem gives the
+same mesh everywhere, and a refinement series has the ratio that was asked for.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.problem import Flat, Problem, mesh_level
+from study.forward.problem import Flat, Problem, Surface, mesh_level
 from study.forward.structured import (
     cross_section,
     equivalent_radius,
@@ -67,6 +67,10 @@ class Mesh:
 def mesh_size(problem: Problem) -> float:
     """Element size in mm: the given one, or that of the named level."""
     model = problem.model
+    if isinstance(problem.specimen, Surface):
+        from study.forward.surface_mesh import surface_mesh_size
+
+        return surface_mesh_size(problem)
     if problem.test.kind == "indentation":
         from study.forward.graded import finest_mm
 
@@ -107,6 +111,11 @@ def _at_edge(problem: Problem, mesh: Mesh) -> NDArray[np.bool_] | None:
 
 
 def _regular_mesh(problem: Problem) -> Mesh:
+    if isinstance(problem.specimen, Surface):
+        from study.forward.surface_mesh import surface_mesh
+
+        points, cells, size = surface_mesh(problem)
+        return Mesh(points, cells, False, size)
     if problem.test.kind == "indentation":
         from study.forward.graded import indentation_mesh
 
@@ -119,7 +128,7 @@ def compressed_mesh(problem: Problem) -> Mesh:
     """Mesh of a compressed specimen; the half above the middle plane where that is a symmetry."""
     h = mesh_size(problem)
     half = problem.test.interface == problem.test.base
-    height = problem.specimen.height_mm  # type: ignore[union-attr]
+    height = problem.specimen.height_mm
     bonded_top = problem.test.interface == "bonded"
     bonded_base = problem.test.base == "bonded"
     z = layers(height, h, half=half, top=bonded_top, base=bonded_base)

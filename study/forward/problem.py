@@ -36,10 +36,40 @@ class Block:
 
 @dataclass(frozen=True)
 class Surface:
-    """Closed surface read from a file; every point below ``clamp_below_mm`` is held."""
+    """Closed surface read from a file, standing on its lowest points.
+
+    Parameters
+    ----------
+    file : str
+        STL, PLY or OBJ file.
+    unit : str
+        Unit of its coordinates.
+    axis : {"z", "-z", "x", "-x", "y", "-y"}
+        Axis of the file that points up, against the loading.
+    clamp_below_mm : float, optional
+        Every point below is held; in the file's coordinate along ``axis``.
+    press_x_mm, press_y_mm : float, optional
+        Where the loading axis is in the file's coordinates, once turned; the middle of the
+        bounding box by default.
+    plate_tolerance_mm : float, optional
+        Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height
+        by default.
+    """
 
     file: str
-    clamp_below_mm: float
+    unit: str = "mm"
+    axis: str = "z"
+    clamp_below_mm: float | None = None
+    press_x_mm: float | None = None
+    press_y_mm: float | None = None
+    plate_tolerance_mm: float | None = None
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the specimen, read from the file."""
+        from study.forward.surface import body
+
+        return body(self).height_mm
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,9 @@ from study.forward.system import State, System
 
 Array = NDArray[np.float64]
 
+#: force of a pin over that of the test above which a specimen is not balanced
+_UNBALANCED = 1e-3
+
 
 @dataclass(frozen=True)
 class Options:
@@ -127,7 +130,7 @@ class _Run:
         self.reactions: list[float] = []
         self.reached: list[float] = []
         self.warm_steps: list[WarmStep] = []
-        self.min_j, self.reason = 1.0, ""
+        self.min_j, self.pinned, self.reason = 1.0, 0.0, ""
 
     def to_the_end(self) -> None:
         test = self.problem.test
@@ -231,16 +234,30 @@ class _Run:
         self.rows.append(row)
         self.reached.append(self.state.displacement_mm)
         self.reactions.append(self._base_reaction(result))
+        self.pinned = max(self.pinned, self._pinned(result, row.force_N))
         self.warm_steps.append(WarmStep(self.state, row.constants))
 
     def _base_reaction(self, result: NewtonResult) -> float:
         """Axial reaction below: equal to the force at equilibrium."""
-        system = self.system
-        axial = system.space.nodes[:, -1]
-        low = np.flatnonzero(np.abs(axial - axial.min()) < 1e-9 * system.height_mm)
-        dofs = low * system.space.dim + system.space.dim - 1
+        system, assembly = self.system, result.assembly
+        if assembly is None:
+            raise RuntimeError("a converged step has an assembly")
         sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
-        return sector * float(result.assembly.residual[dofs].sum())  # type: ignore[union-attr]
+        held, dim = system.constraints, system.space.dim
+        still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
+        carried = float(assembly.residual[np.setdiff1d(still, held.pins)].sum())
+        for points, touch in zip(system.contact, assembly.contact, strict=True):
+            if points.surface.speed == 0:  # the plate that stands still
+                axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
+                carried -= float(axial.sum())
+        return sector * carried
+
+    def _pinned(self, result: NewtonResult, force: float) -> float:
+        """Largest force of a pin over that of the test: zero where the loads balance."""
+        pins = self.system.constraints.pins
+        if result.assembly is None or not pins.size or not force:
+            return 0.0
+        return float(np.abs(result.assembly.residual[pins]).max()) / abs(force)
 
     def solution(self, seconds: float) -> Solution:
         system, names = self.system, self.wanted
@@ -254,6 +271,11 @@ class _Run:
         vertices = system.mesh.points.shape[0]
         reached = self.state.displacement_mm
         message = "every step converged"
+        if self.pinned > _UNBALANCED:
+            message += (
+                f"; what only keeps the specimen from sliding or turning carries up to "
+                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
+            )
         if not done:
             asked = self.problem.test.displacement_mm
             message = f"stopped at {reached:.4g} mm of {asked:.4g} mm: {self.reason}"

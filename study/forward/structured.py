@@ -128,7 +128,7 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 def equivalent_radius(specimen: Specimen) -> float:
     """Radius of the circle with the specimen's cross-section area."""
-    return float(np.sqrt(volume_mm3(specimen) / specimen.height_mm / np.pi))  # type: ignore[union-attr]
+    return float(np.sqrt(volume_mm3(specimen) / specimen.height_mm / np.pi))
 
 
 def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Cells]:

@@ -16,7 +16,7 @@ from study.forward.internal import Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
-from study.forward.problem import Problem
+from study.forward.problem import Problem, Surface
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -84,7 +84,8 @@ class System:
         space = discretize(mesh, problem.model)
         held = constraints(problem, space, mesh)
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
-        sector = 1.0 if problem.model.space == "axisymmetric" else 4.0
+        whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
+        sector = 1.0 if whole else 4.0
         height = mesh.height_mm
         bottom = height / 2 if mesh.half_height else 0.0
         system = cls(
