@@ -96,6 +96,16 @@ def crossed(data: Data, y: Array) -> Crossed:
     )
 
 
+def single_noise(table: Crossed) -> Crossed:
+    """Let resamples of one curve scatter as their mean does.
+
+    The scatter over refits is the standard error of the fit itself, however many there are
+    (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number.
+    """
+    mean = table.y.mean(axis=1, keepdims=True)
+    return replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
+
+
 def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
     """Fit of the terms to the means of the cells."""
     return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
@@ -191,12 +201,17 @@ def own_estimate(
 
 
 def own(out: Outcome, kind: str, error: str) -> Outcome | None:
-    """E1: every effect against its own interaction with the blocks."""
+    """E1: every effect against its own interaction with the blocks.
+
+    E2 where the blocks are resamples of the noise, which all cells have in common.
+    """
     data, block = out.data, str(out.data.block)
     table = crossed(data, out.y)
     if len(table.blocks) < 2 or table.cells.size < 2:
         return None
     out = out.warn(*table.warnings)
+    if out.replicates == "noise":
+        table = single_noise(table)
     full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
     kind, out = kind_of(out, kind, table.cells.size == full)
     fit = cell_fit(table, out.terms)
@@ -215,6 +230,9 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
     choice = error_term.own_choice(block, b, error)
+    if out.replicates == "noise":
+        choice = error_term.noise_choice(b)
+        out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     estimates = [
         own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests

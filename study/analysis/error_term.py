@@ -12,6 +12,8 @@ REMEDIES = (
     "resampled noise (E3, E2), or declare before looking that high-order interactions are "
     "negligible (E5: model = 2)"
 )
+NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
+ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
 # statistics.md: below five seeds the scatter of the mesh is not known well enough
 _SEEDS = 5
 
@@ -84,6 +86,18 @@ def own_choice(block: str, blocks: int, error: str) -> Choice:
         f"would the ranking change with another {block}? (each effect against its own "
         f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
         why,
+    )
+
+
+def noise_choice(resamples: int) -> Choice:
+    """E2 where cells fitted to one curve share its resampled noise."""
+    return Choice(
+        "E2",
+        OWN,
+        f"{NOISE_QUESTION} (each effect against its own scatter over {resamples} refits to "
+        "resampled residuals, Greenhouse-Geisser deciding)",
+        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
+        (ONE_CURVE,),
     )
 
 
@@ -176,9 +190,9 @@ def _replicates(s: Situation) -> Choice:
         return Choice(
             "E2",
             POOLED,
-            "is the effect larger than the noise in the measured data alone would give?",
+            NOISE_QUESTION,
             f"cells hold refits to resampled measurement noise{extra}",
-            ("one measured curve stands behind all resamples: nothing is said of specimens",),
+            (ONE_CURVE,),
         )
     return Choice(
         "E0",

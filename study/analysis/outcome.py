@@ -186,6 +186,8 @@ def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
     """Tell what other numbers of blocks or replicates would find, by factor."""
     counts = np.bincount(out.data.cell)
     cells = counts[counts > 0]
+    if out.replicates == "noise":
+        return {}  # more resamples show no smaller effect: the noise of the curve is what it is
     blocked = out.crossed is not None
     replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
     if not blocked and not replicated:

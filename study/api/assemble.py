@@ -29,7 +29,7 @@ CONTROL_TOLERANCE = 1e-5
 #: sentences about aliases that a report holds
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
-           "measurements", "calibration", "converge", "uncertainty")  # fmt: skip
+           "measurements", "calibration", "converge", "uncertainty", "replicates")  # fmt: skip
 
 
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
@@ -49,15 +49,15 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         assumed=_assumed(design),
         citation="" if spec is None else spec.citation,
         exclusions=tuple((cell.label, why) for cell, why in excluded(design)),
-        curves=tuple(_curves(study.records)),
-        fits=tuple(_fits(design, study.records)),
+        curves=tuple(_curves(study.plain)),
+        fits=tuple(_fits(design, study.plain)),
         failures=tuple(_failures(study.records)),
         checks=tuple(_checks(study)),
         numerical=tuple(_numerical(study)),
         convergence=_convergence(study),
         depths=effects_by_depth(study),
         validation=tuple(study.validation),
-        controls=tuple(_controls(design, study.records)),
+        controls=tuple(_controls(design, study.plain)),
         virtual=bool(manifest["virtual"]),
         seed=design.seed,
         alpha=design.analysis.alpha,
@@ -149,6 +149,7 @@ def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
                 label,
                 fact["role"],
                 None if scatter is None else np.asarray(scatter, dtype=float),
+                record.case_id,
             )
 
 
@@ -251,7 +252,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     )
     if study.design.scheme.aliases:
         yield _told_apart(study.design)
-    fits = {f["key"]: f for r in study.records for f in (r.fit or {}).values()}
+    fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)

@@ -207,7 +207,8 @@ def measured_cells(
     from study.runner.identity import digest
     from study.runner.refine_cells import documents
 
-    work = expand(design, data)
+    whole = expand(design, data)
+    work = whole.plain()
     bases, left_out = affordable(work, refine.every_cell(work), jobs)
     store = Store(results / design.name)
     finer = refine.refinement_work(work, bases)
@@ -219,7 +220,7 @@ def measured_cells(
     records = {record.case_id: record for record in store.records(hashes)}
     names = [response.name for response in design.responses]
     rows = refine.numerical(work, finer, records, names, bases) if bases else []
-    stored = {"of": digest(work.input_hashes), "rows": [asdict(row) for row in rows]}
+    stored = {"of": digest(whole.input_hashes), "rows": [asdict(row) for row in rows]}
     with store.lock():
         store.write_json("numerical-cells", stored)
     found = documents(work, bases, finer, records)

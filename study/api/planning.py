@@ -114,7 +114,7 @@ def _counted(
     from study.runner.batch import missing, needed_fits
     from study.runner.costs import Costs
 
-    warnings += work.cautions
+    warnings += [*work.cautions, *_idle_replicates(work)]
     found = store.survey(work.input_hashes)
     todo = missing(work, store)
     fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
@@ -125,6 +125,18 @@ def _counted(
         work.design, description, work.blocks, len(work.jobs), len(found.done),
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
     )  # fmt: skip
+
+
+def _idle_replicates(work: Work) -> list[str]:
+    """Say that blocks come before replicates as an error term, where that was not changed."""
+    design = work.design
+    asked = design.replicates.noise or design.replicates.mesh_seeds
+    if not asked or len(work.blocks) < 2 or design.analysis.error == "replicates":
+        return []
+    return [
+        f"the {len(work.blocks)} blocks are the better error term (E1) and decide; for that of "
+        'the replicates write [analysis] error = "replicates", or leave them out'
+    ]
 
 
 def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:

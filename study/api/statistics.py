@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis import analyze as anova
 from study.analysis import bartlett, grid_convergence, ryan_joiner
+from study.api.replicates import rows_for
 from study.errors import Fault, InputError, nearest
 
 if TYPE_CHECKING:
@@ -81,24 +83,26 @@ def analyze_records(
 
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
-    frame = table(list(records))
     blocks = [record.block for record in records if record.block is not None]
     spec = design.analysis
-    return anova(
-        frame,
+    block, names = "block" if len(set(blocks)) > 1 else None, [f.name for f in design.factors]
+    rows = rows_for(table(list(records)), response.name, names, spec.error, block)
+    found = anova(
+        rows.table,
         response.name,
         [factor.name for factor in design.factors if len(factor.levels) > 1],
-        block="block" if len(set(blocks)) > 1 else None,
+        block=rows.block,
         type=spec.type,
         model=spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
-        error=spec.error,
         records=True,
         practical=response.practical,
         transform=response.transform,
         u_num=u_num,
         alpha=spec.alpha,
         seed=design.seed,
+        **rows.options,
     )
+    return replace(found, warnings=(*found.warnings, *rows.notes))
 
 
 def largest_u_num(
@@ -171,7 +175,6 @@ def _study(
     merged = {
         "type": spec.type,
         "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
-        "error": spec.error,
         "alpha": spec.alpha,
         "seed": study.design.seed,
         "practical": None if asked is None else asked.practical,
@@ -181,4 +184,9 @@ def _study(
         ),
     } | {k: v for k, v in options.items() if v is not None}
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
-    return anova(study.table, name, names, block=blocked, records=True, **merged)
+    every = [f.name for f in study.design.factors]
+    if not isinstance(blocked, (str, type(None))):
+        return anova(study.table, name, names, block=blocked, records=True, **merged)
+    rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
+    found = anova(rows.table, name, names, block=rows.block, records=True, **rows.options | merged)
+    return replace(found, warnings=(*found.warnings, *rows.notes))

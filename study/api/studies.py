@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from study.api.places import REPORTS, RESULTS, data_root, results_folder
 from study.design import Design, dump, load, loads
 from study.errors import InputError, RefusedError, StudyError
-from study.record import SORTED, Record, Store, table
+from study.record import SORTED, Record, Store, is_repeat, table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,6 +68,11 @@ class StudyResult:
     def table(self) -> pd.DataFrame:
         """One tidy row a case, failed ones included."""
         return table(list(self.records))
+
+    @property
+    def plain(self) -> tuple[Record, ...]:
+        """Records without replicates: one mesh a cell, the curve as measured."""
+        return tuple(record for record in self.records if not is_repeat(record.extra))
 
     @property
     def failed(self) -> int:
@@ -162,12 +167,12 @@ def run(
     summary = run_batch(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
     clock.mark("calibration and simulation")
     if refine:
-        _refine(work, store, jobs, progress, timeout_s)
+        _refine(work.plain(), store, jobs, progress, timeout_s)
         clock.mark("mesh refinement")
         if loaded.uncertainty:
             from study.api.validation import validate
 
-            validate(work, store, jobs, progress, timeout_s)
+            validate(work.plain(), store, jobs, progress, timeout_s)
             clock.mark("uncertain inputs")
     _write_manifest(store, work, clock.parts, summary)
     return report(

@@ -15,6 +15,10 @@ _NO_CONSTANT = (*SCORED, "seconds")
 
 def check_replicates(design: Design, configs: Sequence[Config], faults: Faults) -> None:
     """Check that every cell has what its replicates vary."""
+    asked = design.replicates.noise or design.replicates.mesh_seeds
+    if design.analysis.error == "replicates" and not asked:
+        rule = "is the scatter of replicates, and the design asks for none"
+        faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
     if design.replicates.noise:
         _check_noise(design, configs, faults)
     if design.replicates.mesh_seeds and not any(_meshed(config) for config in configs):

@@ -150,7 +150,7 @@ def read_analysis(table: Any, faults: Faults, factors: Sequence[str]) -> Analysi
     spec = AnalysisSpec(
         model=section.take("model", lambda value: _model(value, factors), "full"),
         type=section.take("type", choice("I", "II", "III"), "II"),
-        error=section.take("error", choice("auto", "pooled", "own"), "auto"),
+        error=section.take("error", choice("auto", "pooled", "own", "replicates"), "auto"),
         alpha=section.take("alpha", number(0, 1), 0.05),
     )
     section.finish()

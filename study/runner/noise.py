@@ -3,8 +3,8 @@
 The residuals of a fit are laid around its curve again, in blocks where neighbors are
 correlated, and the constants are fitted to that curve, starting from the fit (Efron and
 Tibshirani 1993, chapter 9; blocks on a circle: Politis and Romano 1992). Draws depend on the
-study's seed and the measured curve alone: cells that are fitted to one curve, with blocks of one length, see its noise at
-the same places, so that effects are compared under the same noise.
+study's seed and the measured curve alone: cells that are fitted to one curve, with blocks of
+one length, see its noise at the same places, so that effects are compared under one noise.
 """
 
 from __future__ import annotations

@@ -90,3 +90,9 @@ def test_mesh_seeds_need_something_that_has_a_mesh() -> None:
         "[test]\n", '[test]\ninterface = "frictionless"\n'
     ) + MESHES)  # fmt: skip
     assert "the same on every mesh" in found["replicates.mesh_seeds"]
+
+
+def test_their_scatter_as_error_needs_replicates() -> None:
+    asked = DESIGN.replace('error = "auto"', 'error = "replicates"')
+    assert "asks for none" in faults(asked)["analysis.error"]
+    assert design.loads(asked + NOISE).analysis.error == "replicates"

@@ -1,0 +1,257 @@
+"""Studies with replicates, from the file to the error term and the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.api.planning import plan
+from study.api.studies import StudyResult, open_study
+from study.design import loads
+from study.errors import InputError
+from study.material import Material
+from study.runner import closed_form
+
+SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+HEAD = """
+schema = 1
+[study]
+name = "small"
+question = "Does anything matter?"
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[measurements]
+file = "tests.csv"
+columns = { displacement = "d_mm", force = "f_N" }
+units = { displacement = "mm", force = "N" }
+range = ["1 %", "10 %"]
+points = 60
+"""
+NOISE = (
+    HEAD
+    + """[test]
+kind = "compression"
+interface = "frictionless"
+steps = 2
+[material]
+poisson_ratio = 0.4995
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.mooney-rivlin]
+model = "mooney-rivlin"
+[model]
+element_order = "linear"
+mesh_size = "6 mm"
+[factors]
+material = ["neo-hookean", "mooney-rivlin"]
+model.space = ["axisymmetric", "3d"]
+[replicates]
+noise = 20
+[[response]]
+name = "mu0"
+practical = "1 % of mean"
+[[response]]
+name = "relative_rms_force_error"
+[analysis]
+error = "auto"
+"""
+)
+MESHES = (
+    HEAD
+    + """[test]
+kind = "compression"
+interface = "bonded"
+steps = 2
+[material]
+model = "neo-hookean"
+C10 = "8 kPa"
+poisson_ratio = 0.4995
+[factors]
+model.element_order = ["linear", "quadratic"]
+model.mesh_size = ["8 mm", "4 mm"]
+[replicates]
+mesh_seeds = 5
+[[response]]
+name = "peak_force_error"
+practical = "0.5 N"
+"""
+)
+
+
+def data(folder: Path, specimens: int = 1) -> Path:
+    """Neo-Hookean tests between frictionless plates, with noise of 0.01 N."""
+    folder.mkdir(exist_ok=True)
+    random = np.random.default_rng(1)
+    d = np.linspace(0.0, 3.2, 161)
+    lines = ["mix,d_mm,f_N"]
+    for k in range(specimens):
+        material = Material("neo-hookean", {"C10": 8e-3 * (1 + 0.1 * k)}, poisson_ratio=0.4995)
+        force = closed_form.compression(SPECIMEN, material, d).force_N
+        measured = force + 0.01 * random.standard_normal(d.size)
+        lines += [f"{k},{x:.4f},{f:.10f}" for x, f in zip(d, measured, strict=True)]
+    (folder / "tests.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def run(text: str, home: Path, *, reports: bool = False, specimens: int = 1) -> StudyResult:
+    return api.run(
+        loads(text, "small.toml"), data=data(home / "data", specimens), jobs=1,
+        results=home / "results", reports=home / "reports" if reports else None, refine=False,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
+    home = tmp_path_factory.mktemp("noisy")
+    return run(NOISE, home, reports=True)
+
+
+def test_noise_is_the_error_of_constants_alone(noisy: StudyResult) -> None:
+    mu0, mismatch = noisy.analyses
+    assert mu0.result is not None, mu0.refused
+    assert mismatch.result is not None, mismatch.refused
+    term = mu0.result.error_term
+    assert term.source == "E2"
+    assert "larger than the noise in the measured data alone would give" in term.question
+    assert "20 refits" in term.question
+    assert mismatch.result.error_term.source not in ("E2", "E0")
+    assert any("no E2" in warning for warning in mismatch.result.warnings)
+    assert any("nothing is said of specimens" in w for w in mu0.result.warnings)
+
+
+def test_the_interval_of_an_effect_is_that_of_one_fit_however_many_resamples(
+    noisy: StudyResult,
+) -> None:
+    result = noisy.analyses[0].result
+    frame = noisy.table
+    again = frame[(frame["noise_seed"] > 0) & (frame["model.space"] == "3d")]
+    wide = again.pivot_table(index="noise_seed", columns="material", values="mu0")
+    difference = wide["mooney-rivlin"] - wide["neo-hookean"]
+    effect = next(e for e in result.effects if e.term == "material")
+    assert abs(effect.range) == pytest.approx(abs(difference.mean()), rel=1e-9)
+    half = (effect.ci95[1] - effect.ci95[0]) / 2
+    # t(19) = 2.0930 times the scatter of one difference; cells that share a fit are one fit,
+    # not two, although the space is a factor
+    assert half == pytest.approx(2.0930 * difference.std(ddof=1), rel=1e-4)
+
+
+def test_cells_that_share_a_fit_share_its_noise(noisy: StudyResult) -> None:
+    frame = noisy.table
+    wide = frame.pivot_table(index=["noise_seed", "material"], columns="model.space", values="mu0")
+    # closed form: the space does not enter the fit, nor its resamples
+    assert np.array_equal(wide["axisymmetric"], wide["3d"])
+    space = next(r for r in noisy.analyses[0].result.anova.rows if r.term == "model.space")
+    assert space.p is None
+
+
+def test_the_report_shows_each_fit_once_and_resumes(noisy: StudyResult) -> None:
+    assert noisy.report is not None, noisy.warnings
+    page = noisy.report.read_text()
+    assert "measurement noise, by bootstrap through the fit" in page
+    assert noisy.total == 4 * 21
+    assert len(noisy.plain) == 4
+    again = open_study(noisy.folder)
+    assert again.to_json()["verdicts"] == noisy.to_json()["verdicts"]
+
+
+def test_several_specimens_come_before_noise_unless_asked(tmp_path: Path) -> None:
+    text = NOISE.replace("points = 60", 'points = 60\nblock = "mix"')
+    text = text.replace('model.space = ["axisymmetric", "3d"]', "")
+    study = run(text, tmp_path, specimens=2)
+    result = study.analyses[0].result
+    assert result is not None
+    assert result.error_term.source == "E1"
+    assert any("E1 before E2" in warning for warning in result.warnings)
+    told = plan(loads(text), data=tmp_path / "data", results=tmp_path / "results")
+    assert any("the 2 blocks are the better error term" in w for w in told.warnings)
+    assert told.to_json()["design"]["replicates"]["count"] == 20
+    assert told.done == 2 * 2 * 21
+    asked = run(text.replace('error = "auto"', 'error = "replicates"'), tmp_path, specimens=2)
+    assert asked.analyses[0].result is not None, asked.analyses[0].refused
+    assert asked.analyses[0].result.error_term.source == "E2"
+
+
+@pytest.fixture(scope="module")
+def meshed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
+    home = tmp_path_factory.mktemp("meshed")
+    study = api.run(
+        loads(MESHES, "small.toml"), data=data(home / "data"), jobs=1,
+        results=home / "results", reports=home / "reports",
+    )  # fmt: skip
+    return home, study
+
+
+def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(
+    meshed: tuple[Path, StudyResult],
+) -> None:
+    _, study = meshed
+    result = study.analyses[0].result
+    assert result is not None, study.analyses[0].refused
+    assert result.error_term.source == "E3"
+    assert "larger than the mesh noise at this mesh size" in result.error_term.question
+    assert any("bias of this mesh size is common to all seeds" in w for w in result.warnings)
+    # E4 beside it: every effect says how far it is above the numerical uncertainty
+    assert all(effect.u_num is not None for effect in result.effects)
+    assert study.report is not None, study.warnings
+
+
+def test_the_spread_over_meshes_falls_with_their_size(meshed: tuple[Path, StudyResult]) -> None:
+    frame = meshed[1].table
+    assert frame.groupby(["model.element_order", "model.mesh_size"]).size().tolist() == [5] * 4
+    spread = frame.groupby("model.mesh_size")["peak_force_error"].agg(
+        lambda v: np.sqrt(np.mean((v - v.mean()) ** 2))
+    )
+    within = frame["peak_force_error"] - frame.groupby(["model.element_order", "model.mesh_size"])[
+        "peak_force_error"
+    ].transform("mean")
+    pooled = (within**2).groupby(frame["model.mesh_size"]).sum() / 8
+    sd = np.sqrt(pooled)
+    assert spread.min() > 0
+    # ratio of sizes 2; of two pooled sd with 8 degrees of freedom each: 35 %
+    assert sd["4 mm"] < sd["8 mm"]
+    hashes = [record.mesh["hash"] for record in meshed[1].records]
+    assert len(set(hashes)) == len(hashes)
+
+
+def test_mesh_seeds_resume(meshed: tuple[Path, StudyResult]) -> None:
+    home, study = meshed
+    again = api.run(
+        study.design, data=home / "data", jobs=1, results=home / "results", reports=None
+    )
+    assert again.to_json()["verdicts"] == study.to_json()["verdicts"]
+    assert again.manifest["timings"] == study.manifest["timings"]  # nothing was computed
+
+
+def test_a_constant_that_no_mesh_enters_has_no_mesh_noise(tmp_path: Path) -> None:
+    text = MESHES.replace('model = "neo-hookean"\nC10 = "8 kPa"\n', "")
+    for energy in ("neo-hookean", "mooney-rivlin"):
+        text += f'[presets.material.{energy}]\nmodel = "{energy}"\n'
+    text = text.replace('model.element_order = ["linear", "quadratic"]',
+                        'material = ["neo-hookean", "mooney-rivlin"]')  # fmt: skip
+    text = text.replace('model.mesh_size = ["8 mm", "4 mm"]', 'model.mesh_size = ["8 mm", "6 mm"]')
+    text += """
+[[response]]
+name = "mu0"
+[calibration.problem.test]
+kind = "compression"
+interface = "frictionless"
+"""
+    study = run(text, tmp_path)
+    error, mu0 = study.analyses
+    assert error.result is not None, error.refused
+    assert error.result.error_term.source == "E3"
+    assert mu0.result is not None, mu0.refused
+    assert mu0.result.error_term.source not in ("E0", "E3")
+    assert any("the mesh does not enter mu0" in w for w in mu0.result.warnings)
+
+
+def test_bad_input_writes_nothing(tmp_path: Path) -> None:
+    text = NOISE.replace("noise = 20", "noise = 3")
+    with pytest.raises(InputError, match="at least 20"):
+        run(text, tmp_path)
+    assert not (tmp_path / "results").exists()
