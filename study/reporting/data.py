@@ -89,6 +89,8 @@ class CurvePair:
         ``"score"`` (a prediction) or ``"fit"`` (the constants come from this curve).
     scatter_N : ndarray, shape (n,), optional
         Standard deviation of the averaged repeats at each measured point.
+    case_id : str
+        Case of the table that the pair belongs to.
     """
 
     levels: Mapping[str, str]
@@ -98,6 +100,7 @@ class CurvePair:
     label: str = ""
     role: str = "score"
     scatter_N: NDArray[np.float64] | None = None
+    case_id: str = ""
 
 
 @dataclass(frozen=True)

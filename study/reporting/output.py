@@ -10,7 +10,7 @@ from typing import Any
 
 from study.errors import Fault, InputError, nearest
 from study.reporting import methods, page, pdf, safecsv, tex
-from study.reporting.data import ReportData
+from study.reporting.data import CurvePair, ReportData
 from study.reporting.figures import slug
 from study.reporting.page import Contents
 from study.reporting.tables import Table
@@ -22,8 +22,9 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     """Write a report into a folder and return its main file.
 
     The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and
-    table and ``numbers.json``, the statistics as the interface defines them. Files are
-    replaced whole, never left half written.
+    table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every measured and predicted
+    point) and ``numbers.json``, the statistics as the interface defines them: enough to compute
+    every figure again. Files are replaced whole, never left half written.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     out_dir : path
         Created where missing.
     formats : sequence of {"html", "csv", "tex", "pdf"}
-        ``csv`` adds the table of cases; the figures' CSV are always written.
+        ``csv`` writes the data alone; they are always written.
 
     Raises
     ------
@@ -46,14 +47,15 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     beside.mkdir(parents=True, exist_ok=True)
     _numbers(contents, beside)
     _tables(contents, beside)
+    _replace(beside / "cases.csv", safecsv.of_frame(report_data.table))
+    if report_data.curves:
+        _replace_packed(beside / "curves.csv.gz", _points(report_data.curves))
     for figure in contents.all_figures:
         if figure.data is not None:
             _replace(beside / f"figure-{figure.name}.csv", safecsv.of_frame(figure.data))
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in asked or "pdf" in asked:
         _replace(html, page.render(contents))
-    if "csv" in asked:
-        _replace(beside / "cases.csv", safecsv.of_frame(report_data.table))
     if "tex" in asked:
         _replace(latex, _latex(contents))
     if "pdf" in asked:
@@ -98,6 +100,23 @@ def _numbers(contents: Contents, beside: Path) -> None:
     _replace(beside / "numbers.json", text + "\n")
 
 
+def _points(curves: Sequence[CurvePair]) -> str:
+    """Every measured point of every case with the predicted force there, as CSV text.
+
+    A prediction that stopped early leaves the cells beyond its end empty.
+    """
+    parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
+    for pair in curves:
+        head = safecsv.of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
+        d, measured = pair.measured.displacement_mm, pair.measured.force_N
+        reached = d[d <= pair.predicted.displacement_mm[-1]]
+        force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
+        force += [""] * (d.size - reached.size)
+        points = zip(d.tolist(), measured.tolist(), force, strict=True)
+        parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
+    return "".join(parts)
+
+
 def _latex(contents: Contents) -> str:
     known = [("Verdicts", contents.tables["verdicts"])]
     known += [
@@ -107,6 +126,15 @@ def _latex(contents: Contents) -> str:
     ]
     known.append(("Cells", contents.tables["cells"]))
     return tex.document(known, methods.paragraph(contents.data, contents.found))
+
+
+def _replace_packed(path: Path, text: str) -> None:
+    """Write a gzip file, the same bytes for the same text."""
+    import gzip
+
+    partial = path.with_name(path.name + ".part")
+    partial.write_bytes(gzip.compress(text.encode(), 6, mtime=0))
+    os.replace(partial, path)
 
 
 def _replace(path: Path, text: str) -> None:
