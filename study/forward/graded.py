@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from study.errors import MeshError
 from study.forward.problem import Block, Cylinder, Flat, Problem
-from study.forward.sizes import HALVINGS, SizeField, size_field
+from study.forward.sizes import SizeField, size_field
 from study.forward.structured import (
     equivalent_radius,
     extrude,
@@ -216,7 +216,7 @@ def _even_patch(
     room = min(ring, radius - ring, height)
     if not field.even or room < 2.5 * field.finest_mm:
         return None
-    points, cells, rim = half_hexagon(field.finest_mm, HALVINGS)
+    points, cells, rim = half_hexagon(field.finest_mm, field.halvings)
     points = points + np.array([ring, height])
     points[points[:, 1] > height - 1e-12 * height, 1] = height
     return points, cells, rim

@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 _PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
 _EVEN, _EVEN_GROWTH = 4.0, 0.12
-#: how often that size is halved within the last of them, which lowers the error by as much
-HALVINGS = 1
+#: up to this depth over the radius the last of them is halved, and with it the error; deeper,
+#: the smaller an element at a sharp edge is, the sooner it collapses
+_SHALLOW = 0.1
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH, _LARGEST = 0.4, 0.3
 
@@ -47,6 +48,8 @@ class SizeField:
         How many elements around the feature have the finest size, whatever that is. The
         neighborhood of a singular edge then looks the same on every mesh of a series, which
         is what its error of first order comes from.
+    halvings : int
+        How often that size is halved within the last of these elements.
     """
 
     top_mm: float
@@ -58,6 +61,7 @@ class SizeField:
     contact_mm: float
     growth: float
     even: float = 0.0
+    halvings: int = 0
 
     def at(self, rho: Array, z: Array) -> Array:
         """Size at radius ``rho`` from the axis and height ``z``, shape (n,)."""
@@ -71,8 +75,8 @@ class SizeField:
         near = self.finest_mm + self.growth * np.maximum(feature, 0.0)
         zone = self.zone_mm + self.growth * np.maximum(outside, 0.0)
         size = np.minimum(np.minimum(near, zone), self.largest_mm)
-        if self.even:  # halved again next to the feature
-            rings = np.maximum(from_feature / self.finest_mm, 0.5**HALVINGS)
+        if self.halvings:
+            rings = np.maximum(from_feature / self.finest_mm, 0.5**self.halvings)
             size = np.where(rings < 1.0, 0.5 ** np.ceil(-np.log2(rings)) * size, size)
         return np.asarray(size)
 
@@ -142,7 +146,8 @@ def size_field(
     if sharp_edge(indenter) and model.space == "axisymmetric":
         # the error of the edge, of first order, is to rule that of the smooth rest, of second
         # or fourth; in 3D so slow a growth would cost too much
-        reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH)
+        halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
+        reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
     if model.mesh_size_mm is not None:
         return reference.scaled(model.mesh_size_mm / reference.finest_mm)
     return reference.scaled(mesh_level(model))
