@@ -46,9 +46,11 @@ def calibrate(
         For a faulty file or faulty data.
     """
     from study.design import load_calibration
+    from study.runner import surfaces
     from study.runner.calibrate import calibrate as run_calibration
 
     config = load_calibration(source, overrides)
+    config = surfaces.located(config, surfaces.folders(source, data_root(source, data)))
     folder = None if results is None else results / config["name"]
     found = run_calibration(
         config, data_root(source, data), progress=progress, profiles=profiles, folder=folder

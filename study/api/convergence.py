@@ -127,13 +127,16 @@ def problem(
 ) -> dict[str, Any]:
     """Refine one problem until its meshes are enough, and study the other errors beside."""
     from study.design import load_problem
-    from study.runner import build, refine_judge
+    from study.runner import build, refine_judge, surfaces
     from study.runner.refine_formal import FormalOrder
     from study.runner.refine_formal import formal_order as promised
     from study.runner.refine_series import refine, series_of
     from study.runner.refine_store import in_process, kept
 
-    config = source if isinstance(source, Mapping) else load_problem(source, overrides)
+    config = source
+    if not isinstance(config, Mapping):
+        places = surfaces.folders(config, data_root(config))
+        config = surfaces.located(load_problem(config, overrides), places)
     refine_judge.quantity(config["converge"].qoi)
     formal = promised(build.problem(config))
     if formal_order is not None:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.api.places import data_root
+
 if TYPE_CHECKING:
     from study.design import Design
     from study.record import Store
@@ -55,14 +57,18 @@ def problem_cells(
     """Series of every cell of a design without measurements, and what each accuracy costs."""
     from study.api.convergence import budget_of, with_sources
     from study.design import treatments
-    from study.runner import build, refine_judge
+    from study.runner import build, refine_judge, surfaces
     from study.runner.refine_formal import formal_order
     from study.runner.refine_series import refine, series_of
     from study.runner.refine_store import kept_by_workers
 
     spec = design.converge
     refine_judge.quantity(spec.qoi)
-    cells = [series_of(t.config, spec, levels_of=dict(t.levels)) for t in treatments(design)]
+    places = surfaces.folders(design.source, data_root(design.source))
+    cells = [
+        series_of(surfaces.located(t.config, places), spec, levels_of=dict(t.levels))
+        for t in treatments(design)
+    ]
     formal = {id(one): formal_order(build.problem(one.config)) for one in cells}
     solver = solve or kept_by_workers(jobs, results, design.name)
     budget = budget_of(spec.budget_s, memory_MB)

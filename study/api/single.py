@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.api.places import data_root
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -44,10 +45,13 @@ def _problem(
 ) -> Problem:
     from study.design import load_problem
     from study.forward.problem import Problem
-    from study.runner import build
+    from study.runner import build, surfaces
 
     if not isinstance(problem, Problem):
-        config = problem if isinstance(problem, Mapping) else load_problem(problem, overrides)
+        config = problem
+        if not isinstance(config, Mapping):
+            places = surfaces.folders(config, data_root(config))
+            config = surfaces.located(load_problem(config, overrides), places)
         problem = build.problem(config)
     _judge(problem)
     return problem

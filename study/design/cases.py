@@ -186,7 +186,15 @@ def canonical_json(content: Any) -> str:
     >>> canonical_json({"b": (1.0, 2), "a": None})
     '{"a":null,"b":[1,2]}'
     """
-    return json.dumps(plain(content), sort_keys=True, allow_nan=False, separators=(",", ":"))
+    named = without_places(plain(content))
+    return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def without_places(value: Any) -> Any:
+    """Content without ``path``: where a file lies on this machine names nothing."""
+    if isinstance(value, dict):
+        return {k: without_places(v) for k, v in value.items() if k != "path"}
+    return [without_places(v) for v in value] if isinstance(value, list) else value
 
 
 def plain(value: Any) -> Any:

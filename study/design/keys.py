@@ -32,7 +32,12 @@ VARYING: tuple[str, ...] = (
 )
 _REPLACED = r"calibration\.problem\."
 _DIMENSIONS = {"half_angle": "angle", "poisson_ratio": "number", "alpha": "number"}
-_LENGTHS = {*_SPECIMEN, *_INDENTER, "displacement", "mesh_size"} - {"file", "half_angle"}
+_LENGTHS = {*_SPECIMEN, *_INDENTER, "displacement", "mesh_size"} - {
+    "file",
+    "unit",
+    "axis",
+    "half_angle",
+}
 _PRESSURES = {"bulk_modulus", "youngs_modulus", "mu"}
 #: keys that decide which others a table may have
 _RULING = {"specimen": "shape", "test.indenter": "shape", "material": "model"}

@@ -69,8 +69,12 @@ def _check_model(config: Config, faults: Faults, places: Mapping[str, str]) -> N
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
         faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')
     if shape == "surface" and model["space"] == "axisymmetric":
-        rule = "a scanned surface is not axisymmetric"
+        rule = "a surface from a file has no axis of symmetry that could be relied on"
         faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
+    if shape == "surface" and model["element_shape"] == "tensor":
+        rule = "the inside of a surface is meshed with tetrahedra"
+        mend = 'write element_shape = "tetrahedron"'
+        faults.add(f"{places['model']}.element_shape", rule, mend)
 
 
 def _check_indenter(config: Config, faults: Faults, places: Mapping[str, str]) -> None:

@@ -224,6 +224,17 @@ def names(value: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name(item) for item in items))
 
 
+def unit_of_length(value: Any) -> str:
+    """Read the name of a unit of length."""
+    if not isinstance(value, str):
+        raise Bad(f"must be a text, got {shown(value)}", 'for example unit = "mm"')
+    try:
+        units.parse(f"1 {value}", "length")
+    except UnitError:
+        raise Bad(f"is no unit of length: {shown(value)}", 'for example unit = "mm"') from None
+    return value.strip()
+
+
 def relative_path(value: Any) -> str:
     """Read a path below the data root."""
     if not isinstance(value, str) or not value.strip():

@@ -23,6 +23,7 @@ from study.design.reader import (
     number,
     quantity,
     relative_path,
+    unit_of_length,
 )
 from study.design.spec import Config
 from study.errors import InputError
@@ -30,13 +31,22 @@ from study.material import ENERGIES, MODELS, constant_names
 
 LENGTH, PRESSURE = quantity("length"), quantity("pressure")
 LENGTH_OR_ZERO = quantity("length", closed=True)
+PLACE = quantity("length", -math.inf)
 INTERFACE = choice("frictionless", "bonded", synonyms={"lubricated": "frictionless"})
 
 #: keys of each shape and their readers; the key in the file + "_mm" or "_deg" inside
 SPECIMENS: Mapping[str, Mapping[str, Any]] = {
     "cylinder": {"radius": LENGTH, "height": LENGTH},
     "block": {"width": LENGTH, "depth": LENGTH, "height": LENGTH},
-    "surface": {"file": relative_path, "clamp_below": quantity("length", -math.inf)},
+    "surface": {
+        "file": relative_path,
+        "unit": unit_of_length,
+        "axis": choice("z", "-z", "x", "-x", "y", "-y"),
+        "clamp_below": PLACE,
+        "press_x": PLACE,
+        "press_y": PLACE,
+        "plate_tolerance": LENGTH,
+    },
 }
 INDENTERS: Mapping[str, Mapping[str, Any]] = {
     "flat": {"radius": LENGTH, "edge_radius": LENGTH_OR_ZERO},
@@ -47,8 +57,14 @@ INDENTERS: Mapping[str, Mapping[str, Any]] = {
     },
     "sphere": {"radius": LENGTH},
 }
-_OPTIONAL: Mapping[str, Any] = {"edge_radius": 0.0, "tip_radius": 0.0, "shaft_radius": None}
-_SUFFIX = {"half_angle": "_deg", "file": ""}
+_OPTIONAL: Mapping[str, Any] = {
+    "edge_radius": 0.0,
+    "tip_radius": 0.0,
+    "shaft_radius": None,
+    "axis": "z",
+    **dict.fromkeys(("clamp_below", "press_x", "press_y", "plate_tolerance")),
+}
+_SUFFIX = {"half_angle": "_deg", "file": "", "unit": "", "axis": ""}
 
 MESHES = ("coarse", "medium", "fine")
 CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")

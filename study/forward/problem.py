@@ -71,6 +71,13 @@ class Surface:
 
         return body(self).height_mm
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was mended when the file was read, and what looks strange."""
+        from study.forward.surface import body
+
+        return body(self).notes
+
 
 @dataclass(frozen=True)
 class Flat:

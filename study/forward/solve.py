@@ -15,7 +15,7 @@ from study.forward.checks import check, instability
 from study.forward.gradients import StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
-from study.forward.problem import Problem
+from study.forward.problem import Problem, Surface
 from study.forward.solution import Solution, Warm, WarmStep, without_answer
 from study.forward.steps import StepRule, StepSettings
 from study.forward.system import State, System
@@ -270,18 +270,9 @@ class _Run:
         )
         vertices = system.mesh.points.shape[0]
         reached = self.state.displacement_mm
-        message = "every step converged"
-        if self.pinned > _UNBALANCED:
-            message += (
-                f"; what only keeps the specimen from sliding or turning carries up to "
-                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
-            )
-        if not done:
-            asked = self.problem.test.displacement_mm
-            message = f"stopped at {reached:.4g} mm of {asked:.4g} mm: {self.reason}"
         return Solution(
             status="converged" if done else "not-converged",
-            message=message,
+            message=self._message(done),
             curve=curve,
             reached_mm=reached,
             min_j=self.min_j,
@@ -298,3 +289,18 @@ class _Run:
             displacement=system.displacements(self.state.x)[:vertices],
             warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
         )
+
+    def _message(self, done: bool) -> str:
+        """Say how the run ended, and what was mended or is not as it should be."""
+        said = ["every step converged"]
+        if self.pinned > _UNBALANCED:
+            said.append(
+                "what only keeps the specimen from sliding or turning carries up to "
+                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
+            )
+        if not done:
+            reached, asked = self.state.displacement_mm, self.problem.test.displacement_mm
+            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {self.reason}"]
+        if isinstance(self.problem.specimen, Surface):
+            said += self.problem.specimen.notes
+        return "; ".join(said)

@@ -71,6 +71,8 @@ def problem(
 
 def specimen(section: Config) -> Specimen:
     """Specimen from its section."""
+    if section.get("path"):  # a file, found below its folder
+        section = {**section, "file": section["path"]}
     made: Specimen = _make("specimen", section, _SHAPES)
     return made
 
@@ -152,17 +154,20 @@ def is_homogeneous(config: Config) -> bool:
 
 
 def area_mm2(section: Config) -> float:
-    """Cross-section area of a cylinder or block."""
+    """Cross-section area of a cylinder or block, the mean one of a surface."""
     made = specimen(section)
     if isinstance(made, Cylinder):
         return 3.141592653589793 * made.radius_mm**2
     if isinstance(made, Block):
         return made.width_mm * made.depth_mm
-    raise InputError(Fault("specimen.shape", "a surface has no single cross-section"))
+    from study.forward.surface import body
+
+    found = body(made)
+    return found.volume_mm3 / found.height_mm
 
 
 def height_mm(section: Config) -> float | None:
-    """Height of a cylinder or block, None for a surface."""
+    """Height of a specimen; None for a surface whose file has not been looked for."""
     height = section.get("height_mm")
     return None if height is None else float(height)
 

@@ -11,7 +11,7 @@ from study.curve import Curve
 from study.design import Case, Design, MeasurementSpec, case_id, cases, plain, treatments
 from study.errors import Fault, InputError
 from study.record import SORTED, MeasuredTest, Measurements, is_repeat, read_measurements
-from study.runner import build
+from study.runner import build, surfaces
 from study.runner.cells import anchored
 from study.runner.execute import Direction
 from study.runner.fits import FitProblem, fit_key, fit_problem, start_problem
@@ -97,8 +97,9 @@ class Work:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """What was done to the measurements that may mean that they are not what they seem."""
-        return tuple(note for note in self.notes if SORTED in note)
+        """What was done to measurements and surfaces that may not be what they seem."""
+        mended = surfaces.surface_notes([job.case.config for job in self.jobs])
+        return (*(note for note in self.notes if SORTED in note), *mended)
 
     @property
     def files(self) -> dict[str, str]:
@@ -131,11 +132,17 @@ def expand(design: Design, data_root: Path) -> Work:
     data = DataCache(data_root, distinct_tests([t.config for t in treatments(design)]))
     found = _blocks(design, data)
     all_cases = mesh_seeded(_distinct(cases(design, found)), design)
+    places = surfaces.folders(design.source, data_root)
+    all_cases = [(_located(case, places), extra) for case, extra in all_cases]
     fits: dict[str, FitJob] = {}
     responses = _responses(design)
     jobs = anchored([case_job(case, data, fits, responses, extra) for case, extra in all_cases])
     jobs += resampled(jobs, design, fits)
     return Work(design, jobs, fits, responses, found, data)
+
+
+def _located(case: Case, places: Sequence[Path]) -> Case:
+    return replace(case, config=surfaces.located(case.config, places))
 
 
 def _distinct(found: Sequence[Case]) -> list[Case]:
@@ -169,6 +176,7 @@ def case_job(
             for d in directions
         ],
         code_version(),
+        *surfaces.fingerprints(case.config),
     ]  # fmt: skip
     return CaseJob(case, directions, digest(identity), dict(extra or {}))
 

@@ -179,7 +179,7 @@ def cheaper(part: Part) -> Part | None:
     if part.method != "inverse-fem":
         return None
     model = dict(part.config["model"])
-    if model.get("space") == "3d":
+    if model.get("space") == "3d" and part.config["specimen"]["shape"] != "surface":
         model["space"] = "axisymmetric"
     elif not _coarsened(model, part.config["specimen"]):
         return None
