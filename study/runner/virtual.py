@@ -276,7 +276,9 @@ def generate(
     cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
     force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
-    for batch in range(1, generator.batches + 1):
+    # without a column for them, further batches could not be told from the first
+    batches = generator.batches if spec.block else 1
+    for batch in range(1, batches + 1):
         numbers = generator.shape_sd * random.standard_normal(len(slopes))
         shape = sum((n * slope for n, slope in zip(numbers, slopes, strict=True)), 0.0 * d)
         stiffness = np.exp(generator.batch_sd * random.standard_normal())
