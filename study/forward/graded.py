@@ -100,7 +100,7 @@ def _grid(
 
     if field.even and 0 < ring < equivalent_radius(specimen):  # in a plane: see size_field
         r = line_about(equivalent_radius(specimen), along_top, ring)
-        depth = line_from(np.linspace(0, field.top_mm, 4001), along_axis)
+        depth = line_from(field.top_mm, along_axis)
         return rectangle(r, field.top_mm - depth[::-1], "tensor")
     z = field.top_mm - line_by_size(field.top_mm, along_axis)[::-1]
     if space == "axisymmetric":

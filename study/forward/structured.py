@@ -58,12 +58,13 @@ def line_by_size(length: float, size: Callable[[Array], Array], through: float =
     return np.concatenate([inner, outer[1:]])
 
 
-def line_from(s: Array, size: Callable[[Array], Array]) -> Array:
-    """Points along ``s`` whose spacing is ``size(s)`` at its start, however many fit in.
+def line_from(length: float, size: Callable[[Array], Array]) -> Array:
+    """Points from 0 to ``length`` with a spacing of ``size(0)`` at 0, however many fit in.
 
     A whole number of steps is off by up to half a step; that is laid where the steps are
     many, with the square of their number, so that a series of sizes is alike at the start.
     """
+    s = length * np.linspace(0.0, 1.0, 8001) ** 2  # sizes may jump next to the start
     density = 1 / size(s)
     count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
     n = max(2, round(float(count[-1])))
@@ -76,8 +77,8 @@ def line_from(s: Array, size: Callable[[Array], Array]) -> Array:
 
 def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
     """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``."""
-    inner = line_from(np.linspace(0, place, 4001), lambda s: size(place - s))
-    outer = line_from(np.linspace(0, length - place, 4001), lambda s: size(place + s))
+    inner = line_from(place, lambda s: size(place - s))
+    outer = line_from(length - place, lambda s: size(place + s))
     return np.concatenate([place - inner[::-1], place + outer[1:]])
 
 

@@ -120,6 +120,7 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
         if given and given["u_num"] is not None and given["value"]:
             share = 100 * given["u_num"] / abs(given["value"])
             lines.append(f"On the mesh as given the value is known to {share:.2g} %.")
+    lines += formal_orders(cells)
     if len(cells) > 1:
         kinds = [str(cell["behaviour"]) for cell in cells]
         counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
@@ -127,6 +128,19 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
             f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()) + "."
         )
     return lines
+
+
+def formal_orders(cells: Sequence[Document]) -> list[str]:
+    """Say which order is to be expected, and why, once for every reason."""
+    known = [
+        (float(cell["formal_order"]), str(cell["formal_reason"]))
+        for cell in cells
+        if cell.get("formal_reason") and cell.get("formal_order")
+    ]
+    return [
+        f"Formal order {order:.3g}: {clean(why)}."
+        for order, why in dict.fromkeys(known)
+    ]
 
 
 def series_table(cells: Sequence[Document]) -> Table:

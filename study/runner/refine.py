@@ -18,7 +18,7 @@ from study.runner import build
 from study.runner.costs import Costs
 from study.runner.expand import CaseJob, FitJob, Work, case_job
 from study.runner.refine_formal import formal_of_case
-from study.runner.refine_judge import by_elements
+from study.runner.refine_judge import series_sizes
 
 PURPOSE = "refinement"
 #: a third mesh is computed where the second is predicted to take less than this
@@ -190,8 +190,7 @@ def record_sizes(found: Sequence[Record], base: CaseJob) -> tuple[float, ...]:
     """Mesh sizes of a series by the elements of its meshes, the first as it was asked for."""
     sizes = [float(record.mesh.get("mesh_size_mm", 0.0)) for record in found]
     elements = [int(record.mesh.get("elements", 0)) for record in found]
-    space = str(base.case.config["model"].get("space"))
-    return tuple(by_elements(sizes, elements, space, anchor=0))
+    return tuple(series_sizes(sizes, elements, base.case.config, anchor=0))
 
 
 def ratio_of(sizes: Sequence[float], asked: float) -> float:

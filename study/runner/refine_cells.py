@@ -10,7 +10,7 @@ from study.record import Record
 from study.runner.expand import CaseJob, Work
 from study.runner.refine import base_size_mm
 from study.runner.refine_formal import FormalOrder, formal_of_case
-from study.runner.refine_judge import QUANTITIES, by_elements, combined, judged
+from study.runner.refine_judge import QUANTITIES, combined, judged, series_sizes
 
 #: relative error of a fitted constant or a score at the tolerances of fit and solver
 TOLERANCE = 1e-6
@@ -51,8 +51,7 @@ def _document(
 def _sizes(good: Sequence[tuple[float, Record]], base: CaseJob) -> list[float]:
     """Sizes by the elements the meshes really have, or as asked where a record has no mesh."""
     elements = [int(record.mesh.get("elements", 0)) for _, record in good]
-    space = str(base.case.config["model"].get("space"))
-    return by_elements([size for size, _ in good], elements, space)
+    return series_sizes([size for size, _ in good], elements, base.case.config)
 
 
 def _values(work: Work, records: Sequence[Record]) -> dict[str, tuple[list[float], str]]:

@@ -105,10 +105,26 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
     return kept, said
 
 
-def representative_sizes(levels: Sequence[Level], space: str) -> list[float]:
-    """Sizes of solved meshes by their elements, scaled to the finest mesh's own size."""
+def representative_sizes(levels: Sequence[Level], config: Mapping[str, Any]) -> list[float]:
+    """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
-    return by_elements(sizes, [level.elements for level in levels], space)
+    return series_sizes(sizes, [level.elements for level in levels], config)
+
+
+def series_sizes(
+    sizes: Sequence[float],
+    elements: Sequence[int],
+    config: Mapping[str, Any],
+    *,
+    anchor: int = -1,
+) -> list[float]:
+    """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
+    from study.runner.refine_formal import edge_rules
+
+    if edge_rules(config):
+        return list(sizes)
+    space = str(config["model"].get("space", "axisymmetric"))
+    return by_elements(sizes, elements, space, anchor=anchor)
 
 
 def by_elements(
@@ -177,7 +193,7 @@ def outlook(series: Series, formal: float | None) -> Outlook:
     kept, _ = usable(series.levels)
     if len(kept) < 3 or series.spec.tolerance is None:
         return Outlook(False)
-    sizes = representative_sizes(kept, series.config["model"].get("space", "axisymmetric"))
+    sizes = representative_sizes(kept, series.config)
     results = judged(sizes, curve_values(kept), formal)
     wanted = series.spec.tolerance
     sizes_needed = [size_needed(r, wanted) for r in results.values()]
@@ -195,7 +211,6 @@ def document(series: Series, formal: FormalOrder, tolerance: float | None = None
     """
     quantity(series.spec.qoi)
     kept, said = usable(series.levels)
-    space = series.config["model"].get("space", "axisymmetric")
     fraction = SOLVER_TOLERANCE
     if tolerance and kept:
         main = curve_values(kept[-1:])[series.spec.qoi][0][0]
@@ -208,7 +223,7 @@ def document(series: Series, formal: FormalOrder, tolerance: float | None = None
     }
     if len(kept) < 3:
         return too_few(series.spec.qoi, kept, formal.order, said) | facts
-    sizes = representative_sizes(kept, space)
+    sizes = representative_sizes(kept, series.config)
     results = judged(sizes, curve_values(kept), formal.order, fraction)
     made = combined(series.spec.qoi, results, series.spec.tolerance, said) | facts
     made["given_mesh"]["mesh_size"] = kept[0].mesh_size_mm

@@ -245,7 +245,47 @@ def test_budget_counts_from_its_start() -> None:
         ),
         (
             {"test": {"kind": "indentation", "indenter": {"shape": "flat", "radius_mm": 3.0}}},
-            1.0, "sharp edge",
+            1.0, "sharp edge of the flat punch, where the contact pressure is singular as an "
+            "inverse square root",
+        ),
+        (
+            {
+                "test": {
+                    "kind": "indentation", "interface": "bonded",
+                    "indenter": {"shape": "flat", "radius_mm": 3.0},
+                },
+                "model": {"element_order": "quadratic"},
+            },
+            1.0, "the order 4 of quadratic elements needs a smooth solution",
+        ),
+        (
+            {
+                "test": {
+                    "kind": "indentation", "interface": "bonded",
+                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 1.0},
+                },
+            },
+            1.0, "rim of the bonded face",
+        ),
+        (
+            {
+                "test": {
+                    "kind": "indentation", "interface": "frictionless",
+                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 1.0},
+                },
+                "model": {"mesh_size_mm": 0.5},
+            },
+            2.0, "rounded edge of the flat punch (1 mm), which the meshes resolve",
+        ),
+        (
+            {
+                "test": {
+                    "kind": "indentation", "interface": "frictionless",
+                    "indenter": {"shape": "flat", "radius_mm": 3.0, "edge_radius_mm": 0.1},
+                },
+                "model": {"mesh_size_mm": 0.5},
+            },
+            1.0, "does not resolve",
         ),
         (
             {
