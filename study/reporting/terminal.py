@@ -8,6 +8,7 @@ from study.reporting.data import ReportData
 from study.reporting.data_beside import Beside
 from study.reporting.facts import facts
 from study.reporting.tables import Table
+from study.reporting.text import MISSING
 
 Rows = list[list[str]]
 
@@ -72,7 +73,13 @@ def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
         second = len(table) % 2 == 0
         table.append(["", "", *row[3:]] if second else row[1:])
     notes = dict(two.quiet_lines(beside))
-    return [(title, table, notes.get(title, "")) for title, table in found.items()]
+    return [(title, _filled(table), notes.get(title, "")) for title, table in found.items()]
+
+
+def _filled(rows: Rows) -> Rows:
+    """Rows without the columns that hold dashes alone: a terminal is narrow."""
+    kept = [i for i in range(len(rows[0])) if any(row[i] != MISSING for row in rows[1:])]
+    return [[row[i] for i in kept] for row in rows]
 
 
 def _rows(table: Table) -> Rows:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from study.api.changes import read_truths
 from study.api.compare import compare, document
 from study.api.studies import StudyResult
 from study.errors import InputError
@@ -135,6 +136,12 @@ def test_two_truths_are_compared_key_by_key(tmp_path: Path) -> None:
     assert [(c.key, c.values) for c in found.changes] == [
         ("truth.generator.truth", ("yeoh", "ogden"))
     ]
+
+
+def test_truths_are_read_from_beside_the_measurements(tmp_path: Path) -> None:
+    (tmp_path / "a.csv.virtual.json").write_text('{"generator": {"seed": 7}}')
+    found = read_truths(tmp_path, {"a.csv": "0" * 64, "b.csv": "1" * 64})
+    assert found == {"a.csv": {"generator": {"seed": 7}}}
 
 
 def test_nothing_in_common_is_refused_with_the_mend(tmp_path: Path) -> None:
