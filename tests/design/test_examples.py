@@ -13,7 +13,7 @@ from study import design
 from study.design import MeasurementSpec, Range
 
 DESIGNS = Path(__file__).parents[2] / "designs"
-SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range")
+SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
 
 
 @pytest.fixture(scope="module")

@@ -52,6 +52,7 @@ def test_the_page_has_every_figure_and_its_data(tmp_path: Path) -> None:
     assert "P2 gives 1 % error for the least time." in text
     assert "beware" in text
     assert "limited by a corner" in text
+    assert text.count("Formal order 1.19: a corner.") == 1  # once for all cells
     beside = {path.name for path in (tmp_path / "mesh-study-convergence-data").iterdir()}
     assert {"figure-convergence-values.csv", "table-series.csv", "table-errors-by-source.csv"} <= (
         beside
