@@ -225,6 +225,8 @@ def _parsed(path: Path, where: str) -> tuple[Array, Cells]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # a text that ends early is no more than a warning
+            # meshio counts the triangles of a text as if it were binary
+            warnings.filterwarnings("ignore", message="overflow encountered")
             mesh = read(str(path))
             points = np.array(mesh.points, dtype=float).reshape(-1, 3)
             blocks = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in mesh.cells]

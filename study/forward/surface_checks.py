@@ -119,7 +119,7 @@ def inspect(points: Array, triangles: Cells, name: str, unit: str) -> Inspected:
 
 
 def _place(point: Array, unit: str) -> str:
-    return "(" + ", ".join(f"{v:.5g}" for v in point) + f") {unit}"
+    return "(" + ", ".join(f"{v + 0.0:.5g}" for v in point) + f") {unit}"
 
 
 def _merged(points: Array, triangles: Cells) -> tuple[Array, Cells]:

@@ -1,0 +1,169 @@
+"""Files of surfaces: where they are looked for, what names a case, what a plan says of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.design import load, load_problem
+from study.errors import InputError
+from study.runner import build, surfaces
+from study.runner.expand import expand
+from study.runner.fits import fit_problem
+from study.runner.staged import Part, cheaper
+from tests.forward.surfaces import box, write
+
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "surface"
+file = "box.stl"
+unit = "mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "0.6 mm"
+steps = 1
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+bulk_modulus = "10 MPa"
+[model]
+mesh_size = "3 mm"
+"""
+DESIGN = (
+    PROBLEM.replace('displacement = "0.6 mm"\n', "").replace('C10 = "5 kPa"\n', "")
+    + """
+[factors]
+"test.interface" = ["frictionless", "bonded"]
+[measurements]
+file = "tests.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+range = ["0.1 mm", "0.6 mm"]
+points = 5
+[[response]]
+name = "mu0"
+"""
+)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """Folder of a design, its measurements beside it, the surface with the design."""
+    designs, data = tmp_path / "designs", tmp_path / "measurements"
+    designs.mkdir()
+    data.mkdir()
+    write(designs / "box.stl", box(10, 8, 6))
+    (designs / "problem.toml").write_text(PROBLEM)
+    (designs / "design.toml").write_text(DESIGN)
+    rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
+    (data / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
+    return designs
+
+
+def places(home: Path) -> tuple[Path, ...]:
+    return surfaces.folders(home / "design.toml", home.parent / "measurements")
+
+
+def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
+    solution = api.solve(home / "problem.toml", gradients=False)
+    assert solution.status == "converged"
+    # the closed form of 10 % compression: 2 C10 (l - l^-2), next to incompressible
+    assert solution.curve.force_N[-1] == pytest.approx(-80 * 0.01 * (0.9 - 0.9**-2), rel=2e-3)
+
+
+def test_the_data_root_comes_first(home: Path) -> None:
+    assert surfaces.find("box.stl", places(home)).parent == home.resolve()
+    write(home.parent / "measurements" / "box.stl", box(10, 8, 7))
+    found = surfaces.find("box.stl", places(home))
+    assert found.parent.name == "measurements"
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("bx.stl", "did you mean 'box.stl'"),
+        ("../box.stl", "must stay below"),
+        ("/box.stl", "must be relative"),
+        ("link.stl", "through a link"),
+    ],
+)
+def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
+    outside = home.parent / "outside.stl"
+    write(outside, box(10, 8, 6))
+    (home / "link.stl").symlink_to(outside)
+    with pytest.raises(InputError, match=said):
+        surfaces.find(name, (home,))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('unit = "mm"\n', "", "specimen.unit: is missing"),
+        ('unit = "mm"', 'unit = "kPa"', "no unit of length"),
+        ('unit = "mm"', 'unit = "mm"\nradius = "3 mm"', "unknown key"),
+        ("[model]", '[model]\nspace = "axisymmetric"', "no axis of symmetry"),
+        ("[model]", '[model]\nelement_shape = "hexahedron"', "tetrahedra"),
+        ("box.stl", "../box.stl", "must not climb"),
+    ],
+)
+def test_faults_of_the_table(home: Path, old: str, new: str, said: str) -> None:
+    path = home / "problem.toml"
+    path.write_text(PROBLEM.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        load_problem(path)
+
+
+def test_the_table_arrives(home: Path) -> None:
+    path = home / "problem.toml"
+    more = 'unit = "cm"\naxis = "-x"\nclamp_below = "-3 mm"\npress_x = "1 mm"\n'
+    path.write_text(PROBLEM.replace('unit = "mm"\n', more))
+    made = build.specimen(load_problem(path)["specimen"])
+    assert (made.unit, made.axis, made.clamp_below_mm) == ("cm", "-x", -3)  # type: ignore[union-attr]
+    assert (made.press_x_mm, made.press_y_mm) == (1, None)  # type: ignore[union-attr]
+
+
+def test_a_plan_checks_the_surface_and_says_what_was_mended(home: Path) -> None:
+    plan = api.plan(home / "design.toml", results=home / "results")
+    assert (plan.total, plan.missing) == (4, 4)
+    assert plan.memory_MB is not None
+    assert plan.memory_MB > 0
+    assert plan.warnings == ()
+    points, triangles = box(10, 8, 6)
+    triangles[0] = triangles[0, ::-1]
+    write(home / "box.stl", (points, triangles))
+    plan = api.plan(home / "design.toml", results=home / "results")
+    assert any("1 of 12 triangles" in warning for warning in plan.warnings)
+    write(home / "box.stl", (points, triangles[1:]))
+    with pytest.raises(InputError, match="3 open edges"):
+        api.plan(home / "design.toml", results=home / "results")
+
+
+def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path) -> None:
+    def hashes(folder: Path) -> dict[str, str]:
+        data = home.parent / "measurements"
+        return expand(load(folder / "design.toml"), data).input_hashes
+
+    before = hashes(home)
+    moved = tmp_path / "elsewhere"
+    home.rename(moved)
+    assert hashes(moved) == before
+    write(moved / "box.stl", box(10, 8, 6.5))
+    after = hashes(moved)
+    assert after.keys() == before.keys()
+    assert not set(after.values()) & set(before.values())
+
+
+def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
+    work = expand(load(home / "design.toml"), home.parent / "measurements")
+    config = fit_problem(work.jobs[0].case.config).config
+    assert not build.is_homogeneous(config)  # whatever the plates: only the file knows the shape
+    assert config["specimen"]["height_mm"] == pytest.approx(6)
+    part = cheaper(Part("inverse-fem", {**config, "model": {"space": "3d", "mesh": "fine"}}, ()))
+    assert part is not None
+    assert part.config["model"] == {"space": "3d", "mesh": "coarse"}
