@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 _DEGREE = {"linear": 1, "quadratic": 2}
 #: elements along the radius of a rounded edge from which on it is not sharp to a mesh
 _ACROSS_EDGE = 2.0
+#: depth over the coarsest element at a sharp edge from which on its strains are large on the
+#: finest one; equilibria are not unique there then
+_DEEP = 0.25
 _RIM = (
     "the rim of the contact, which a mesh places to within an element; the force is stationary "
     "in it"
@@ -98,10 +101,11 @@ def _sharp(problem: Problem) -> str:
         f"of {problem.model.element_order} elements needs a smooth solution)"
     )
     size = _edge_size(problem)
-    if problem.material.family != "linear-elastic" and size is not None and depth > size:
+    large = problem.material.family != "linear-elastic"
+    if large and size is not None and depth > _DEEP * size:
         why += (
-            f"; the punch goes {depth:.3g} mm deep, more than the {size:.3g} mm of an element at "
-            "the edge, whose large strains may hide the order: a smaller depth shows it"
+            f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "
+            "strains and sliding at the edge may hide the order: a smaller depth shows it"
         )
     return why
 

@@ -37,7 +37,7 @@ levels = {levels}
 """
 #: Table D (an integral equation), a/h = 1: frictionless
 KAPPA = {0.499: 3.60438, 0.5: 3.61874}
-#: bonded, nu = 0.499: no published figure; limit of series of two quadratic elements that agree to 3e-5
+#: bonded, nu = 0.499: no published figure; two quadratic elements agree in their limits to 3e-5
 BONDED = 3.9054
 
 
@@ -72,6 +72,19 @@ def test_the_order_under_a_sharp_edge_is_one(interface: str) -> None:
     assert found["mesh_size"] == pytest.approx([0.05 / 1.5**k for k in (3, 2, 1, 0)], rel=1e-12)
     truth = KAPPA[0.499] if interface == "frictionless" else BONDED
     assert abs(found["kappa"][0] - truth) <= found["u_kappa"]
+
+
+@pytest.mark.parametrize(("depth", "said"), [(0.001, False), (0.3, True)])
+def test_a_deep_punch_into_rubber_is_told_what_may_hide_the_order(depth: float, said: bool) -> None:
+    text = PUNCH.format(
+        order="linear", shape="triangle", interface="frictionless", modulus=1, volume="",
+        ratio=1.5, levels=4,
+    ).replace("0.001 mm", f"{depth} mm")  # fmt: skip
+    law = 'model = "neo-hookean"\nC10 = "0.5 MPa"\nbulk_modulus = "1000 MPa"\n'
+    text = text.replace('model = "linear-elastic"\nyoungs_modulus = "1 MPa"\n', law)
+    found = formal_order(build.problem(loads_problem(text, "punch.toml")))
+    assert found.order == 1.0
+    assert ("large strains" in found.why) is said
 
 
 def test_only_an_edge_that_every_mesh_shows_alike_rules_the_size() -> None:
