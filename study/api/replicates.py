@@ -92,7 +92,9 @@ def _noise_rows(
     again = table[table[_NOISE] > 0]
     if block:
         again = _over(again, response, [*factors, _NOISE])
-    return Rows(again, _NOISE, {**options, "replicates": "noise"})
+    # pooled takes cells for independent, and has no resample in common
+    common = None if options["error"] == "pooled" else _NOISE
+    return Rows(again, common, {**options, "replicates": "noise"})
 
 
 def _spread(table: pd.DataFrame, response: str, cells: list[str]) -> bool:

@@ -151,6 +151,13 @@ def test_cells_that_share_a_fit_share_its_noise(noisy: StudyResult) -> None:
     assert space.p is None
 
 
+def test_pooled_noise_is_still_noise(noisy: StudyResult) -> None:
+    found = api.analyze(noisy.folder, "mu0", error="pooled")
+    assert found.error_term.source == "E2"
+    own = api.analyze(noisy.folder, "mu0")
+    assert "each effect against its own scatter" in own.error_term.question
+
+
 def test_the_report_shows_each_fit_once_and_resumes(noisy: StudyResult) -> None:
     assert noisy.report is not None, noisy.warnings
     page = noisy.report.read_text()

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from study.forward.jitter import _KEPT, _volumes
 from study.forward.mesh import Mesh, build_mesh
-from study.forward.problem import Block, Cone, Cylinder, Flat, Problem, Test
+from study.forward.problem import Block, Cone, Cylinder, Flat, Problem, Surface, Test
 from study.forward.solve import solve
 from tests.forward.problems import GEL, compression
+from tests.forward.surfaces import cylinder, sphere, write
 
 TESTS = {
     "plates": Test("compression", 6.0, "bonded", "bonded"),
@@ -73,6 +75,19 @@ def test_a_seed_gives_its_mesh_and_no_other() -> None:
     names = [build_mesh(seeded(one, seed)).digest() for seed in (1, 1, 2)]
     assert names[0] == names[1] != names[2]
     assert build_mesh(one).digest() not in names
+
+
+@pytest.mark.parametrize("body", ["disc", "sphere"])
+def test_a_specimen_from_a_file_keeps_its_surface(body: str, tmp_path: Path) -> None:
+    shape, size = (cylinder(10, 12, 32), 3.0) if body == "disc" else (sphere(10, 2), 2.0)
+    specimen = Surface(write(tmp_path / "body.stl", shape))
+    found = replace(problem("3d", "simplex", "plates", specimen), test=Test("compression", 1.0))
+    found = replace(found, model=replace(found.model, mesh="medium", mesh_size_mm=size))
+    regular, moved = build_mesh(found), build_mesh(seeded(found, 3))
+    step = np.linalg.norm(moved.points - regular.points, axis=1)
+    assert np.mean(step > 0) > 0.15  # all nodes inside, and on faces those that lie in one plane
+    assert volume(moved) == pytest.approx(volume(regular), rel=1e-9)
+    assert moved.height_mm == regular.height_mm
 
 
 def test_the_edge_of_a_flat_end_keeps_its_nodes() -> None:
