@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from study.forward.problem import Block, Cylinder, Flat, Problem
+from study.forward.problem import Cylinder, Flat, Problem, Surface
 from study.forward.sizes import sharp_edge
 from study.material import Material
 from study.runner import build
@@ -76,6 +76,8 @@ def _limits(problem: Problem) -> list[tuple[float, str]]:
         found.append((2 * exponent, why))
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
         found.append((2.0, "the cylinder's straight-sided elements"))
+    if isinstance(problem.specimen, Surface):
+        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
     return found
 
 
@@ -124,10 +126,8 @@ def _rounded(edge: float, size: float | None) -> tuple[float, str]:
     )
 
 
-def _edge_size(problem: Problem) -> float | None:
-    """Element size at the edge of a punch; None where the specimen has no size field."""
-    if not isinstance(problem.specimen, Cylinder | Block):
-        return problem.model.mesh_size_mm
+def _edge_size(problem: Problem) -> float:
+    """Element size at the edge of a punch."""
     from study.forward.mesh import mesh_size
 
     return float(mesh_size(problem))

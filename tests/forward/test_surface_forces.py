@@ -170,6 +170,23 @@ def test_straight_sides_lose_no_volume(tmp_path: Path) -> None:
     assert (mesh.points[:, 2].min(), mesh.points[:, 2].max()) == (0, 10)
 
 
+def test_elements_that_cannot_follow_the_shape(tmp_path: Path) -> None:
+    ball = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
+    found = solve(compressed(ball, 0.1, "frictionless", 3.0), gradients=False)
+    assert found.status == "mesh-failed"
+    assert "follows the shape" in found.message
+    size = float(found.message.split("a mesh_size of ")[1].split()[0])
+    build_mesh(compressed(ball, 0.1, "frictionless", 0.9 * size))  # what is advised works
+
+
+def test_seeds_move_nodes_and_keep_the_body(block: Surface) -> None:
+    problem = compressed(block, 0.6, "frictionless", 3.0)
+    seeded = replace(problem, model=replace(problem.model, mesh_seed=1))
+    assert build_mesh(problem).digest() != build_mesh(seeded).digest()
+    stress = -float(uniaxial(GEL, 0.9))
+    assert force(seeded)[0] == pytest.approx(80 * stress, rel=1e-6)
+
+
 def _parts(shape: Shape) -> np.ndarray:
     points, triangles = shape
     return np.asarray(points[triangles])
