@@ -28,6 +28,10 @@ Cells = NDArray[np.int64]
 
 SUFFIXES = (".stl", ".ply", ".obj")
 MAX_BYTES = 200 * 1024**2
+#: bytes of a binary STL before its triangles, and of each of them
+_STL_HEADER, _STL_TRIANGLE = 84, 50
+#: bytes of a PLY header, comments included
+_PLY_HEADER = 64 * 1024
 #: more triangles than any mesh for a laptop can follow
 MAX_TRIANGLES = 500_000
 #: faces within this fraction of the height of the lowest or highest point touch the plates
@@ -207,7 +211,9 @@ def read_triangles(path: Path) -> tuple[Array, Cells]:
         rule = f"has {raw_size / 1024**2:.0f} MB, the limit is {MAX_BYTES // 1024**2} MB"
         raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
     if path.suffix.lower() == ".ply":
-        _check_ply_counts(path, raw_size, where)
+        _check_ply_header(path, raw_size, where)
+    if path.suffix.lower() == ".stl":
+        _check_stl_size(path, raw_size, where)
     points, triangles = _parsed(path, where)
     if not len(triangles):
         raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
@@ -245,10 +251,28 @@ def _parsed(path: Path, where: str) -> tuple[Array, Cells]:
     return points, triangles
 
 
-def _check_ply_counts(path: Path, size: int, where: str) -> None:
-    """Refuse a header that promises more than the file can hold, before room is made for it."""
+def _check_stl_size(path: Path, size: int, where: str) -> None:
+    """Refuse a binary STL that is shorter or longer than its own count of triangles says."""
     with path.open("rb") as stream:
-        head = stream.read(4096)
+        head = stream.read(1024)
+    if head.lstrip().startswith(b"solid") and b"facet" in head:
+        return
+    count = int.from_bytes(head[80:84], "little")
+    if size < _STL_HEADER or size != _STL_HEADER + _STL_TRIANGLE * count:
+        room = max(size - _STL_HEADER, 0) / _STL_TRIANGLE
+        rule = f"is malformed: its header promises {count} triangles, it has room for {room:.4g}"
+        raise InputError(Fault(where, rule, "save the surface again: it may have been cut short"))
+
+
+def _check_ply_header(path: Path, size: int, where: str) -> None:
+    """Refuse a header without end, which meshio would read for ever, or with too large counts."""
+    with path.open("rb") as stream:
+        head = stream.read(_PLY_HEADER)
+    end = re.search(rb"^end_header[ \t]*\r?$", head, re.MULTILINE)
+    if end is None:
+        rule = "is malformed: its header has no end"
+        raise InputError(Fault(where, rule, "save the surface again, as binary STL"))
+    head = head[: end.start()]
     for count in re.findall(rb"element\s+\w+\s+(\d+)", head):
         if len(count) > 12 or int(count) > size:
             rule = "is malformed: its header promises more than the file holds"

@@ -186,10 +186,20 @@ def test_degenerate_triangles(tmp_path: Path) -> None:
     ("name", "content", "said"),
     [
         ("empty.stl", b"", "is empty"),
-        ("text.stl", b"this is no surface\nat all\n", "malformed|no triangles"),
-        ("noise.stl", bytes(range(256)) * 8, "malformed|no triangles"),
-        ("short.stl", b"\0" * 80 + b"\x05\0\0\0" + b"\0" * 60, "malformed|no triangles"),
-        ("bomb.ply", b"ply\nformat ascii 1.0\nelement vertex 999999999999\n", "promises more"),
+        ("text.stl", b"this is no surface\nat all\n", "is malformed"),
+        ("noise.stl", bytes(range(256)) * 8, "is malformed"),
+        (
+            "short.stl",
+            b"\0" * 80 + b"\x05\0\0\0" + b"\0" * 60,
+            "promises 5 triangles, it has room for 1.2",
+        ),
+        ("cut.stl", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0", "is malformed"),
+        ("endless.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "its header has no end"),
+        (
+            "bomb.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 999999999999\nend_header\n",
+            "promises more",
+        ),
         ("range.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a point that is not there"),
         ("quads.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", "no triangles"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles"),
@@ -201,6 +211,22 @@ def test_files_that_are_no_surfaces(tmp_path: Path, name: str, content: bytes, s
     path.write_bytes(content)
     with pytest.raises(InputError, match=said):
         body(Surface(str(path)))
+
+
+def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path: Path) -> None:
+    rng, refusals = np.random.default_rng(7), 0
+    for k in range(150):
+        path = tmp_path / f"shape{('.stl', '.ply', '.obj')[k % 3]}"
+        write(path, cylinder(10, 12, 8), text=bool(k % 2))
+        raw = bytearray(path.read_bytes())
+        for place in rng.integers(len(raw), size=3):
+            raw[place : place + int(rng.integers(3))] = rng.bytes(int(rng.integers(4)))
+        path.write_bytes(raw[: int(rng.integers(1, 2 * len(raw)))])
+        try:
+            assert body(Surface(str(path))).volume_mm3 > 0
+        except InputError:  # anything else is a bug
+            refusals += 1
+    assert refusals > 100
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
