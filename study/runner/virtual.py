@@ -35,7 +35,7 @@ from study.curve import Curve
 from study.design import Design, MeasurementSpec, treatments
 from study.errors import Fault, InputError
 from study.record.files import write_atomic
-from study.runner import build, fits
+from study.runner import build, fits, surfaces
 from study.runner.expand import TRUTH_SUFFIX
 from study.runner.pool import Task, run_tasks
 from study.runner.truths import TRUTHS, truth
@@ -135,7 +135,8 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     generator = generator or usual_generator(design)
     if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
-    sources = _sources(design)
+    places = surfaces.folders(design.source, out)
+    sources = [(spec, surfaces.located(config, places)) for spec, config in _sources(design)]
     written = []
     for number, (spec, config) in enumerate(sources):
         several = len(sources) > 1
@@ -230,8 +231,8 @@ def _reference_model(config: Mapping[str, Any], as_designed: bool) -> dict[str, 
     Where every test is as the design has it, the mesh is the finest that the design uses,
     to be made finer still.
     """
-    block = config["specimen"]["shape"] == "block"
-    solid = block and config["test"]["kind"] == "indentation"
+    shape = config["specimen"]["shape"]
+    solid = shape == "surface" or (shape == "block" and config["test"]["kind"] == "indentation")
     found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
     if not as_designed:
         return {**found, "mesh": "fine"}
