@@ -55,7 +55,7 @@ def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
 
         return whole_constraints(problem, space, mesh)
     if problem.test.kind == "compression":
-        rate = _plates(problem, space, mesh)
+        rate = plate_rates(problem, space, mesh)
     else:
         rate = _base(problem, space, mesh) | _bonded_punch(problem, space, mesh)
     tol = _SAME * mesh.height_mm
@@ -66,30 +66,31 @@ def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
 
 
-def _at(space: Nodes, mesh: Mesh, level: float) -> Ints:
+def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
+    """Nodes at an axial position."""
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
-def _plates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
+def plate_rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Plates above and below, or the middle plane instead of the one below."""
     dim, half = space.dim, mesh.half_height
-    top = _at(space, mesh, mesh.height_mm)
-    base = _at(space, mesh, mesh.height_mm / 2 if half else 0.0)
+    top = at_level(space, mesh, mesh.height_mm)
+    base = at_level(space, mesh, mesh.height_mm / 2 if half else 0.0)
     rate = {int(n) * dim + dim - 1: (-0.5 if half else -1.0) for n in top}
     rate |= {int(n) * dim + dim - 1: 0.0 for n in base}
     if problem.test.interface == "bonded":
-        rate |= _sideways(top, dim)
+        rate |= sideways(top, dim)
     if problem.test.base == "bonded" and not half:
-        rate |= _sideways(base, dim)
+        rate |= sideways(base, dim)
     return rate
 
 
 def _base(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Support of an indented specimen."""
     dim = space.dim
-    base = _at(space, mesh, 0.0)
+    base = at_level(space, mesh, 0.0)
     rate = {int(n) * dim + dim - 1: 0.0 for n in base}
-    return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
+    return rate | (sideways(base, dim) if problem.test.base == "bonded" else {})
 
 
 def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
@@ -97,13 +98,14 @@ def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float
     pressed = problem.test.indenter
     if problem.test.interface != "bonded" or not isinstance(pressed, Flat):
         return {}
-    top, dim = _at(space, mesh, mesh.height_mm), space.dim
+    top, dim = at_level(space, mesh, mesh.height_mm), space.dim
     rho = np.linalg.norm(space.nodes[top][:, : dim - 1], axis=1)
     held = top[rho <= (pressed.radius_mm - pressed.edge_radius_mm) * (1 + _SAME)]
-    return {int(n) * dim + dim - 1: -1.0 for n in held} | _sideways(held, dim)
+    return {int(n) * dim + dim - 1: -1.0 for n in held} | sideways(held, dim)
 
 
-def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
+def sideways(nodes: Ints, dim: int) -> dict[int, float]:
+    """Hold nodes across the axis."""
     return {int(n) * dim + i: 0.0 for n in nodes for i in range(dim - 1)}
 
 
@@ -157,8 +159,8 @@ def _on_top(
 ) -> ContactPoints:
     """Points of the loaded face that a surface may meet."""
     chosen = _top_facets(space, mesh)
-    points = _points(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
-    return replace(points, allowance_mm=_allowance(points, space.facets[chosen]))
+    points = points_of(problem, mesh, surface, *collocation(space, chosen, nodal=nodal))
+    return replace(points, allowance_mm=corner_allowance(points, space.facets[chosen]))
 
 
 def _under_sharp_edge(
@@ -177,13 +179,13 @@ def _under_sharp_edge(
     below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
     beside = _on_top(problem, space, mesh, press)
     parts = (
-        _only(below, under[below.nodes].all(axis=1)),
-        _only(beside, ~under[beside.nodes].all(axis=1)),
+        only(below, under[below.nodes].all(axis=1)),
+        only(beside, ~under[beside.nodes].all(axis=1)),
     )
     return tuple(points for points in parts if points.size)
 
 
-def _only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
+def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     """Keep some of the points."""
     allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
@@ -195,7 +197,7 @@ def _only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     )
 
 
-def _allowance(points: ContactPoints, facets: Ints) -> Array | float:
+def corner_allowance(points: ContactPoints, facets: Ints) -> Array | float:
     """Gap below zero at which corners of six-node triangles close.
 
     A uniform pressure loads their mid-sides only, so that the sign of a corner's force says
@@ -210,9 +212,10 @@ def _allowance(points: ContactPoints, facets: Ints) -> Array | float:
     return np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
 
 
-def _points(
+def points_of(
     problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
 ) -> ContactPoints:
+    """Contact points with the stiffness that suits material and mesh."""
     scale = problem.material.mu0 / mesh.size_mm
     small = problem.material.family == "linear-elastic"
     return ContactPoints(
@@ -225,7 +228,7 @@ def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
 
 
-def _collocation(
+def collocation(
     space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
 ) -> tuple[Ints, Array, Array]:
     """Contact points of some facets: as many conditions as their surface can satisfy.
@@ -301,8 +304,8 @@ def _side_points(
     side = _side_facets(space, mesh)
     facets, areas = space.facets[side], space.facet_weights[side]
     nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
-    nodal[_at(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
-    return _points(problem, mesh, plate, *_at_nodes(nodal))
+    nodal[at_level(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
+    return points_of(problem, mesh, plate, *_at_nodes(nodal))
 
 
 def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:

@@ -133,7 +133,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def _session(size: Callable[[float, float, float], float]) -> Iterator[Any]:
+def gmsh_session(size: Callable[[float, float, float], float]) -> Iterator[Any]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -151,7 +151,7 @@ def _session(size: Callable[[float, float, float], float]) -> Iterator[Any]:
         gmsh.finalize()
 
 
-def _generate(gmsh: Any, dim: int) -> tuple[Array, Cells]:
+def generated(gmsh: Any, dim: int) -> tuple[Array, Cells]:
     """Mesh the model; points (n, 3) and simplices with consecutive numbers."""
     gmsh.option.setNumber("Mesh.Algorithm", _FRONTAL)
     gmsh.option.setNumber("Mesh.Algorithm3D", _DELAUNAY)
@@ -195,18 +195,18 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
     def size(r: float, z: float, _: float) -> float:
         return float(field.at(np.array(r), np.array(z)))
 
-    with _session(size) as gmsh:
+    with gmsh_session(size) as gmsh:
         tags = [gmsh.model.geo.addPoint(r, z, 0.0) for r, z in corners]
         lines: dict[tuple[int, int], int] = {}
         _face(gmsh, tags, lines)
         if patch:  # its sides are not to be divided
             for a, b in pairwise(tags[3 : 3 + len(patch[2])]):
                 gmsh.model.geo.mesh.setTransfiniteCurve(lines[(a, b)], 2)
-        points, cells = _generate(gmsh, 2)
-    points = _snapped(points[:, :2], [(0, 0.0), (0, radius), (1, 0.0), (1, height)])
+        points, cells = generated(gmsh, 2)
+    points = snapped(points[:, :2], [(0, 0.0), (0, radius), (1, 0.0), (1, height)])
     if patch:
         points, cells = _joined(points, cells, patch)
-    return points, _turned(points, cells)
+    return points, turned(points, cells)
 
 
 def _even_patch(
@@ -248,11 +248,11 @@ def _tetrahedra(
     def size(x: float, y: float, z: float) -> float:
         return float(field.at(np.array(np.hypot(x, y)), np.array(z)))
 
-    with _session(size) as gmsh:
+    with gmsh_session(size) as gmsh:
         _quarter(gmsh, outline, height, ring, size)
-        points, cells = _generate(gmsh, 3)
-    points = _snapped(points, [(0, 0.0), (1, 0.0), (2, 0.0), (2, height)])
-    return points, _turned(points, cells)
+        points, cells = generated(gmsh, 3)
+    points = snapped(points, [(0, 0.0), (1, 0.0), (2, 0.0), (2, height)])
+    return points, turned(points, cells)
 
 
 def _quarter(
@@ -307,7 +307,7 @@ def _face(gmsh: Any, corners: list[int], lines: dict[tuple[int, int], int]) -> i
     return int(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
 
 
-def _snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
+def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
     """Put points that belong to a plane exactly onto it."""
     extent = np.ptp(points, axis=0).max()
     for axis, value in planes:
@@ -316,7 +316,7 @@ def _snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
     return points
 
 
-def _turned(points: Array, cells: Cells) -> Cells:
+def turned(points: Array, cells: Cells) -> Cells:
     """Cells with positive volume."""
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     inverted = np.linalg.det(edges) < 0

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.errors import MeshError
-from study.forward.graded import _generate, _session, _snapped, _turned
+from study.forward.graded import generated, gmsh_session, snapped, turned
 from study.forward.problem import Problem, Surface, mesh_level
 from study.forward.sizes import SizeField, size_field
 from study.forward.surface import Body, body
@@ -46,10 +46,10 @@ def surface_mesh(problem: Problem) -> tuple[Array, Cells, float]:
     """
     found, size = _body_of(problem), surface_mesh_size(problem)
     points, cells = _tetrahedra(found, _size_function(problem, found, size))
-    points = _snapped(points, [(2, 0.0), (2, found.height_mm)])
+    points = snapped(points, [(2, 0.0), (2, found.height_mm)])
     points = _standing(points, found.height_mm)
     _check_volume(points, cells, found.volume_mm3, size)
-    return _same_volume(points, cells, found.volume_mm3), _turned(points, cells), size
+    return _same_volume(points, cells, found.volume_mm3), turned(points, cells), size
 
 
 def surface_mesh_size(problem: Problem) -> float:
@@ -105,12 +105,12 @@ def _size_function(problem: Problem, found: Body, size: float) -> Size:
 
 
 def _tetrahedra(found: Body, size: Size) -> tuple[Array, Cells]:
-    with _session(size) as gmsh:
+    with gmsh_session(size) as gmsh:
         try:
             _enclose(gmsh, found)
         except Exception as error:  # gmsh raises nothing more specific
             raise MeshError(f"gmsh cannot use the surface: {error}") from error
-        return _generate(gmsh, 3)
+        return generated(gmsh, 3)
 
 
 def _enclose(gmsh: Any, found: Body) -> None:

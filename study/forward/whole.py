@@ -16,12 +16,13 @@ from study.errors import Fault, InputError
 from study.forward.boundary import (
     Constraints,
     Nodes,
-    _allowance,
-    _at,
-    _collocation,
-    _plates,
-    _points,
-    _sideways,
+    at_level,
+    collocation,
+    corner_allowance,
+    only,
+    plate_rates,
+    points_of,
+    sideways,
 )
 from study.forward.contact import ContactPoints, Plate, RigidSurface
 from study.forward.elements import Discretization
@@ -48,12 +49,12 @@ def whole_constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints
         raise InputError("whole specimens are surfaces")
     clamped = _clamped(specimen, space)
     if problem.test.kind == "compression":
-        rate = _plates(problem, space, mesh)
+        rate = plate_rates(problem, space, mesh)
         rate = rate if body(specimen).touches("top") else _without_top(rate, space, mesh)
     else:
-        base = _at(space, mesh, 0.0)
+        base = at_level(space, mesh, 0.0)
         rate = {int(n) * dim + dim - 1: 0.0 for n in base}
-        rate |= _sideways(base, dim) if problem.test.base == "bonded" else {}
+        rate |= sideways(base, dim) if problem.test.base == "bonded" else {}
     rate |= {int(n) * dim + i: 0.0 for n in clamped for i in range(dim)}
     pinned = pins(space.nodes, len(mesh.points), rate)
     rate |= {int(d): 0.0 for d in pinned}
@@ -63,7 +64,7 @@ def whole_constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints
 
 def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Leave a round top to contact: it has no face that a plate could move as a whole."""
-    top = {int(n) for n in _at(space, mesh, mesh.height_mm)}
+    top = {int(n) for n in at_level(space, mesh, mesh.height_mm)}
     return {dof: v for dof, v in rate.items() if dof // space.dim not in top}
 
 
@@ -104,7 +105,7 @@ def _corners(space: Discretization, chosen: NDArray[np.bool_]) -> Ints:
 def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:
     """Facets that lie in a plate."""
     held = np.zeros(len(space.nodes), dtype=bool)
-    held[_at(space, mesh, level)] = True
+    held[at_level(space, mesh, level)] = True
     return np.asarray(held[space.facets].all(axis=1))
 
 
@@ -115,14 +116,7 @@ def _on_plate(
     chosen = np.asarray(~np.isin(space.facets, nodes).all(axis=1))
     points = _meeting(problem, space, mesh, plate, chosen)
     held = np.isin(points.nodes[:, 0], nodes)
-    allowance = np.broadcast_to(points.allowance_mm, held.shape)[~held]
-    return replace(
-        points,
-        nodes=points.nodes[~held],
-        shape=points.shape[~held],
-        weights=points.weights[~held],
-        allowance_mm=allowance,
-    )
+    return only(points, ~held)
 
 
 def _meeting(
@@ -132,8 +126,8 @@ def _meeting(
     surface: RigidSurface,
     chosen: NDArray[np.bool_],
 ) -> ContactPoints:
-    points = _points(problem, mesh, surface, *_collocation(space, chosen))
-    return replace(points, allowance_mm=_allowance(points, space.facets[chosen]))
+    points = points_of(problem, mesh, surface, *collocation(space, chosen))
+    return replace(points, allowance_mm=corner_allowance(points, space.facets[chosen]))
 
 
 def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
