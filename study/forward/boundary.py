@@ -160,7 +160,7 @@ def _on_top(
     """Points of the loaded face that a surface may meet."""
     chosen = _top_facets(space, mesh)
     points = points_of(problem, mesh, surface, *collocation(space, chosen, nodal=nodal))
-    return replace(points, allowance_mm=corner_allowance(points, space.facets[chosen]))
+    return replace(points, allowance_mm=corner_allowance(problem, points, space.facets[chosen]))
 
 
 def _under_sharp_edge(
@@ -197,15 +197,15 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     )
 
 
-def corner_allowance(points: ContactPoints, facets: Ints) -> Array | float:
-    """Gap below zero at which corners of six-node triangles close.
+def corner_allowance(problem: Problem, points: ContactPoints, facets: Ints) -> Array | float:
+    """Gap below zero at which corners of six-node triangles close under a flat indenter.
 
     A uniform pressure loads their mid-sides only, so that the sign of a corner's force says
     nothing, and corners that are held to a gap of zero open and close for ever. Left alone
-    they sink a little into the indenter, which is what they may do here; only a corner that
-    nothing else holds, as at the tip on a coarse mesh, comes to rest on its allowance.
+    they sink a little into the indenter, which is what they may do here. Under a cone or a
+    sphere the pressure varies and corners that are left alone let the surface buckle.
     """
-    if facets.shape[1] != 6:
+    if facets.shape[1] != 6 or not isinstance(problem.test.indenter, Flat):
         return 0.0
     corners = np.isin(points.nodes[:, 0], facets[:, :3])
     # a corner of six facets of area A has the weight A / 2

@@ -7,7 +7,8 @@ The weak form is the stationarity of
 in the reference configuration (total Lagrangian), with the isochoric invariants of
 Penn's split ``I1bar = J^(-2/3) I1`` and ``I2bar = J^(-4/3) I2``. ``1/K = 0`` is the
 incompressible limit. With no pressure unknowns (``n_pressure == 0``) the pressure is
-``K (J - 1)`` at each quadrature point: the plain displacement formulation. For the
+``K (J - 1)`` at each quadrature point: the plain displacement formulation; the mixed form
+may leave a share of K there as well. For the
 linear-elastic family W_iso is ``mu dev(eps):dev(eps)`` and J is ``1 + tr(eps)``.
 
 The deformation gradient is stored as nine numbers ``f[3 i + j] = F_ij``; in axisymmetric
@@ -191,7 +192,8 @@ def element_residuals(
     constants : ndarray, shape (n, k)
         What the family says.
     bulk, compliance : float
-        K (displacement form) and 1/K (mixed form; 0 when incompressible).
+        Bulk modulus that acts at every point, and 1 / K of the pressure field (mixed form; 0
+        when incompressible).
     want_tangent : bool
         Whether ``K`` is filled.
     R : ndarray, shape (n_elements, m)
@@ -228,12 +230,11 @@ def element_residuals(
                 return -1.0
             smallest = min(smallest, J)
             g, growth = work[0], J if curvature > 0.0 else 1.0
-            pressure, stiffening = bulk * (J - 1.0), bulk
-            if n_p > 0:
-                pressure, stiffening = 0.0, 0.0
-                for b in range(n_p):
-                    pressure += N[b] * p[e, b]
-            add_pressure(growth, g, pressure, stiffening, curvature, stress, tangent, want_tangent)
+            held = 0.0
+            for b in range(n_p):
+                held += N[b] * p[e, b]
+            pressure = held + bulk * (J - 1.0)
+            add_pressure(growth, g, pressure, bulk, curvature, stress, tangent, want_tangent)
             for a in range(na):
                 for i in range(dim):
                     r = 0.0
@@ -250,7 +251,7 @@ def element_residuals(
                 if n_p > 0:
                     _add_coupling(dN, H, g, w * growth, N, Kl)
             for b in range(n_p):
-                Rl[nu + b] += w * (J - 1.0 - pressure * compliance) * N[b]
+                Rl[nu + b] += w * (J - 1.0 - held * compliance) * N[b]
                 if want_tangent:
                     for c in range(b, n_p):
                         Kl[nu + b, nu + c] -= w * N[b] * N[c] * compliance

@@ -36,6 +36,9 @@ class LinearSolver(Protocol):
     def solve(self, right: Array) -> Array:
         """Solve for one (n,) or several (n, k) right-hand sides."""
 
+    def negative_eigenvalues(self) -> int | None:
+        """Count the negative eigenvalues of the last matrix; None where that is unknown."""
+
     def close(self) -> None:
         """Give the memory back."""
 
@@ -68,6 +71,8 @@ _MATCHING = {11: 1, 13: 1}
 _TRUSTED = 0.05
 #: residual over matrix times solution: stays small where only the matrix is nearly singular
 _BACKWARD = 1e-11
+#: parameter of PARDISO that counts negative eigenvalues
+_NEGATIVE = 23
 
 
 @functools.cache
@@ -140,6 +145,10 @@ class Pardiso:
         largest = float(np.abs(upper.data).max()) * float(np.linalg.norm(x))
         return residual <= _BACKWARD * (largest + size)
 
+    def negative_eigenvalues(self) -> int | None:
+        """Count the negative eigenvalues of the last factorized matrix."""
+        return int(self._solver.iparm[_NEGATIVE - 1])
+
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
         if self._analyzed:
@@ -197,6 +206,10 @@ class SuperLU:
     def solve(self, right: Array) -> Array:
         """Back-substitution for one or several right-hand sides."""
         return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
+
+    def negative_eigenvalues(self) -> int | None:
+        """Unknown: row exchanges hide the signs of the pivots."""
+        return None
 
     def close(self) -> None:
         """Drop the factors."""

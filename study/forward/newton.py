@@ -73,10 +73,7 @@ def solve_step(
     """
     state, lift = guess, np.zeros(0)
     if lifted_from is not None:
-        lift = system.prescribed(guess.displacement_mm) - system.prescribed(
-            lifted_from.displacement_mm
-        )
-        state = lifted_from
+        state, lift = lifted(system, guess, lifted_from)
     residuals: list[float] = []
     switches = Switches(system)
     for iteration in range(settings.max_switching + 1):
@@ -87,12 +84,10 @@ def solve_step(
         free = system.pattern.free
         right = -assembly.residual[free]
         if lift.size:
-            jump = np.zeros(system.space.n)
-            jump[system.constraints.dofs] = lift
-            right -= system.tangent_product(jump, contact=False)[free]
+            right -= system.lift_product(lift)
         else:
-            residuals.append(_relative(system, state, assembly))
-            if _done(system, residuals[-1], assembly, settings):
+            residuals.append(relative_residual(system, state, assembly))
+            if done(system, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
         if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
             break
@@ -109,7 +104,7 @@ def solve_step(
         if lift.size:
             increment[system.constraints.dofs] = lift
             state = replace(state, displacement_mm=guess.displacement_mm)
-        moved = _filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
+        moved = filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
         if moved is None:
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
         state, lift = moved, np.zeros(0)
@@ -117,7 +112,13 @@ def solve_step(
     return NewtonResult(state, False, iteration, reason, tuple(residuals))
 
 
-def _filtered(
+def lifted(system: System, guess: State, before: State) -> tuple[State, Array]:
+    """State before a step, and the prescribed increment that its first solve has to spread."""
+    after = system.prescribed(guess.displacement_mm)
+    return before, after - system.prescribed(before.displacement_mm)
+
+
+def filtered(
     system: System,
     state: State,
     assembly: Assembly,
@@ -151,8 +152,8 @@ def _multipliers(
     return tuple(updated)
 
 
-def _relative(system: System, state: State, assembly: Assembly) -> float:
-    """Largest of the force residual over the reaction and the volume residual over the volume."""
+def relative_residual(system: System, state: State, assembly: Assembly) -> float:
+    """Force residual over the reaction, or volume residual over the volume: the larger one."""
     n_u = system.space.n_displacement
     out_of_balance = assembly.residual.copy()
     out_of_balance[system.constraints.dofs] = 0.0
@@ -163,7 +164,8 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
     return max(force, volume)
 
 
-def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
+def done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
+    """Whether a state is an equilibrium with its contact settled."""
     if not residual < settings.tolerance:
         return False
     gap = settings.gap * system.height_mm

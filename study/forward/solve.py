@@ -16,6 +16,7 @@ from study.forward.gradients import StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
 from study.forward.problem import Problem, Surface
+from study.forward.snap import solve_through
 from study.forward.solution import Solution, Warm, WarmStep, without_answer
 from study.forward.steps import StepRule, StepSettings
 from study.forward.system import State, System
@@ -31,13 +32,15 @@ class Options:
     """Everything that shapes a run besides the problem; part of what makes a result.
 
     ``side_contact = False`` lets the free side pass through the plates: wrong physics, kept
-    for comparisons with codes and tables that do so.
+    for comparisons with codes and tables that do so. ``snaps = False`` ends a run at the first
+    limit point instead of looking for an equilibrium beyond it.
     """
 
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     steps: StepSettings = field(default_factory=StepSettings)
     linear_solver: str = "auto"
     side_contact: bool = True
+    snaps: bool = True
 
 
 def solve(
@@ -131,6 +134,7 @@ class _Run:
         self.reached: list[float] = []
         self.warm_steps: list[WarmStep] = []
         self.min_j, self.pinned, self.reason = 1.0, 0.0, ""
+        self.snaps: list[float] = []
 
     def to_the_end(self) -> None:
         test = self.problem.test
@@ -157,8 +161,13 @@ class _Run:
                 continue
             self.step_mm = remaining / pieces / 2
             if self.step_mm < self.rule.smallest_mm():
-                self.reason = result.reason
-                return False
+                through = self._through(target)
+                spent += through.iterations
+                if not through.converged:
+                    self.reason = result.reason
+                    return False
+                result = through
+                self._accept(result)
         self.iterations.append(spent)
         self._record(result)
         return True
@@ -177,6 +186,21 @@ class _Run:
         start = replace(self.state, displacement_mm=displacement)
         driven = bool(self.system.constraints.rate.any())
         return solve_step(self.system, start, newton, lifted_from=self.state if driven else None)
+
+    def _through(self, target: float) -> NewtonResult:
+        """Go past a limit point, in a step long enough to leave it behind."""
+        if not self.options.snaps:
+            return NewtonResult(self.state, False, 0, "", ())
+        here = self.state.displacement_mm
+        step = min(target - here, 0.5 * self.rule.largest_mm(here))
+        start = replace(self.state, displacement_mm=here + step)
+        driven = bool(self.system.constraints.rate.any())
+        before = self.state if driven else None
+        result = solve_through(self.system, start, self.options.newton, lifted_from=before)
+        if result.converged:
+            self.step_mm, self.previous = 0.5 * step, None
+            self.snaps.append(here)
+        return result
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""
@@ -293,6 +317,9 @@ class _Run:
     def _message(self, done: bool) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""
         said = ["every step converged"]
+        if self.snaps:
+            places = ", ".join(f"{d:.3g}" for d in self.snaps)
+            said.append(f"past {places} mm the surface snapped to another equilibrium")
         if self.pinned > _UNBALANCED:
             said.append(
                 "what only keeps the specimen from sliding or turning carries up to "

@@ -27,8 +27,8 @@ class Switches:
     that never settles is held closed; a step counts only if such points hardly pull.
     """
 
-    def __init__(self, system: System) -> None:
-        self._system = system
+    def __init__(self, system: System, together: int = _TOGETHER) -> None:
+        self._system, self._together = system, together
         self._last: list[Flags] = []
         self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
         self._iteration = 0
@@ -47,13 +47,14 @@ class Switches:
             side = touch.wanted.copy()
             if self._last:
                 before, changed = self._last[number], touch.wanted != self._last[number]
-                if self._iteration >= _TOGETHER and changed.any():
+                if self._iteration >= self._together and changed.any():
                     side = before.copy()
                     if calm:
                         most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
                         side[most] = not before[most]
                 self._count[number] += side != before
-                side |= self._count[number] >= _RESTLESS
+                if self._together == _TOGETHER or self._iteration >= self._together:
+                    side |= self._count[number] >= _RESTLESS
                 self.changing |= bool((side != before).any())
             chosen.append(side)
         self._last, self._iteration = chosen, self._iteration + 1

@@ -12,7 +12,7 @@ from study.forward import kernels
 from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
 from study.forward.contact import ContactPoints, ContactState
 from study.forward.elements import Discretization, discretize
-from study.forward.internal import Internal
+from study.forward.internal import POINTWISE, Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -55,6 +55,13 @@ class Assembly:
     contact: list[ContactState]
 
 
+def _pointwise(problem: Problem) -> float:
+    """Share of the bulk modulus that acts at every point, see :class:`Internal`."""
+    model, test = problem.model, problem.test
+    solid = model.space == "3d" and model.element_order == "quadratic"
+    return POINTWISE if solid and test.kind == "indentation" else 0.0
+
+
 @dataclass
 class System:
     """One problem on one mesh, ready to be solved for any constants of its material."""
@@ -91,7 +98,7 @@ class System:
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space),
+            internal=Internal.on(space, _pointwise(problem)),
             constraints=held,
             contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
@@ -175,11 +182,36 @@ class System:
             for points, multiplier in zip(self.contact, state.multipliers, strict=True)
         ]
 
-    def factorize(self) -> None:
-        """Factorize the last assembled tangent."""
+    def factorize(self, shift: float = 0.0) -> None:
+        """Factorize the last assembled tangent.
+
+        ``shift`` adds that multiple of its diagonal to the displacement part.
+        """
         began = time.perf_counter()
-        self.solver.factorize(self.data)
+        data = self.data
+        if shift:
+            # rows begin with their diagonal
+            at = self.pattern.indptr[:-1][self.pattern.free < self.space.n_displacement]
+            data = data.copy()
+            data[at] += shift * np.abs(data[at])
+        self.solver.factorize(data)
         self._count("factorization", began)
+
+    def instabilities(self) -> int | None:
+        """Negative eigenvalues of the last factorized tangent beyond those of the pressures.
+
+        Where there are none the state is stable against every motion at the given volume
+        (Sylvester's law of inertia). None where the linear solver does not count them.
+        """
+        negative = self.solver.negative_eigenvalues()
+        pressures = int((self.pattern.free >= self.space.n_displacement).sum())
+        return None if negative is None else negative - pressures
+
+    def lift_product(self, lift: Array) -> Array:
+        """Force of prescribed increments on the free unknowns, contact left out."""
+        jump = np.zeros(self.space.n)
+        jump[self.constraints.dofs] = lift
+        return self.tangent_product(jump, contact=False)[self.pattern.free]
 
     def back_substitute(self, right: Array) -> Array:
         """Solve with the last factorization for the free unknowns."""

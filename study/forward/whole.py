@@ -127,7 +127,7 @@ def _meeting(
     chosen: NDArray[np.bool_],
 ) -> ContactPoints:
     points = points_of(problem, mesh, surface, *collocation(space, chosen))
-    return replace(points, allowance_mm=corner_allowance(points, space.facets[chosen]))
+    return replace(points, allowance_mm=corner_allowance(problem, points, space.facets[chosen]))
 
 
 def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:

@@ -137,10 +137,7 @@ def formal_orders(cells: Sequence[Document]) -> list[str]:
         for cell in cells
         if cell.get("formal_reason") and cell.get("formal_order")
     ]
-    return [
-        f"Formal order {order:.3g}: {clean(why)}."
-        for order, why in dict.fromkeys(known)
-    ]
+    return [f"Formal order {order:.3g}: {clean(why)}." for order, why in dict.fromkeys(known)]
 
 
 def series_table(cells: Sequence[Document]) -> Table:

@@ -362,7 +362,7 @@ def solve(problem: Any, *, cutbacks: float | None = None, **asked: Any) -> Any:
     from study.forward.steps import StepSettings
 
     if cutbacks is not None:
-        asked["options"] = Options(steps=StepSettings(smallest=cutbacks))
+        asked["options"] = Options(steps=StepSettings(smallest=cutbacks), snaps=False)
     return forward_solve(problem, **asked)
 
 
