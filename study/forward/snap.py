@@ -5,8 +5,8 @@ one some way off: it snaps. Full Newton steps then jump to and fro for ever. Her
 its own diagonal is added to the displacement part of the tangent until the matrix has exactly
 as many negative eigenvalues as there are pressures, which makes the step one of descent of the
 potential energy at the given volume (inertia correction: Waechter and Biegler 2006, algorithm
-IC), and no step moves a node by more than a share of an element. At the new equilibrium both
-fall away and what is left is Newton's method.
+IC), and no step moves a node by more than a share of an element. Both begin when plain Newton
+has had its chance, and fall away at the new equilibrium.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from study.forward.system import State, System
 
 Array = NDArray[np.float64]
 
-#: iterations of one snap, and those in which contact points all decide at once
-_ITERATIONS, _TOGETHER = 80, 60
+#: iterations in all, those of plain Newton before, and those in which contact points all decide
+#: at once
+_ITERATIONS, _PLAIN, _TOGETHER = 80, 8, 60
 #: longest motion of a node in one iteration, over the size of an element
-_REACH = 0.2
+_REACH = 0.25
 #: first multiple of the diagonal, its growth while the step is no descent, its decay after
 _FIRST, _GROWTH, _DECAY, _NONE = 1e-3, 4.0, 0.25, 1e-5
 _MOST = 1e3
@@ -67,7 +68,10 @@ def solve_through(
             if done(system, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
         try:
-            shift = _descending(system, shift)
+            if len(residuals) > _PLAIN:
+                shift = _descending(system, shift)
+            else:
+                system.factorize()
         except SingularMatrixError as error:
             return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
         increment = np.zeros(system.space.n)
@@ -75,7 +79,7 @@ def solve_through(
         if lift.size:
             increment[system.constraints.dofs] = lift
             state = replace(state, displacement_mm=guess.displacement_mm)
-        else:
+        elif len(residuals) > _PLAIN:
             increment *= _shortened(system, increment)
         moved = filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
         if moved is None:

@@ -1,0 +1,116 @@
+"""Past limit points: inertia, steps of descent, and the share of K that acts at every point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.forward.mesh import build_mesh
+from study.forward.newton import NewtonSettings
+from study.forward.problem import Block, Cone
+from study.forward.snap import solve_through
+from study.forward.solve import Options, solve
+from study.forward.system import System
+from study.material import Material
+from tests.forward.test_indentation import NEEDLE, RUBBER, indentation
+
+#: with Poisson's ratio given, K follows the constants
+BY_RATIO = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
+
+
+def needle(depth: float = 0.6, **changes: object) -> System:
+    problem = indentation(NEEDLE, depth, mesh="coarse", **changes)  # type: ignore[arg-type]
+    return System.build(problem, build_mesh(problem))
+
+
+@pytest.mark.parametrize("element_order", ["linear", "quadratic"])
+def test_inertia_counts_what_is_unstable(element_order: str) -> None:
+    """The rest is stable; negative displacements make pressures positive, all but a few."""
+    system = needle(element_order=element_order)
+    system.assemble(system.start())
+    system.factorize()
+    if system.instabilities() is None:
+        pytest.skip("this linear solver does not count eigenvalues")
+    assert system.instabilities() == 0
+    system.factorize(shift=1.0)
+    assert system.instabilities() == 0
+    system.factorize(shift=-50.0)
+    moving = int((system.pattern.free < system.space.n_displacement).sum())
+    pressures = system.pattern.free.size - moving
+    found = system.instabilities()
+    assert found is not None
+    assert 0.98 * (moving - pressures) < found <= moving - pressures
+
+
+def test_descent_finds_the_same_equilibrium() -> None:
+    """Where Newton has no trouble both go to one state: the first touch of a cone."""
+    system = needle()
+    state = replace(system.start(), displacement_mm=0.1)
+    found = solve_through(system, state, NewtonSettings())
+    assert found.converged, found.reason
+    problem = indentation(NEEDLE, 0.1, steps=1, mesh="coarse")
+    own = solve(problem, gradients=False, mesh=system.mesh)
+    assert own.warm is not None
+    # both end below a relative residual of 1e-8
+    expected = own.warm.steps[-1].state.x
+    np.testing.assert_allclose(found.state.x, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_share_of_the_bulk_modulus_at_every_point_changes_no_patch() -> None:
+    """A homogeneous state has J = const, so that the split of K cannot be seen."""
+    system = needle(space="3d", element_order="quadratic")
+    assert system.internal.pointwise > 0
+    n_u, nodes = system.space.n_displacement, system.space.nodes
+    F = np.diag([1.05, 0.97, 0.99])
+    J = float(np.linalg.det(F))
+    x = np.zeros(system.space.n)
+    x[:n_u] = (nodes @ (F - np.eye(3))).ravel()
+    forces = []
+    for share in (0.0, 0.03):
+        x[n_u:] = (1 - share) * RUBBER.bulk * (J - 1)
+        internal = replace(system.internal, pointwise=share)
+        internal.evaluate(RUBBER, x, tangent=False)
+        forces.append(internal.gathered())
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-12 * np.abs(forces[0]).max() + 1e-15)
+    assert np.abs(forces[0][n_u:]).max() < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("material", [RUBBER, BY_RATIO], ids=["bulk given", "ratio given"])
+def test_taylor_through_3d_contact(material: Material) -> None:
+    """V41 in 3D: |F(p + h dp) - F(p) - h g.dp| falls with slope 2 while contact stays."""
+    problem = indentation(
+        NEEDLE, 0.4, steps=2, mesh="coarse", material=material, space="3d",
+        element_order="quadratic",
+    )  # fmt: skip
+    base = solve(problem)
+    direction = np.array([0.3, -0.2]) * material.values
+    errors = []
+    for h in (0.08, 0.04, 0.02):
+        moved = replace(problem, material=material.with_constants(material.values + h * direction))
+        force = solve(moved, gradients=False, warm=base).curve.force_N
+        slope = sum(
+            base.curve.force_gradient[n] * d for n, d in zip(material.names, direction, strict=True)
+        )
+        errors.append(np.abs(force - base.curve.force_N - h * slope).max())
+    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_a_block_under_a_deep_cone_snaps_and_goes_on() -> None:
+    """Linear solids lose their equilibrium at 2.57 mm and find it again."""
+    soft = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
+    problem = indentation(
+        Cone(30, 1, 3), 4.0, material=soft, specimen=Block(60, 60, 40), mesh="medium",
+        mesh_ratio=1.3, space="3d", element_order="linear",
+    )  # fmt: skip
+    stopped = solve(problem, gradients=False, options=Options(snaps=False))
+    assert not stopped.converged
+    found = solve(problem, gradients=False)
+    assert found.converged, found.message
+    assert "snapped to another equilibrium" in found.message
+    assert np.all(np.diff(found.curve.force_N) > 0)
