@@ -183,6 +183,8 @@ def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
     from study.reporting.facts import cells
     from study.reporting.front import practical_of
 
+    if len(ranked) == 1 and len(ranked[0]) > 1:
+        return "; on these meshes no cell can be told from another"
     limit = practical_of(facts, cells(data, facts.name))
     near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
     if not near:

@@ -225,3 +225,15 @@ def test_nothing_is_called_normal(html: str):
     lowered = html.lower()
     for word in ("is normal", "are normal", "normally distributed", "data normal"):
         assert word not in lowered
+
+
+def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
+    data: ReportData, monkeypatch: pytest.MonkeyPatch
+):
+    from study.reporting import groups
+
+    found = facts(data)
+    every = groups.groups(data, found[0])
+    one = groups.Group(5.0, tuple(m for group in every for m in group.members))
+    monkeypatch.setattr(groups, "groups", lambda *_: (one,))
+    assert "no cell can be told from another" in sentences.best_cell(data, found)
