@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 
 #: iterations in all, those of plain Newton before, and those in which contact points all decide
 #: at once
-_ITERATIONS, _PLAIN, _TOGETHER = 80, 8, 60
+_ITERATIONS, _PLAIN, _TOGETHER = 160, 8, 12
 #: longest motion of a node in one iteration, over the size of an element
-_REACH = 0.25
+_REACH = 0.1
 #: first multiple of the diagonal, its growth while the step is no descent, its decay after
 _FIRST, _GROWTH, _DECAY, _NONE = 1e-3, 4.0, 0.25, 1e-5
 _MOST = 1e3

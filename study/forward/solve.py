@@ -23,6 +23,8 @@ from study.forward.system import State, System
 
 Array = NDArray[np.float64]
 
+#: steps past a limit point over the largest step: long enough to leave it behind, or just past it
+_LEAPS = (0.5, 0.1)
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
 
@@ -191,16 +193,19 @@ class _Run:
         """Go past a limit point, in a step long enough to leave it behind."""
         if not self.options.snaps:
             return NewtonResult(self.state, False, 0, "", ())
-        here = self.state.displacement_mm
-        step = min(target - here, 0.5 * self.rule.largest_mm(here))
-        start = replace(self.state, displacement_mm=here + step)
+        here, spent = self.state.displacement_mm, 0
         driven = bool(self.system.constraints.rate.any())
         before = self.state if driven else None
-        result = solve_through(self.system, start, self.options.newton, lifted_from=before)
-        if result.converged:
-            self.step_mm, self.previous = 0.5 * step, None
-            self.snaps.append(here)
-        return result
+        for share in _LEAPS:
+            step = min(target - here, share * self.rule.largest_mm(here))
+            start = replace(self.state, displacement_mm=here + step)
+            result = solve_through(self.system, start, self.options.newton, lifted_from=before)
+            spent += result.iterations
+            if result.converged:
+                self.step_mm, self.previous = 0.5 * step, None
+                self.snaps.append(here)
+                break
+        return replace(result, iterations=spent)
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""
