@@ -104,8 +104,9 @@ def _truth(study: StudyResult) -> dict[str, str]:
     if recorded is None:
         recorded = read_truths(study.folder / "measurements", study.manifest.get("files", {}))
     found = dict(recorded)
-    if len(found) == 1:
-        return dict(_leaves(next(iter(found.values())), "truth"))
+    first = next(iter(found.values()), None)
+    if first is not None and all(truth == first for truth in found.values()):
+        return dict(_leaves(first, "truth"))
     return {k: v for name, truth in found.items() for k, v in _leaves(truth, f"truth of {name}")}
 
 

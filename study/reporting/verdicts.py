@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from study.reporting.facts import MATTERS, NO_DIFFERENCE, Effect, Facts
 from study.reporting.text import (
+    MINUS,
     MISSING,
     THIN,
     TIMES,
@@ -22,7 +23,6 @@ from study.reporting.text import (
     ratio_digits,
     rounded,
     sentence,
-    significant,
     span,
     term_name,
 )
@@ -73,7 +73,7 @@ def practical(effect: Effect, facts: Facts) -> str:
     """Return the smallest difference that matters, as it was declared."""
     if effect.practical is None:
         return MISSING
-    text = f"{float(significant(effect.practical).replace(',', '')):g}"
+    text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
     return f"{TIMES}{THIN}{text}" if effect.ratio else f"{text}{THIN}{facts.difference_unit}"
 
 

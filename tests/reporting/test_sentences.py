@@ -237,3 +237,8 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     one = groups.Group(5.0, tuple(m for group in every for m in group.members))
     monkeypatch.setattr(groups, "groups", lambda *_: (one,))
     assert "no cell can be told from another" in sentences.best_cell(data, found)
+
+
+def test_a_tiny_threshold_is_printed(data: ReportData):
+    tiny = replace(facts(data)[0].effects[0], practical=7.97e-5, ratio=False)
+    assert "7.97e\N{MINUS SIGN}05" in verdicts.practical(tiny, facts(data)[0])
