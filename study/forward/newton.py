@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,8 +60,62 @@ class NewtonResult:
     assembly: Assembly | None = None
 
 
+class Course(Protocol):
+    """How the iteration goes on from a state that is no equilibrium yet."""
+
+    def switches(self, system: System) -> Switches:
+        """Rule by which contact points change sides."""
+
+    def ended(
+        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
+    ) -> bool:
+        """Whether to give up; ``changing`` says that contact still does."""
+
+    def factorize(self, system: System, residuals: list[float]) -> None:
+        """Factorize the tangent of the state."""
+
+    def share(self, system: System, residuals: list[float], increment: Array) -> float:
+        """Part of a step that is taken, before any J is looked at."""
+
+
+class FullSteps:
+    """Newton's method itself."""
+
+    def switches(self, system: System) -> Switches:
+        """Together at first, then one by one."""
+        return Switches(system)
+
+    def ended(
+        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
+    ) -> bool:
+        """After so many iterations, or where the residual stays large."""
+        if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
+            return True
+        return iteration >= (settings.max_switching if changing else settings.max_iterations)
+
+    def factorize(self, system: System, residuals: list[float]) -> None:
+        """Take the tangent as it is."""
+        system.factorize()
+
+    def share(self, system: System, residuals: list[float], increment: Array) -> float:
+        """Take all of it."""
+        return 1.0
+
+
 def solve_step(
     system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
+) -> NewtonResult:
+    """Equilibrium at ``guess.displacement_mm`` by full steps; see :func:`iterate`."""
+    return iterate(system, guess, settings, FullSteps(), lifted_from=lifted_from)
+
+
+def iterate(
+    system: System,
+    guess: State,
+    settings: NewtonSettings,
+    course: Course,
+    *,
+    lifted_from: State | None = None,
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm``.
 
@@ -67,34 +123,33 @@ def solve_step(
     ----------
     guess : State
         Start of the iteration; its constrained unknowns already have their values.
+    course : Course
+        How it goes on.
     lifted_from : State, optional
         Start here instead: the first solve puts the prescribed increment on the right-hand
         side, so that the jump at the plate spreads through the specimen at once.
     """
     state, lift = guess, np.zeros(0)
     if lifted_from is not None:
-        state, lift = lifted(system, guess, lifted_from)
+        state, lift = _lifted(system, guess, lifted_from)
     residuals: list[float] = []
-    switches = Switches(system)
-    for iteration in range(settings.max_switching + 1):
+    switches, free = course.switches(system), system.pattern.free
+    for iteration in itertools.count():
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
             return NewtonResult(state, False, iteration, "an element is inverted", ())
-        free = system.pattern.free
         right = -assembly.residual[free]
         if lift.size:
             right -= system.lift_product(lift)
         else:
-            residuals.append(relative_residual(system, state, assembly))
-            if done(system, residuals[-1], assembly, settings):
+            residuals.append(_relative(system, state, assembly))
+            if _done(system, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
-        if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
-            break
-        if iteration >= (settings.max_switching if switches.changing else settings.max_iterations):
+        if course.ended(iteration, residuals, switches.changing, settings):
             break
         try:
-            system.factorize()
+            course.factorize(system, residuals)
         except SingularMatrixError as error:
             return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
         increment = np.zeros(system.space.n)
@@ -104,7 +159,9 @@ def solve_step(
         if lift.size:
             increment[system.constraints.dofs] = lift
             state = replace(state, displacement_mm=guess.displacement_mm)
-        moved = filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
+        else:
+            increment *= course.share(system, residuals, increment)
+        moved = _filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
         if moved is None:
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
         state, lift = moved, np.zeros(0)
@@ -112,13 +169,13 @@ def solve_step(
     return NewtonResult(state, False, iteration, reason, tuple(residuals))
 
 
-def lifted(system: System, guess: State, before: State) -> tuple[State, Array]:
+def _lifted(system: System, guess: State, before: State) -> tuple[State, Array]:
     """State before a step, and the prescribed increment that its first solve has to spread."""
     after = system.prescribed(guess.displacement_mm)
     return before, after - system.prescribed(before.displacement_mm)
 
 
-def filtered(
+def _filtered(
     system: System,
     state: State,
     assembly: Assembly,
@@ -152,7 +209,7 @@ def _multipliers(
     return tuple(updated)
 
 
-def relative_residual(system: System, state: State, assembly: Assembly) -> float:
+def _relative(system: System, state: State, assembly: Assembly) -> float:
     """Force residual over the reaction, or volume residual over the volume: the larger one."""
     n_u = system.space.n_displacement
     out_of_balance = assembly.residual.copy()
@@ -164,7 +221,7 @@ def relative_residual(system: System, state: State, assembly: Assembly) -> float
     return max(force, volume)
 
 
-def done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
+def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
     """Whether a state is an equilibrium with its contact settled."""
     if not residual < settings.tolerance:
         return False

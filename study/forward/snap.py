@@ -11,20 +11,10 @@ has had its chance, and fall away at the new equilibrium.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.linear_solver import SingularMatrixError
-from study.forward.newton import (
-    NewtonResult,
-    NewtonSettings,
-    done,
-    filtered,
-    lifted,
-    relative_residual,
-)
+from study.forward.newton import NewtonResult, NewtonSettings, iterate
 from study.forward.switches import Switches
 from study.forward.system import State, System
 
@@ -48,60 +38,41 @@ def solve_through(
     Parameters
     ----------
     guess, lifted_from : State
-        As in :func:`study.forward.newton.solve_step`.
+        As in :func:`study.forward.newton.iterate`.
     """
-    state, lift = guess, np.zeros(0)
-    if lifted_from is not None:
-        state, lift = lifted(system, guess, lifted_from)
-    switches, shift = Switches(system, together=_TOGETHER), 0.0
-    residuals: list[float] = []
-    for iteration in range(_ITERATIONS + 1):
-        state = switches.decided(state, calm=not residuals or residuals[-1] < 0.01)
-        assembly = system.assemble(state)
-        if not assembly.min_j > 0:
-            return NewtonResult(state, False, iteration, "an element is inverted", ())
-        right = -assembly.residual[system.pattern.free]
-        if lift.size:
-            right -= system.lift_product(lift)
-        else:
-            residuals.append(relative_residual(system, state, assembly))
-            if done(system, residuals[-1], assembly, settings):
-                return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
-        try:
-            if len(residuals) > _PLAIN:
-                shift = _descending(system, shift)
-            else:
-                system.factorize()
-        except SingularMatrixError as error:
-            return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
-        increment = np.zeros(system.space.n)
-        increment[system.pattern.free] = system.back_substitute(right)
-        if lift.size:
-            increment[system.constraints.dofs] = lift
-            state = replace(state, displacement_mm=guess.displacement_mm)
-        elif len(residuals) > _PLAIN:
-            increment *= _shortened(system, increment)
-        moved = filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
-        if moved is None:
-            return NewtonResult(state, False, iteration, "an element would be inverted", ())
-        state, lift = moved, np.zeros(0)
-    reason = f"no equilibrium after {_ITERATIONS} iterations of descent"
-    return NewtonResult(state, False, _ITERATIONS, reason, tuple(residuals))
+    return iterate(system, guess, settings, Descent(), lifted_from=lifted_from)
 
 
-def _descending(system: System, shift: float) -> float:
-    """Factorize with the smallest multiple of the diagonal that makes a step of descent."""
-    shift = _DECAY * shift if shift > _NONE else 0.0
-    system.factorize(shift)
-    while (system.instabilities() or 0) > 0 and shift < _MOST:
-        shift = max(_GROWTH * shift, _FIRST)
-        system.factorize(shift)
-    return shift
+class Descent:
+    """Short steps that lower the potential energy, after a few of plain Newton."""
 
+    def __init__(self) -> None:
+        self._shift = 0.0
 
-def _shortened(system: System, increment: Array) -> float:
-    """Share of a step that moves no node further than it may."""
-    if not np.isfinite(increment).all():
-        raise SingularMatrixError("the step is not finite")
-    furthest = float(np.abs(increment[: system.space.n_displacement]).max())
-    return min(1.0, _REACH * system.mesh.size_mm / furthest) if furthest > 0 else 1.0
+    def switches(self, system: System) -> Switches:
+        """No point is held closed before the others have had their say."""
+        return Switches(system, together=_TOGETHER, holding=_TOGETHER)
+
+    def ended(
+        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
+    ) -> bool:
+        """After so many iterations."""
+        return iteration >= _ITERATIONS
+
+    def factorize(self, system: System, residuals: list[float]) -> None:
+        """Add the smallest multiple of the diagonal that makes a step of descent."""
+        if len(residuals) <= _PLAIN:
+            system.factorize()
+            return
+        self._shift = _DECAY * self._shift if self._shift > _NONE else 0.0
+        system.factorize(self._shift)
+        while (system.instabilities() or 0) > 0 and self._shift < _MOST:
+            self._shift = max(_GROWTH * self._shift, _FIRST)
+            system.factorize(self._shift)
+
+    def share(self, system: System, residuals: list[float], increment: Array) -> float:
+        """Move no node further than it may."""
+        furthest = float(np.abs(increment[: system.space.n_displacement]).max())
+        if len(residuals) <= _PLAIN or furthest == 0:
+            return 1.0
+        return min(1.0, _REACH * system.mesh.size_mm / furthest)

@@ -163,12 +163,11 @@ class _Run:
                 continue
             self.step_mm = remaining / pieces / 2
             if self.step_mm < self.rule.smallest_mm():
-                through = self._through(target)
-                spent += through.iterations
-                if not through.converged:
+                through = self._through(target) if self.options.snaps else None
+                if through is None:
                     self.reason = result.reason
                     return False
-                result = through
+                result, spent = through, spent + through.iterations
                 self._accept(result)
         self.iterations.append(spent)
         self._record(result)
@@ -186,26 +185,26 @@ class _Run:
                 return result
             self.previous = None  # no extrapolation right after a failure
         start = replace(self.state, displacement_mm=displacement)
-        driven = bool(self.system.constraints.rate.any())
-        return solve_step(self.system, start, newton, lifted_from=self.state if driven else None)
+        return solve_step(self.system, start, newton, lifted_from=self._lift())
 
-    def _through(self, target: float) -> NewtonResult:
-        """Go past a limit point, in a step long enough to leave it behind."""
-        if not self.options.snaps:
-            return NewtonResult(self.state, False, 0, "", ())
+    def _lift(self) -> State | None:
+        """State that a driven specimen is lifted from; an indenter drives no unknown."""
+        return self.state if self.system.constraints.rate.any() else None
+
+    def _through(self, target: float) -> NewtonResult | None:
+        """Go past a limit point, in a step long enough to leave it behind; None if none does."""
         here, spent = self.state.displacement_mm, 0
-        driven = bool(self.system.constraints.rate.any())
-        before = self.state if driven else None
         for share in _LEAPS:
             step = min(target - here, share * self.rule.largest_mm(here))
             start = replace(self.state, displacement_mm=here + step)
-            result = solve_through(self.system, start, self.options.newton, lifted_from=before)
+            newton, lift = self.options.newton, self._lift()
+            result = solve_through(self.system, start, newton, lifted_from=lift)
             spent += result.iterations
             if result.converged:
                 self.step_mm, self.previous = 0.5 * step, None
                 self.snaps.append(here)
-                break
-        return replace(result, iterations=spent)
+                return replace(result, iterations=spent)
+        return None
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""
