@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -35,6 +36,14 @@ class Constraints:
     rate: Array
     pins: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
+    @classmethod
+    def of(cls, rate: Mapping[int, float], pins: Sequence[int] | Ints = ()) -> Constraints:
+        """Prescribed unknowns with their rates, and the pins, which do not move."""
+        every = {**rate, **{int(d): 0.0 for d in pins}}
+        dofs = np.array(sorted(every), dtype=np.int64)
+        rates = np.array([every[int(d)] for d in dofs])
+        return cls(dofs, rates, np.array(pins, dtype=np.int64))
+
 
 class Nodes(Protocol):
     """Places that boundary conditions are laid on."""
@@ -57,13 +66,12 @@ def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     if problem.test.kind == "compression":
         rate = plate_rates(problem, space, mesh)
     else:
-        rate = _base(problem, space, mesh) | _bonded_punch(problem, space, mesh)
+        rate = base_rates(problem, space, mesh) | _bonded_punch(problem, space, mesh)
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):
         symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
         rate |= {int(n) * space.dim + i: 0.0 for n in symmetric}
-    dofs = np.array(sorted(rate), dtype=np.int64)
-    return Constraints(dofs, np.array([rate[int(d)] for d in dofs]))
+    return Constraints.of(rate)
 
 
 def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
@@ -79,18 +87,18 @@ def plate_rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     rate = {int(n) * dim + dim - 1: (-0.5 if half else -1.0) for n in top}
     rate |= {int(n) * dim + dim - 1: 0.0 for n in base}
     if problem.test.interface == "bonded":
-        rate |= sideways(top, dim)
+        rate |= _sideways(top, dim)
     if problem.test.base == "bonded" and not half:
-        rate |= sideways(base, dim)
+        rate |= _sideways(base, dim)
     return rate
 
 
-def _base(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
+def base_rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
     """Support of an indented specimen."""
     dim = space.dim
     base = at_level(space, mesh, 0.0)
     rate = {int(n) * dim + dim - 1: 0.0 for n in base}
-    return rate | (sideways(base, dim) if problem.test.base == "bonded" else {})
+    return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
 
 
 def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
@@ -101,10 +109,10 @@ def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float
     top, dim = at_level(space, mesh, mesh.height_mm), space.dim
     rho = np.linalg.norm(space.nodes[top][:, : dim - 1], axis=1)
     held = top[rho <= (pressed.radius_mm - pressed.edge_radius_mm) * (1 + _SAME)]
-    return {int(n) * dim + dim - 1: -1.0 for n in held} | sideways(held, dim)
+    return {int(n) * dim + dim - 1: -1.0 for n in held} | _sideways(held, dim)
 
 
-def sideways(nodes: Ints, dim: int) -> dict[int, float]:
+def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
     """Hold nodes across the axis."""
     return {int(n) * dim + i: 0.0 for n in nodes for i in range(dim - 1)}
 
@@ -158,9 +166,21 @@ def _on_top(
     nodal: bool = False,
 ) -> ContactPoints:
     """Points of the loaded face that a surface may meet."""
-    chosen = _top_facets(space, mesh)
-    points = points_of(problem, mesh, surface, *collocation(space, chosen, nodal=nodal))
-    return replace(points, allowance_mm=corner_allowance(problem, points, space.facets[chosen]))
+    return meeting(problem, space, mesh, surface, _top_facets(space, mesh), nodal=nodal)
+
+
+def meeting(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    chosen: NDArray[np.bool_],
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of some facets that a surface may meet."""
+    points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
+    return replace(points, allowance_mm=_corner_allowance(problem, points, space.facets[chosen]))
 
 
 def _under_sharp_edge(
@@ -197,7 +217,7 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     )
 
 
-def corner_allowance(problem: Problem, points: ContactPoints, facets: Ints) -> Array | float:
+def _corner_allowance(problem: Problem, points: ContactPoints, facets: Ints) -> Array | float:
     """Gap below zero at which corners of six-node triangles close under a flat indenter.
 
     A uniform pressure loads their mid-sides only, so that the sign of a corner's force says
@@ -212,10 +232,9 @@ def corner_allowance(problem: Problem, points: ContactPoints, facets: Ints) -> A
     return np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
 
 
-def points_of(
+def _points_of(
     problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
 ) -> ContactPoints:
-    """Contact points with the stiffness that suits material and mesh."""
     scale = problem.material.mu0 / mesh.size_mm
     small = problem.material.family == "linear-elastic"
     return ContactPoints(
@@ -228,7 +247,7 @@ def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
 
 
-def collocation(
+def _collocation(
     space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
 ) -> tuple[Ints, Array, Array]:
     """Contact points of some facets: as many conditions as their surface can satisfy.
@@ -305,7 +324,7 @@ def _side_points(
     facets, areas = space.facets[side], space.facet_weights[side]
     nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
     nodal[at_level(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
-    return points_of(problem, mesh, plate, *_at_nodes(nodal))
+    return _points_of(problem, mesh, plate, *_at_nodes(nodal))
 
 
 def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:

@@ -7,8 +7,6 @@ meets the surface where it first touches it, which is where its displacement cou
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,14 +15,12 @@ from study.forward.boundary import (
     Constraints,
     Nodes,
     at_level,
-    collocation,
-    corner_allowance,
+    base_rates,
+    meeting,
     only,
     plate_rates,
-    points_of,
-    sideways,
 )
-from study.forward.contact import ContactPoints, Plate, RigidSurface
+from study.forward.contact import ContactPoints, Plate
 from study.forward.elements import Discretization
 from study.forward.indenters import Press, profile, profile_height
 from study.forward.mesh import Mesh
@@ -44,22 +40,21 @@ _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 def whole_constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns, and the pins that keep the specimen in its place."""
+    rate = _rates(problem, space, mesh)
+    return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+
+
+def _rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Unknowns that plates, base and clamp prescribe."""
     specimen, dim = problem.specimen, space.dim
     if not isinstance(specimen, Surface):
         raise InputError("whole specimens are surfaces")
-    clamped = _clamped(specimen, space)
     if problem.test.kind == "compression":
         rate = plate_rates(problem, space, mesh)
         rate = rate if body(specimen).touches("top") else _without_top(rate, space, mesh)
     else:
-        base = at_level(space, mesh, 0.0)
-        rate = {int(n) * dim + dim - 1: 0.0 for n in base}
-        rate |= sideways(base, dim) if problem.test.base == "bonded" else {}
-    rate |= {int(n) * dim + i: 0.0 for n in clamped for i in range(dim)}
-    pinned = pins(space.nodes, len(mesh.points), rate)
-    rate |= {int(d): 0.0 for d in pinned}
-    dofs = np.array(sorted(rate), dtype=np.int64)
-    return Constraints(dofs, np.array([rate[int(d)] for d in dofs]), pinned)
+        rate = base_rates(problem, space, mesh)
+    return rate | {int(n) * dim + i: 0.0 for n in _clamped(specimen, space) for i in range(dim)}
 
 
 def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:
@@ -85,21 +80,17 @@ def whole_contact(
         if test.indenter is None:
             return ()
         held = _in_plate(space, mesh, 0.0)
-        touch = touch_mm(test.indenter, mesh.points[_corners(space, ~held)], mesh.height_mm)
+        corners = mesh.points[space.facets[~held][:, :3]]
+        touch = touch_mm(test.indenter, corners, mesh.height_mm)
         press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), touch)
-        return (_meeting(problem, space, mesh, press, ~held),)
-    fixed = whole_constraints(problem, space, mesh)
-    axial = np.setdiff1d(fixed.dofs, fixed.pins)
+        return (meeting(problem, space, mesh, press, ~held),)
+    axial = np.array(sorted(_rates(problem, space, mesh)), dtype=np.int64)
     nodes = np.unique(axial[axial % space.dim == space.dim - 1] // space.dim)
     plates = [Plate(mesh.height_mm, -1, 1.0)]
     if problem.specimen.clamp_below_mm is None:  # type: ignore[union-attr]
         plates.append(Plate(0.0, 1, 0.0))
     found = [_on_plate(problem, space, mesh, plate, nodes) for plate in plates] if folding else []
     return tuple(points for points in found if points.size)
-
-
-def _corners(space: Discretization, chosen: NDArray[np.bool_]) -> Ints:
-    return space.facets[chosen][:, :3]
 
 
 def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:
@@ -114,20 +105,9 @@ def _on_plate(
 ) -> ContactPoints:
     """Points that may meet a plate; ``nodes`` are held in one already, or clamped."""
     chosen = np.asarray(~np.isin(space.facets, nodes).all(axis=1))
-    points = _meeting(problem, space, mesh, plate, chosen)
+    points = meeting(problem, space, mesh, plate, chosen)
     held = np.isin(points.nodes[:, 0], nodes)
     return only(points, ~held)
-
-
-def _meeting(
-    problem: Problem,
-    space: Discretization,
-    mesh: Mesh,
-    surface: RigidSurface,
-    chosen: NDArray[np.bool_],
-) -> ContactPoints:
-    points = points_of(problem, mesh, surface, *collocation(space, chosen))
-    return replace(points, allowance_mm=corner_allowance(problem, points, space.facets[chosen]))
 
 
 def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
