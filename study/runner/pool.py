@@ -132,7 +132,8 @@ class _Run:
             self._send(self._start(), task)
 
     def _send(self, worker: _Worker, task: Task) -> None:
-        worker.task, worker.started, worker.group = task, time.monotonic(), task.group
+        worker.task, worker.started = task, time.monotonic()
+        worker.group = task.group or worker.group  # kept while it does other things
         message = json.dumps(task.payload(self.results), allow_nan=False).encode()
         with contextlib.suppress(OSError):  # a dead worker is noticed when collecting
             worker.connection.send_bytes(message)

@@ -8,13 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from study.runner import build, fits
+from study.runner.compiled import load_compiled
 from study.runner.identity import code_version, digest
 
 Config = Mapping[str, Any]
 
 _SECTIONS = ("specimen", "test", "material", "model")
-#: spaces and families whose compiled loops this process has used already
-_WARM: set[tuple[str, ...]] = set()
 
 
 def solve_task(
@@ -56,7 +55,7 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
         ``base_MB`` (before).
     """
     problem = build.problem(task["config"])
-    _warm(problem)
+    load_compiled(problem)
     reset_peak()
     before = peak_MB()
     options = _options(float(task["looser"]))
@@ -82,17 +81,6 @@ def _options(looser: float) -> dict[str, Any]:
     plain = Options()
     newton = replace(plain.newton, tolerance=plain.newton.tolerance * looser)
     return {"options": replace(plain, newton=newton)}
-
-
-def _warm(problem: Any) -> None:
-    """Load the compiled loops with a small problem, so that they do not count as its time."""
-    key = (problem.model.space, problem.material.family, problem.test.kind)
-    if key in _WARM:
-        return
-    _WARM.add(key)
-    test = replace(problem.test, steps=1, displacement_mm=problem.test.displacement_mm / 50)
-    model = replace(problem.model, mesh="coarse", mesh_size_mm=None)
-    fits.solve(replace(problem, test=test, model=model), gradients=False)
 
 
 def reset_peak() -> None:
