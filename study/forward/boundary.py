@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
@@ -19,8 +20,6 @@ from study.forward.sizes import contact_radius, sharp_edge
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-#: allowance of a corner over the size of its facets
-CORNER_ALLOWANCE = 0.2
 #: coordinates closer than this fraction of the height are the same
 _SAME = 1e-9
 
@@ -180,7 +179,7 @@ def meeting(
 ) -> ContactPoints:
     """Points of some facets that a surface may meet."""
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
-    return replace(points, allowance_mm=_corner_allowance(problem, points, space.facets[chosen]))
+    return replace(points, middles=_middles(space, points, space.facets[chosen]))
 
 
 def _under_sharp_edge(
@@ -207,29 +206,29 @@ def _under_sharp_edge(
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     """Keep some of the points."""
-    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
         points,
         nodes=points.nodes[kept],
         shape=points.shape[kept],
         weights=points.weights[kept],
-        allowance_mm=allowance,
+        middles=None if points.middles is None else points.middles[kept][:, kept],
     )
 
 
-def _corner_allowance(problem: Problem, points: ContactPoints, facets: Ints) -> Array | float:
-    """Gap below zero at which corners of six-node triangles close under a flat indenter.
-
-    A uniform pressure loads their mid-sides only, so that the sign of a corner's force says
-    nothing, and corners that are held to a gap of zero open and close for ever. Left alone
-    they sink a little into the indenter, which is what they may do here. Under a cone or a
-    sphere the pressure varies and corners that are left alone let the surface buckle.
-    """
-    if facets.shape[1] != 6 or not isinstance(problem.test.indenter, Flat):
-        return 0.0
-    corners = np.isin(points.nodes[:, 0], facets[:, :3])
-    # a corner of six facets of area A has the weight A / 2
-    return np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
+def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix | None:
+    """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
+    if facets.shape[1] != 6:
+        return None
+    number = np.full(len(space.nodes), -1)
+    number[points.nodes[:, 0]] = np.arange(points.size)
+    ends = np.array([[0, 1], [1, 2], [2, 0]])
+    halfway = space.nodes[facets[:, ends]].mean(axis=2)
+    apart = np.linalg.norm(space.nodes[facets[:, 3:]][:, :, None] - halfway[:, None], axis=-1)
+    corners = number[np.take_along_axis(facets[:, None], ends[apart.argmin(axis=2)], axis=2)]
+    middles = np.repeat(number[facets[:, 3:]][:, :, None], 2, axis=2)
+    entries = np.ones(corners.size, dtype=int)
+    shape = (points.size, points.size)
+    return sp.csr_matrix((entries, (corners.ravel(), middles.ravel())), shape) > 0
 
 
 def _points_of(

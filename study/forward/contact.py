@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
 #: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
@@ -85,8 +87,8 @@ class ContactPoints:
         Stiffness of the regularization and switching constant, N/mm^3.
     small_strain : bool
         Whether gap and normal belong to the reference state (linear elasticity).
-    allowance_mm : ndarray, shape (n_points,), optional
-        Gap below zero at which a point closes.
+    middles : sparse matrix of bool, shape (n_points, n_points), optional
+        Row of a corner of six-node triangles: the mid-side points next to it.
     """
 
     surface: RigidSurface
@@ -96,7 +98,7 @@ class ContactPoints:
     eps: float
     c: float
     small_strain: bool = False
-    allowance_mm: Array | float = 0.0
+    middles: sp.csr_matrix | None = None
 
     @property
     def size(self) -> int:
@@ -113,7 +115,7 @@ class ContactPoints:
         u: Array,
         displacement_mm: float,
         multiplier: Array,
-        closed: NDArray[np.bool_] | None = None,
+        closed: Flags | None = None,
     ) -> ContactState:
         """Gap, active set and pressure at displacements ``u`` (n_nodes, dim).
 
@@ -125,13 +127,33 @@ class ContactPoints:
             hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
         else:
             gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
-        gap = gap + self.allowance_mm
         urge = multiplier - self.c * gap
-        wanted = urge > 0
+        wanted, led = self._decided(urge > 0)
         active = wanted if closed is None else closed
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
-        return ContactState(gap, active, pressure, direction, hessian, wanted, urge)
+        return ContactState(gap, active, pressure, direction, hessian, wanted, urge, led)
+
+    def _decided(self, own: Flags) -> tuple[Flags, Flags]:
+        """Who is to be closed by the points' own decision, and which corners are led.
+
+        A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of
+        a corner's force says nothing. Amid closed mid-sides a corner is closed as well,
+        whichever way it is pulled; amid open ones it is open.
+        """
+        if self.middles is None:
+            return own, np.zeros(own.shape, dtype=bool)
+        around = np.diff(self.middles.indptr)
+        closed = self.middles @ own.astype(int)
+        led = (around > 0) & ((closed == around) | (closed == 0))
+        return np.where(led, closed > 0, own), led
+
+    def admissible(self, multiplier: Array) -> Array:
+        """Pressures that points may have: none pulls but the corners that may be led."""
+        own = multiplier >= 0
+        if self.middles is not None:
+            own |= np.diff(self.middles.indptr) > 0
+        return np.where(own, multiplier, 0.0)
 
     def _interpolated(self, nodal: Array) -> Array:
         return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
@@ -176,12 +198,13 @@ class ContactState:
     """
 
     gap: Array
-    active: NDArray[np.bool_]
+    active: Flags
     pressure: Array
     direction: Array
     hessian: Array
-    wanted: NDArray[np.bool_]
+    wanted: Flags
     urge: Array
+    led: Flags
 
     def new_multiplier(self, contact: ContactPoints, increment: Array) -> Array:
         """Multiplier after a solve that moved the points' unknowns by ``increment``."""
@@ -192,7 +215,7 @@ class ContactState:
     def largest_pull(self) -> float:
         """Largest tension over the largest pressure: what held points may need to be held."""
         top = float(self.pressure.max(initial=0.0))
-        pull = max(0.0, -float(self.pressure.min(initial=0.0)))
+        pull = max(0.0, -float(self.pressure[~self.led].min(initial=0.0)))
         return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
 
     def settled(self) -> bool:

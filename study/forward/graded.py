@@ -38,7 +38,7 @@ _POOREST = 0.02
 
 
 def indentation_mesh(problem: Problem) -> tuple[Array, Cells, float]:
-    """Points, cells and finest size of an indented cylinder or block.
+    """Points, cells and element size of an indented cylinder or block.
 
     Raises
     ------
@@ -56,12 +56,12 @@ def indentation_mesh(problem: Problem) -> tuple[Array, Cells, float]:
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
     else:
         points, cells = _tetrahedra(_outline(specimen, field), height, field, ring)
-    return points, cells, field.finest_mm
+    return points, cells, field.size_mm
 
 
-def finest_mm(problem: Problem) -> float:
-    """Smallest element size of an indented cylinder or block."""
-    return _field(problem).finest_mm
+def graded_size(problem: Problem) -> float:
+    """Element size of an indented cylinder or block, as ``mesh_size`` names it."""
+    return _field(problem).size_mm
 
 
 def _field(problem: Problem) -> SizeField:

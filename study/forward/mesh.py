@@ -72,9 +72,9 @@ def mesh_size(problem: Problem) -> float:
 
         return surface_mesh_size(problem)
     if problem.test.kind == "indentation":
-        from study.forward.graded import finest_mm
+        from study.forward.graded import graded_size
 
-        return finest_mm(problem)
+        return graded_size(problem)
     if model.mesh_size_mm is not None:
         return model.mesh_size_mm
     reference = volume_mm3(problem.specimen) ** (1 / 3) / CELLS_PER_LENGTH

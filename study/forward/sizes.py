@@ -15,8 +15,11 @@ from study.forward.problem import Cone, Flat, Indenter, Model, Sphere, mesh_leve
 
 Array = NDArray[np.float64]
 
-#: elements across the contact radius, and across half the radius of a rounded tip or edge
+#: elements across the contact radius, and across the radius of a rounded tip or edge
 _PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
+#: how much finer the tip itself is, and within which part of its radius: the surface under it is
+#: stretched three times and more, and facets as wide as the tip lose their hold on it
+_TIP_FINER, _TIP_CORE = 5.0, 0.3
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
 _EVEN, _EVEN_GROWTH = 4.0, 0.12
 #: up to this depth over the radius the last of them is halved, and with it the error; deeper,
@@ -34,6 +37,8 @@ class SizeField:
     ----------
     top_mm : float
         Height of the loaded surface.
+    size_mm : float
+        What ``mesh_size`` names: the size at the contact or at an edge. A rounded tip is finer.
     finest_mm, largest_mm : float
         Sizes at the sharpest feature and far away.
     feature_mm : float
@@ -53,6 +58,7 @@ class SizeField:
     """
 
     top_mm: float
+    size_mm: float
     finest_mm: float
     largest_mm: float
     feature_mm: float
@@ -84,6 +90,7 @@ class SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
         return replace(
             self,
+            size_mm=self.size_mm * factor,
             finest_mm=self.finest_mm * factor,
             largest_mm=self.largest_mm * factor,
             zone_mm=self.zone_mm * factor,
@@ -126,16 +133,18 @@ def reference_field(
     """
     a = contact_radius(indenter, depth_mm)
     zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
-    finest, reach = zone, 1.3 * a
+    size = finest = zone
+    reach = 1.3 * a
     if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
-        finest = min(zone, indenter.tip_radius_mm / _PER_TIP)
-        feature = 1.5 * indenter.tip_radius_mm
+        size = min(zone, indenter.tip_radius_mm / _PER_TIP)
+        finest, feature = size / _TIP_FINER, _TIP_CORE * indenter.tip_radius_mm
     elif isinstance(indenter, Flat):
         edge = indenter.edge_radius_mm
         finest = edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE
-        finest, ring, feature, reach = min(finest, zone), a - edge, 1.5 * edge, a
+        size = finest = min(finest, zone)
+        ring, feature, reach = a - edge, 1.5 * edge, a
     largest = _LARGEST * extent_mm
-    return SizeField(top_mm, finest, largest, feature, ring, zone, reach, _GROWTH)
+    return SizeField(top_mm, size, finest, largest, feature, ring, zone, reach, _GROWTH)
 
 
 def size_field(
@@ -149,5 +158,5 @@ def size_field(
         halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
         reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
     if model.mesh_size_mm is not None:
-        return reference.scaled(model.mesh_size_mm / reference.finest_mm)
+        return reference.scaled(model.mesh_size_mm / reference.size_mm)
     return reference.scaled(mesh_level(model))

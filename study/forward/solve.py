@@ -231,7 +231,8 @@ class _Run:
             multipliers = [
                 m + change * r for m, r in zip(multipliers, rate.multipliers, strict=True)
             ]
-        pressed = tuple(np.maximum(m, 0.0) for m in multipliers)
+        touching = zip(self.system.contact, multipliers, strict=True)
+        pressed = tuple(points.admissible(m) for points, m in touching)
         guess = self._sound(State(target, x, pressed), step.state.x, 0.5)
         if guess is None:
             return None

@@ -56,7 +56,7 @@ def surface_mesh_size(problem: Problem) -> float:
     """Element size in mm: everywhere in compression, under the indenter in indentation."""
     found = _body_of(problem)
     if problem.test.kind == "indentation":
-        return _field(problem, found).finest_mm
+        return _field(problem, found).size_mm
     if problem.model.mesh_size_mm is not None:
         return problem.model.mesh_size_mm
     return float(found.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH * mesh_level(problem.model))
