@@ -20,6 +20,8 @@ from study.forward.sizes import contact_radius, sharp_edge
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+#: allowance of a corner over the size of its facets
+CORNER_ALLOWANCE = 0.2
 #: coordinates closer than this fraction of the height are the same
 _SAME = 1e-9
 
@@ -179,7 +181,7 @@ def meeting(
 ) -> ContactPoints:
     """Points of some facets that a surface may meet."""
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
-    return replace(points, middles=_middles(space, points, space.facets[chosen]))
+    return _with_corners(problem, space, points, space.facets[chosen])
 
 
 def _under_sharp_edge(
@@ -206,8 +208,10 @@ def _under_sharp_edge(
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     """Keep some of the points."""
+    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
         points,
+        allowance_mm=allowance,
         nodes=points.nodes[kept],
         shape=points.shape[kept],
         weights=points.weights[kept],
@@ -215,10 +219,28 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
     )
 
 
-def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix | None:
-    """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
+def _with_corners(
+    problem: Problem, space: Discretization, points: ContactPoints, facets: Ints
+) -> ContactPoints:
+    """Say how the corners of six-node triangles take part.
+
+    A uniform pressure loads only their mid-sides, so that the sign of a corner's force says
+    nothing. Under a cone or a sphere they go with their mid-sides: left alone they open, and
+    let the surface buckle. Under a flat indenter they may sink in a little: held to a gap of
+    zero they stop a specimen that turns about the edge.
+    """
     if facets.shape[1] != 6:
-        return None
+        return points
+    if not isinstance(problem.test.indenter, Flat):
+        return replace(points, middles=_middles(space, points, facets))
+    corners = np.isin(points.nodes[:, 0], facets[:, :3])
+    # a corner of six facets of area A has the weight A / 2
+    allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
+    return replace(points, allowance_mm=allowance)
+
+
+def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix:
+    """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
     number = np.full(len(space.nodes), -1)
     number[points.nodes[:, 0]] = np.arange(points.size)
     ends = np.array([[0, 1], [1, 2], [2, 0]])

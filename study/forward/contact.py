@@ -87,6 +87,8 @@ class ContactPoints:
         Stiffness of the regularization and switching constant, N/mm^3.
     small_strain : bool
         Whether gap and normal belong to the reference state (linear elasticity).
+    allowance_mm : ndarray, shape (n_points,), optional
+        Gap below zero at which a point closes.
     middles : sparse matrix of bool, shape (n_points, n_points), optional
         Row of a corner of six-node triangles: the mid-side points next to it.
     """
@@ -98,6 +100,7 @@ class ContactPoints:
     eps: float
     c: float
     small_strain: bool = False
+    allowance_mm: Array | float = 0.0
     middles: sp.csr_matrix | None = None
 
     @property
@@ -127,6 +130,7 @@ class ContactPoints:
             hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
         else:
             gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
+        gap = gap + self.allowance_mm
         urge = multiplier - self.c * gap
         wanted, led = self._decided(urge > 0)
         active = wanted if closed is None else closed

@@ -17,9 +17,11 @@ Array = NDArray[np.float64]
 
 #: elements across the contact radius, and across the radius of a rounded tip or edge
 _PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
-#: how much finer the tip itself is, and within which part of its radius: the surface under it is
-#: stretched three times and more, and facets as wide as the tip lose their hold on it
-_TIP_FINER, _TIP_CORE = 5.0, 0.3
+#: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
+#: still, within a smaller part: the surface is stretched three times and more there, and facets as
+#: wide as the tip let it snap (linear and tensor elements collapse the sooner the smaller they are)
+_TIP_ZONE, _TIP_FINER, _TIP_CORE = 1.5, 5.0, 0.3
+_STRETCHED = ("quadratic", "simplex")
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
 _EVEN, _EVEN_GROWTH = 4.0, 0.12
 #: up to this depth over the radius the last of them is halved, and with it the error; deeper,
@@ -137,7 +139,7 @@ def reference_field(
     reach = 1.3 * a
     if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
         size = min(zone, indenter.tip_radius_mm / _PER_TIP)
-        finest, feature = size / _TIP_FINER, _TIP_CORE * indenter.tip_radius_mm
+        finest, feature = size, _TIP_ZONE * indenter.tip_radius_mm
     elif isinstance(indenter, Flat):
         edge = indenter.edge_radius_mm
         finest = edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE
@@ -153,10 +155,26 @@ def size_field(
     """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level."""
     reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
     if sharp_edge(indenter) and model.space == "axisymmetric":
-        # the error of the edge, of first order, is to rule that of the smooth rest, of second
-        # or fourth; in 3D so slow a growth would cost too much
-        halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
-        reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
+        reference = _about_sharp_edge(reference, indenter, depth_mm)
+    if isinstance(indenter, Cone) and (model.element_order, model.element_shape) == _STRETCHED:
+        reference = _under_tip(reference, indenter)
     if model.mesh_size_mm is not None:
         return reference.scaled(model.mesh_size_mm / reference.size_mm)
     return reference.scaled(mesh_level(model))
+
+
+def _about_sharp_edge(field: SizeField, indenter: Indenter, depth_mm: float) -> SizeField:
+    """Let the error of the edge, of first order, rule that of the smooth rest.
+
+    In 3D so slow a growth would cost too much.
+    """
+    halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
+    return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
+
+
+def _under_tip(field: SizeField, cone: Cone) -> SizeField:
+    """Smaller elements under a rounded tip, where a deep needle stretches them most."""
+    finest = cone.tip_radius_mm / (_PER_TIP * _TIP_FINER)
+    if not 0 < finest < field.finest_mm:
+        return field
+    return replace(field, finest_mm=finest, feature_mm=_TIP_CORE * cone.tip_radius_mm)
