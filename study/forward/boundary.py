@@ -256,7 +256,7 @@ def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.c
 def _points_of(
     problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
 ) -> ContactPoints:
-    scale = problem.material.mu0 / mesh.size_mm
+    scale = problem.material.mu0 / mesh.contact_size_mm
     small = problem.material.family == "linear-elastic"
     return ContactPoints(
         surface, nodes, shape, weights, STIFFNESS * scale, SWITCHING * scale, small

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.errors import MeshError
+from study.forward.mesh import Mesh
 from study.forward.problem import Block, Cone, Cylinder, Flat, Problem
 from study.forward.sizes import SizeField, size_field
 from study.forward.structured import (
@@ -40,8 +41,8 @@ _UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
 _POOREST = 0.02
 
 
-def indentation_mesh(problem: Problem) -> tuple[Array, Cells, float]:
-    """Points, cells and element size of an indented cylinder or block.
+def indentation_mesh(problem: Problem) -> Mesh:
+    """Mesh of an indented cylinder or block.
 
     Raises
     ------
@@ -59,7 +60,7 @@ def indentation_mesh(problem: Problem) -> tuple[Array, Cells, float]:
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
     else:
         points, cells = _tetrahedra(_outline(specimen, field), height, field, ring)
-    return points, cells, field.size_mm
+    return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
 def graded_size(problem: Problem) -> float:

@@ -45,12 +45,20 @@ class Mesh:
         Whether only the half above the middle plane is meshed.
     size_mm : float
         Element size inside, or under the indenter.
+    finest_mm : float, optional
+        Size at the sharpest feature of an indenter, where that is finer.
     """
 
     points: Array
     cells: Cells
     half_height: bool
     size_mm: float
+    finest_mm: float | None = None
+
+    @property
+    def contact_size_mm(self) -> float:
+        """Size of the smallest elements in contact."""
+        return self.finest_mm or self.size_mm
 
     @property
     def height_mm(self) -> float:
@@ -114,13 +122,11 @@ def _regular_mesh(problem: Problem) -> Mesh:
     if isinstance(problem.specimen, Surface):
         from study.forward.surface_mesh import surface_mesh
 
-        points, cells, size = surface_mesh(problem)
-        return Mesh(points, cells, False, size)
+        return surface_mesh(problem)
     if problem.test.kind == "indentation":
         from study.forward.graded import indentation_mesh
 
-        points, cells, size = indentation_mesh(problem)
-        return Mesh(points, cells, False, size)
+        return indentation_mesh(problem)
     return compressed_mesh(problem)
 
 

@@ -75,4 +75,4 @@ class Descent:
         furthest = float(np.abs(increment[: system.space.n_displacement]).max())
         if len(residuals) <= _PLAIN or furthest == 0:
             return 1.0
-        return min(1.0, _REACH * system.mesh.size_mm / furthest)
+        return min(1.0, _REACH * system.mesh.contact_size_mm / furthest)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from study.errors import MeshError
 from study.forward.graded import generated, gmsh_session, snapped, turned
+from study.forward.mesh import Mesh
 from study.forward.problem import Problem, Surface, mesh_level
 from study.forward.sizes import SizeField, size_field
 from study.forward.surface import Body, body
@@ -34,8 +35,8 @@ _PER_CUBE, _UNKNOWNS = 6.0, {"quadratic": 5.0, "linear": 4.0}
 Size = Callable[[float, float, float], float]
 
 
-def surface_mesh(problem: Problem) -> tuple[Array, Cells, float]:
-    """Points, tetrahedra and size of a specimen given as a surface.
+def surface_mesh(problem: Problem) -> Mesh:
+    """Tetrahedra in a specimen given as a surface.
 
     Raises
     ------
@@ -49,7 +50,9 @@ def surface_mesh(problem: Problem) -> tuple[Array, Cells, float]:
     points = snapped(points, [(2, 0.0), (2, found.height_mm)])
     points = _standing(points, found.height_mm)
     _check_volume(points, cells, found.volume_mm3, size)
-    return _same_volume(points, cells, found.volume_mm3), turned(points, cells), size
+    points, cells = _same_volume(points, cells, found.volume_mm3), turned(points, cells)
+    indented = problem.test.kind == "indentation"
+    return Mesh(points, cells, False, size, _field(problem, found).finest_mm if indented else None)
 
 
 def surface_mesh_size(problem: Problem) -> float:
