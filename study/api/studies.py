@@ -192,14 +192,19 @@ def _refine(
 
     from study.runner import refine
     from study.runner.batch import run_batch
+    from study.runner.refine_columns import columns, numerical_of_columns
 
-    finer = refine.refinement_work(work)
-    if finer.jobs:
-        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
-    hashes = {**work.input_hashes, **finer.input_hashes}
-    records = {record.case_id: record for record in store.records(hashes)}
     names = [response.name for response in work.design.responses]
-    rows = refine.numerical(work, finer, records, names)
+    hashes, series = dict(work.input_hashes), columns(work)
+    finer = None if series else refine.refinement_work(work)
+    if finer is not None and finer.jobs:
+        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+        hashes |= finer.input_hashes
+    records = {record.case_id: record for record in store.records(hashes)}
+    if finer is None:
+        rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
+    else:
+        rows = refine.numerical(work, finer, records, names)
     with store.lock():
         store.write_json("numerical", [asdict(row) for row in rows])
 
