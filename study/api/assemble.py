@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from study.api.depths import effects_by_depth
@@ -13,6 +14,7 @@ from study.reporting.data import (
     ANY,
     Check,
     CurvePair,
+    Expectation,
     Failure,
     FittedConstant,
     NumericalRow,
@@ -29,7 +31,8 @@ CONTROL_TOLERANCE = 1e-5
 #: sentences about aliases that a report holds
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
-           "measurements", "calibration", "converge", "uncertainty", "replicates")  # fmt: skip
+           "measurements", "calibration", "converge", "uncertainty", "replicates",
+           "expected")  # fmt: skip
 
 
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
@@ -69,6 +72,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         design_text=manifest["text"] or manifest["design"],
         scheme=design.scheme.summary,
         cells=None if design.scheme.rows is None else len(treatments(design)),
+        expected=tuple(Expectation(**asdict(one)) for one in design.expected),
         beside=study.beside,
     )
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from study.design import document, keys, physics, settings
 from study.design.check import check_cells
+from study.design.expected import read_expected
 from study.design.factors import Presets, read_exclusions, read_factors, read_presets
 from study.design.fitting import read_fitting
 from study.design.measured import read_measurements_table
@@ -32,7 +33,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "design": (
         *_COMMON,
         *("presets", "factors", "design", "exclude", "measurements", "calibration", "response"),
-        *("analysis", "uncertainty", "replicates"),
+        *("analysis", "uncertainty", "replicates", "expected"),
     ),
     "calibration": ("schema", "study", "specimen", "material", "model", "tests", "calibration"),
 }
@@ -277,17 +278,19 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
     analysis = settings.read_analysis(tables.get("analysis"), faults, declared)
     if "model" not in (tables.get("analysis") or {}):
         analysis = default_model(scheme, factors, analysis)
+    responses = _responses(tables, faults)
     design = Design(
         **study,
         config=tables,
         factors=factors,
         exclusions=read_exclusions(tables.get("exclude"), factors, declared, faults),
-        responses=_responses(tables, faults),
+        responses=responses,
         measurements=_base_measurements(tables),
         calibration=_base_calibration(tables),
         analysis=analysis,
         scheme=scheme,
         replicates=settings.read_replicates(tables.get("replicates"), faults),
+        expected=read_expected(tables.get("expected"), factors, responses, faults),
         converge=settings.read_converge(tables.get("converge"), faults),
         uncertainty=settings.read_uncertainty(tables.get("uncertainty"), faults),
         report=settings.read_report(tables.get("report"), faults),

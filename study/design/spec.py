@@ -278,6 +278,30 @@ class ReportSpec:
 
 
 @dataclass(frozen=True)
+class Expected:
+    """What was expected of a response before the study ran.
+
+    Parameters
+    ----------
+    kind : {"matters", "larger", "interact", "best", "close"}
+        A factor matters, has a larger effect than another one, two interact, a cell (mean over
+        all other factors) is the best, two cells differ by less than what matters.
+    factors : tuple of str
+        One or two factors.
+    cells : tuple of mapping
+        One or two cells: labels by factor.
+    response, source : str
+        What it is said of, and who said it.
+    """
+
+    kind: str
+    factors: tuple[str, ...]
+    cells: tuple[Mapping[str, str], ...]
+    response: str
+    source: str = ""
+
+
+@dataclass(frozen=True)
 class Design:
     """A validated study.
 
@@ -300,6 +324,8 @@ class Design:
         Standard uncertainty of inputs, in internal units, by dotted key.
     scheme : Scheme
         Which combinations of the levels are run.
+    expected : tuple of Expected
+        What the study's owner expected before it ran.
     replicates : Replicates
         What is computed several times, for an error term.
     source : str
@@ -324,6 +350,7 @@ class Design:
     report: ReportSpec
     scheme: Scheme = field(default_factory=Scheme)
     replicates: Replicates = field(default_factory=Replicates)
+    expected: tuple[Expected, ...] = ()
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 

@@ -206,6 +206,17 @@ class NumericalRow:
 
 
 @dataclass(frozen=True)
+class Expectation:
+    """What was expected of a response before the study ran; see ``[[expected]]`` of a design."""
+
+    kind: str
+    factors: tuple[str, ...]
+    cells: tuple[Mapping[str, str], ...]
+    response: str
+    source: str = ""
+
+
+@dataclass(frozen=True)
 class ReportData:
     """Everything a report shows.
 
@@ -271,6 +282,8 @@ class ReportData:
         Cells of that part.
     labels : mapping of str to str
         Better names for factors or responses; made from the key when absent.
+    expected : tuple of Expectation
+        What was expected before the study ran.
     beside : Beside, optional
         What another study says of the same conclusions.
     """
@@ -307,6 +320,7 @@ class ReportData:
     scheme: str = ""
     cells: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    expected: tuple[Expectation, ...] = ()
     beside: Beside | None = None
 
     @property

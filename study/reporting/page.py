@@ -11,6 +11,7 @@ from study.reporting import (
     assumptions,
     beside,
     checks,
+    expected,
     figures,
     figures_validation,
     front,
@@ -76,6 +77,8 @@ def prepare(data: ReportData) -> Contents:
         known["every_fit"] = tables_fits.every_fit(data)
     if data.numerical:
         known["numerical"] = tables.numerical(data.numerical, data)
+    if data.expected:
+        known["expected"] = expected.table(data, found)
     if data.validation:
         known["validation"] = figures_validation.table(data.validation, data.block)
     if data.beside is not None:

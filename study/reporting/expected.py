@@ -1,0 +1,149 @@
+"""What was expected before the study ran, beside what it found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from study.reporting.data import Expectation, ReportData
+from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, comparable
+from study.reporting.front import practical_of
+from study.reporting.tables import Table
+from study.reporting.text import (
+    MISSING,
+    THIN,
+    clean,
+    decimals_that_count,
+    listing,
+    name_of,
+    quantity,
+    rounded,
+    sentence,
+    term_name,
+)
+from study.reporting.verdicts import size, size_interval
+
+HOLDS, FAILS = "holds", "does not hold"
+_OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
+_UNKNOWN = "the study has no answer"
+
+
+def table(data: ReportData, found: Sequence[Facts]) -> Table:
+    """One row an expectation: what, by whom, what was found, and whether it came true."""
+    by_name = {facts.name: facts for facts in found}
+    rows = []
+    for item in data.expected:
+        facts = by_name.get(item.response)
+        saw, verdict = _judged(item, facts, data) if facts else (_UNKNOWN, CANNOT_TELL)
+        source = clean(item.source) or MISSING
+        rows.append((_said(item, data), source, sentence(saw), verdict))
+    columns = ("expected", "by", "found", "verdict")
+    raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
+    return Table("expected", columns, tuple(rows), 3, 1, raw=raw)
+
+
+def _said(item: Expectation, data: ReportData) -> str:
+    names = [name_of(name, data.labels) for name in item.factors]
+    cells = [_cell(cell) for cell in item.cells]
+    return {
+        "matters": lambda: f"{names[0]} matters",
+        "larger": lambda: f"{names[0]} has a larger effect than {names[1]}",
+        "interact": lambda: f"{names[0]} and {names[1]} interact",
+        "best": lambda: f"{cells[0]} is the best",
+        "close": lambda: f"{cells[1]} is close to {cells[0]}",
+    }[item.kind]()
+
+
+def _cell(cell: Mapping[str, str]) -> str:
+    return " x ".join(clean(level) for level in cell.values())
+
+
+def _judged(item: Expectation, facts: Facts, data: ReportData) -> tuple[str, str]:
+    if item.kind in ("best", "close"):
+        return _cells(item, facts, data)
+    if item.kind == "larger":
+        return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
+    effect = _effect_of(facts, *item.factors)
+    if effect is None or effect.difference is None:
+        return _UNKNOWN, CANNOT_TELL
+    return _sized(effect, facts), _OF_VERDICT.get(effect.verdict, CANNOT_TELL)
+
+
+def _effect_of(facts: Facts, *factors: str) -> Effect | None:
+    wanted = set(factors)
+    return next((e for e in facts.terms if set(e.term.split(":")) == wanted), None)
+
+
+def _sized(effect: Effect, facts: Facts) -> str:
+    return f"{size(effect, facts)} (95 % interval {size_interval(effect, facts)})"
+
+
+def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
+    """One effect is larger than another where their intervals do not overlap."""
+    known = [e for e in effects if e is not None and e.difference is not None]
+    if len(known) < 2:
+        return _UNKNOWN, CANNOT_TELL
+    parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in known]
+    (low, high), (other_low, other_high) = (_magnitudes(e) for e in known)
+    verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
+    return ", ".join(parts), verdict
+
+
+def _magnitudes(effect: Effect) -> tuple[float, float]:
+    """Smallest and largest size of an effect within its interval."""
+    ends = [effect.difference if v is None else v for v in (effect.low, effect.high)]
+    if effect.ratio:
+        ends = [math.log(v) if v and v > 0 else 0.0 for v in ends]
+    low, high = sorted(float(v or 0.0) for v in ends)
+    inside = low <= 0 <= high
+    return (0.0 if inside else min(abs(low), abs(high))), max(abs(low), abs(high))
+
+
+def _cells(item: Expectation, facts: Facts, data: ReportData) -> tuple[str, str]:
+    """Compare means of cells with what matters."""
+    means = _means(list(item.cells[0]), facts, data)
+    keys = [tuple(cell.values()) for cell in item.cells]
+    if any(key not in means for key in keys):
+        return _UNKNOWN, CANNOT_TELL
+    limit = _limit(facts, data)
+    own = _worse(means[keys[0]], facts)
+    if item.kind == "close":
+        apart = abs(means[keys[1]] - means[keys[0]])
+        verdict = CANNOT_TELL if not limit else HOLDS if apart <= limit else FAILS
+        return f"{_difference(apart, limit, facts)} apart, {_from(limit, facts)}", verdict
+    ranked = sorted(means, key=lambda key: _worse(means[key], facts))
+    told = [f"{' x '.join(key)} {quantity(means[key], facts.unit)}" for key in ranked[:3]]
+    if keys[0] not in ranked[:3]:
+        told.append(f"{_cell(item.cells[0])} {quantity(means[keys[0]], facts.unit)}")
+    behind = own - _worse(means[ranked[0]], facts)
+    verdict = HOLDS if behind == 0 else CANNOT_TELL if behind <= limit else FAILS
+    return f"{listing(told)}, {_from(limit, facts)}", verdict
+
+
+def _from(limit: float, facts: Facts) -> str:
+    if not limit:
+        return "and nobody said what matters"
+    return f"where {_difference(limit, limit, facts)} matter"
+
+
+def _worse(mean: float, facts: Facts) -> float:
+    return -mean if facts.response.better == "higher" else mean
+
+
+def _means(factors: Sequence[str], facts: Facts, data: ReportData) -> dict[tuple[str, ...], float]:
+    """Mean response by the levels of some factors."""
+    known = comparable(data, facts.name)
+    values = known[facts.name].astype(float)
+    grouped = values.groupby([known[name].astype(str) for name in factors]).mean()
+    return {key if isinstance(key, tuple) else (key,): float(v) for key, v in grouped.items()}
+
+
+def _limit(facts: Facts, data: ReportData) -> float:
+    from study.reporting.facts import cells
+
+    return practical_of(facts, cells(data, facts.name))
+
+
+def _difference(value: float, limit: float, facts: Facts) -> str:
+    number = rounded(value, decimals_that_count(limit or None))
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number

@@ -1,0 +1,74 @@
+"""What was expected stands beside what was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from study.reporting import expected
+from study.reporting.data import Expectation, ReportData
+from study.reporting.facts import facts
+from study.reporting.page import build
+
+SCORE, MODULUS = "relative_rms_force_error", "mu0"
+BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
+
+
+def judged(data: ReportData, *items: Expectation) -> list[tuple[str, ...]]:
+    whole = replace(data, expected=items)
+    return list(expected.table(whole, facts(whole)).rows)
+
+
+def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) -> None:
+    pair = ("plates", "model.space")
+    there, back = judged(
+        data,
+        Expectation("larger", pair, (), MODULUS, "me"),
+        Expectation("larger", pair[::-1], (), MODULUS),
+    )
+    assert there[:2] == ("plates has a larger effect than space", "me")
+    assert there[3] == "holds"
+    assert back[3] == "does not hold"
+    (same,) = judged(data, Expectation("larger", ("plates", "plates"), (), MODULUS))
+    assert same[3] == "cannot tell"
+
+
+def test_a_factor_matters_as_its_verdict_says(data: ReportData) -> None:
+    for facts_of in facts(data):
+        for effect in facts_of.effects:
+            (row,) = judged(data, Expectation("matters", (effect.term,), (), facts_of.name))
+            words = {"matters": "holds", "no practical difference": "does not hold"}
+            assert row[3] == words.get(effect.verdict, "cannot tell")
+
+
+def test_cells_are_compared_by_their_means_with_what_matters(data: ReportData) -> None:
+    known = data.table.dropna(subset=[SCORE])
+    means = known.groupby(list(BEST))[SCORE].mean()
+    top = dict(zip(BEST, means.idxmin(), strict=True))
+    last = dict(zip(BEST, means.idxmax(), strict=True))
+    assert means.max() - means.min() > 0.5
+    rows = judged(
+        data,
+        Expectation("best", (), (top,), SCORE),
+        Expectation("best", (), (last,), SCORE),
+        Expectation("close", (), (top, last), SCORE),
+        Expectation("close", (), (top, top), SCORE),
+    )
+    assert [row[3] for row in rows] == ["holds", "does not hold", "does not hold", "holds"]
+    assert f"{means.min():.3g}" in rows[0][2]
+    assert "0.5" in rows[2][2]
+
+
+def test_what_the_study_cannot_answer_is_said(data: ReportData) -> None:
+    gone = {"material": "ogden-1", "plates": "bonded"}
+    (row,) = judged(data, Expectation("best", (), (gone,), SCORE))
+    assert row[2:] == ("The study has no answer.", "cannot tell")
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool) -> None:
+    item = Expectation("matters", ("plates",), (), MODULUS, "<b>me</b>")
+    page = build(replace(data, expected=(item,) if stated else ()))
+    assert ('id="expected"' in page) is stated
+    assert "<b>me</b>" not in page
