@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from study.api.credibility import checks_of_spaces
 from study.api.depths import effects_by_depth
 from study.curve import Curve
 from study.design import calibration_factors, equivalent_groups, excluded, treatments
@@ -60,7 +61,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         convergence=_convergence(study),
         depths=effects_by_depth(study),
         validation=tuple(study.validation),
-        controls=tuple(_controls(design, study.plain)),
+        controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=bool(manifest["virtual"]),
         seed=design.seed,
         alpha=design.analysis.alpha,

@@ -47,6 +47,8 @@ class StudyResult:
         The report, once written.
     validation : tuple of mapping
         E and u_val of every case along its curve, where inputs are uncertain.
+    spaces : tuple of mapping
+        How far 3D and axisymmetric space differ on a cylinder.
     beside : Beside, optional
         Which of its conclusions hold in another study too.
     """
@@ -62,6 +64,7 @@ class StudyResult:
     report: Path | None = None
     predicted_seconds: float = 0.0
     validation: tuple[Mapping[str, Any], ...] = ()
+    spaces: tuple[Mapping[str, Any], ...] = ()
     beside: Beside | None = None
 
     @property
@@ -167,7 +170,10 @@ def run(
     summary = run_batch(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
     clock.mark("calibration and simulation")
     if refine:
-        _refine(work.plain(), store, jobs, progress, timeout_s)
+        from study.api import credibility
+
+        credibility.refine(work.plain(), store, jobs, progress, timeout_s)
+        credibility.compare_spaces(work.plain(), store, jobs)
         clock.mark("mesh refinement")
         if loaded.uncertainty:
             from study.api.validation import validate
@@ -178,35 +184,6 @@ def run(
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
-
-
-def _refine(
-    work: Work,
-    store: Store,
-    jobs: int | None,
-    progress: Callable[[Progress], None] | None,
-    timeout_s: float | None,
-) -> None:
-    """Compute the refined cases and store what they say of every response."""
-    from dataclasses import asdict
-
-    from study.runner import refine
-    from study.runner.batch import run_batch
-    from study.runner.refine_columns import columns, numerical_of_columns
-
-    names = [response.name for response in work.design.responses]
-    hashes, series = dict(work.input_hashes), columns(work)
-    finer = None if series else refine.refinement_work(work)
-    if finer is not None and finer.jobs:
-        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
-        hashes |= finer.input_hashes
-    records = {record.case_id: record for record in store.records(hashes)}
-    if finer is None:
-        rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
-    else:
-        rows = refine.numerical(work, finer, records, names)
-    with store.lock():
-        store.write_json("numerical", [asdict(row) for row in rows])
 
 
 def _write_manifest(
@@ -269,6 +246,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     return StudyResult(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_json("validation") or ()),
+        spaces=tuple(store.read_json("spaces") or ()),
     )  # fmt: skip
 
 

@@ -1,0 +1,93 @@
+"""What a study's numbers owe to its discretization: meshes refined, spaces compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from study.record import Record, Store
+    from study.reporting.data import Check
+    from study.runner.batch import Progress
+    from study.runner.expand import Work
+
+#: 3D and axisymmetric space on one cylinder may differ by so much
+SPACES_TOLERANCE = 0.005
+
+
+def refine(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None,
+    timeout_s: float | None,
+) -> None:
+    """Compute the refined cases and store what they say of every response."""
+    from study.runner import refine
+    from study.runner.batch import run_batch
+    from study.runner.refine_columns import columns, numerical_of_columns
+
+    names = [response.name for response in work.design.responses]
+    hashes, series = dict(work.input_hashes), columns(work)
+    finer = None if series else refine.refinement_work(work)
+    if finer is not None and finer.jobs:
+        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+        hashes |= finer.input_hashes
+    records = _by_case(store, hashes)
+    if finer is None:
+        rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
+    else:
+        rows = refine.numerical(work, finer, records, names)
+    with store.lock():
+        store.write_json("numerical", [asdict(row) for row in rows])
+
+
+def compare_spaces(work: Work, store: Store, jobs: int | None) -> None:
+    """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
+    from study.runner import spaces
+    from study.runner.batch import default_jobs
+    from study.runner.refine_store import kept_by_workers
+
+    pairs = spaces.pairs(work, _by_case(store, work.input_hashes))
+    if not pairs:
+        return
+    solve = kept_by_workers(jobs or default_jobs(), store.path.parent, store.path.name)
+    # the solids take longest: all of them first
+    tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    results = solve(tasks)
+    solid, flat = results[: len(pairs)], results[len(pairs) :]
+    rows = [
+        spaces.compared(pair, both) for pair, both in zip(pairs, zip(flat, solid, strict=True),
+                                                          strict=True)
+    ]  # fmt: skip
+    with store.lock():
+        store.write_json("spaces", rows)
+
+
+def _by_case(store: Store, hashes: Mapping[str, str]) -> dict[str, Record]:
+    return {record.case_id: record for record in store.records(hashes)}
+
+
+def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
+    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
+    from study.reporting.data import Check
+    from study.reporting.text import listing, percent
+
+    for row in rows:
+        kind = listing(list(row["levels"].values())) or "the study's elements"
+        name = f"3D equals axisymmetric space on a cylinder ({kind})"
+        if row["at_end"] is None:
+            yield Check(name, "caution", f"it could not be looked at: {row['message']}")
+            continue
+        flat, solid = row["unknowns"]
+        worst = max(abs(row["at_end"]), abs(row["largest"]))
+        good = worst <= SPACES_TOLERANCE
+        told = (
+            f"the forces on the cylinder of the same cross-section differ by "
+            f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
+            f"{percent(abs(row['largest']), 2)} beyond half the depth "
+            f"({solid:,} against {flat:,} unknowns)"
+        )
+        mend = "" if good else "so much of the effect of the space is that of the discretization"
+        yield Check(name, "pass" if good else "caution", told, mend)

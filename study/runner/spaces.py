@@ -1,0 +1,133 @@
+"""The same cylinder in both spaces: what they differ by where the geometry does not.
+
+A block has no axis, so that axisymmetric space replaces it by the cylinder of its
+cross-section. How far 3D and axisymmetric space then differ on that cylinder is the share of
+the discretization in the effect of the space.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.curve import Curve
+from study.record import Record
+from study.runner import build
+from study.runner.expand import CaseJob, Work
+from study.runner.refine import base_size_mm
+from study.runner.refine_solve import solve_task
+
+Config = Mapping[str, Any]
+
+SPACES = ("axisymmetric", "3d")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One kind of element on its finest mesh: tasks of the two solutions, in the order of SPACES.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Levels of the factors of the discretization, space left out.
+    """
+
+    levels: Mapping[str, str]
+    tasks: tuple[dict[str, Any], dict[str, Any]]
+
+
+def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
+    """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
+    kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
+    for job in work.jobs:
+        config = job.case.config
+        of_first = job.case.block in (None, *work.blocks[:1])
+        if not of_first or build.is_homogeneous(config) or config["specimen"]["shape"] != "block":
+            continue
+        if _constants(records.get(job.case.case_id)):
+            kinds.setdefault(_levels(job), []).append(job)
+    found = [_pair(dict(levels), jobs, records) for levels, jobs in kinds.items()]
+    return [pair for pair in found if pair is not None]
+
+
+def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
+    """Levels that name a kind of element: of the model, but for its space and its mesh."""
+    apart = ("model.space", "model.mesh", "model.mesh_size")
+    levels = job.case.levels.items()
+    return tuple((k, v) for k, v in levels if k.startswith("model.") and k not in apart)
+
+
+def _pair(
+    levels: Mapping[str, str], jobs: Sequence[CaseJob], records: Mapping[str, Record]
+) -> Pair | None:
+    """Finest mesh of both spaces, with the material of fewest constants."""
+    tasks = []
+    for space in SPACES:
+        own = [job for job in jobs if job.case.config["model"]["space"] == space]
+        if not own:
+            return None
+        tasks.append(_task(min(own, key=_preference), records))
+    return Pair(levels, (tasks[0], tasks[1]))
+
+
+def _preference(job: CaseJob) -> tuple[int, str, float]:
+    material = job.case.config["material"]
+    names = build.calibrated_names(material)
+    return len(names), str(material["model"]), base_size_mm(job.case)
+
+
+def _task(job: CaseJob, records: Mapping[str, Record]) -> dict[str, Any]:
+    config, record = job.case.config, records[job.case.case_id]
+    depth = config["test"].get("displacement_mm")
+    if depth is None:
+        depth = max(float(d.measured.displacement_mm.max()) for d in job.directions)
+    changed = {
+        **config,
+        "specimen": _equivalent_cylinder(config["specimen"]),
+        "material": {**config["material"], "constants": _constants(record)},
+        "test": {**config["test"], "displacement_mm": depth},
+    }
+    return solve_task(changed, base_size_mm(job.case))
+
+
+def _constants(record: Record | None) -> dict[str, float]:
+    """Constants (MPa) of a case's first fit; empty without an answer."""
+    if record is None or not record.converged or not record.fit:
+        return {}
+    return dict(next(iter(record.fit.values()))["values"])
+
+
+def _equivalent_cylinder(block: Config) -> dict[str, Any]:
+    """Cylinder of the same cross-section and height."""
+    radius = math.sqrt(block["width_mm"] * block["depth_mm"] / math.pi)
+    return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
+
+
+def compared(pair: Pair, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How far the forces of the two spaces differ.
+
+    Returns
+    -------
+    dict
+        ``levels``, ``unknowns`` of both, ``depth_mm``, ``at_end`` (relative difference of the
+        force at the end, 3D over axisymmetric) and ``largest`` (over the second half of the
+        depth); the last two None where a solution failed, with ``message``.
+    """
+    row: dict[str, Any] = {
+        "levels": dict(pair.levels),
+        "unknowns": [int(result.get("dofs", 0)) for result in results],
+        "depth_mm": float(pair.tasks[0]["config"]["test"]["displacement_mm"]),
+        "at_end": None,
+        "largest": None,
+        "message": "",
+    }
+    failed = [str(r.get("message")) for r in results if r.get("status") != "converged"]
+    if failed:
+        return row | {"message": failed[0]}
+    flat, solid = (Curve.from_dict(result["curve"]) for result in results)
+    apart = solid.force_N / flat.force_N - 1
+    deep = flat.displacement_mm >= flat.displacement_mm.max() / 2
+    largest = apart[deep][abs(apart[deep]).argmax()]
+    return row | {"at_end": float(apart[-1]), "largest": float(largest)}
