@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.reporting.data import ReportData
-from study.reporting.facts import NO_DIFFERENCE, Effect, Facts, cells
+from study.reporting.facts import MATTERS, NO_DIFFERENCE, Effect, Facts, cells
 from study.reporting.text import (
     THIN,
     clean,
@@ -18,7 +18,7 @@ from study.reporting.text import (
     sentence,
     significant,
 )
-from study.reporting.verdicts import size
+from study.reporting.verdicts import size, size_interval
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,18 +104,27 @@ def cheaper(data: ReportData, facts: Facts) -> str:
 
 
 def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
-    if not effect.term.startswith("model.") or effect.verdict != NO_DIFFERENCE:
+    if not effect.term.startswith("model.") or effect.difference is None:
         return ""
     known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
     seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()
     if len(seconds) < 2:
         return ""
     cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
-    gap = size(effect, facts)
-    gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
     times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
+    cost = (
+        f"takes {duration(seconds.min())} a case instead of {duration(seconds.max())} "
+        f"({times} times as long)"
+    )
+    name, gap = name_of(effect.term, data.labels), size(effect, facts)
+    if effect.verdict == NO_DIFFERENCE:
+        gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
+        return sentence(
+            f"{name}: {clean(cheap)} is enough, for it differs from {clean(dear)} by {gap} "
+            f"in the {facts.title} and {cost}"
+        )
+    weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
     return sentence(
-        f"{name_of(effect.term, data.labels)}: {clean(cheap)} is enough, for it differs from "
-        f"{clean(dear)} by {gap} in the {facts.title} and takes {duration(seconds.min())} a case "
-        f"instead of {duration(seconds.max())} ({times} times as long)"
+        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves the {facts.title} by up to "
+        f"{gap} (95 % interval {size_interval(effect, facts)}), {weight}; it {cost}"
     )

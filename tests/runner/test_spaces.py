@@ -1,0 +1,118 @@
+"""A block's space effect beside that of a cylinder, which is the discretization's alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from study.api.credibility import checks_of_spaces
+from study.design import loads
+from study.record import Record
+from study.runner.expand import Work, expand
+from study.runner.refine_store import in_process
+from study.runner.spaces import compared, pairs
+from study.runner.virtual import usual_generator, write_virtual
+from tests.runner.test_anchors import finished
+
+DESIGN = """
+schema = 1
+[study]
+name = "slab"
+[specimen]
+shape = "block"
+width = "24 mm"
+depth = "24 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+steps = 2
+[material]
+poisson_ratio = 0.4995
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.mooney-rivlin]
+model = "mooney-rivlin"
+[measurements]
+files = "slab-{specimen}.csv"
+columns = { displacement = "displacement_mm", force = "force_N" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+range = ["1 %", "10 %"]
+[calibration]
+method = "analytic"
+[calibration.problem.test]
+kind = "compression"
+interface = "frictionless"
+[model]
+element_order = "linear"
+mesh = "coarse"
+[factors]
+material = ["neo-hookean", "mooney-rivlin"]
+model.space = ["axisymmetric", "3d"]
+[[response]]
+name = "relative_rms_force_error"
+"""
+
+
+def work_of(text: str, home: Path) -> Work:
+    design = loads(text, "slab.toml")
+    write_virtual(design, home, usual_generator(design, blocks=2))
+    return expand(design, home)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
+    return work_of(DESIGN, tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def records(work: Work, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
+    found = finished(work, tmp_path_factory.mktemp("results"))
+    return {record.case_id: record for record in found}
+
+
+def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
+    work: Work, records: dict[str, Record]
+) -> None:
+    (pair,) = pairs(work, records)
+    assert pair.levels == {}
+    for task, space in zip(pair.tasks, ("axisymmetric", "3d"), strict=True):
+        config = task["config"]
+        assert config["model"]["space"] == space
+        assert config["specimen"]["radius_mm"] == pytest.approx(24 / 3.141592653589793**0.5)
+        assert config["test"]["displacement_mm"] == pytest.approx(1.0, rel=0.05)
+        assert set(config["material"]["constants"]) == {"C10"}
+
+
+def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Record]) -> None:
+    (pair,) = pairs(work, records)
+    row = compared(pair, in_process(pair.tasks))
+    assert row["unknowns"][1] > row["unknowns"][0]
+    assert abs(row["at_end"]) <= abs(row["largest"]) < 0.05
+    (check,) = checks_of_spaces((row,))
+    assert "1 mm" in check.finding
+    assert check.outcome in ("pass", "caution")
+
+
+def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) -> None:
+    (pair,) = pairs(work, records)
+    bad = {"status": "not-converged", "message": "stopped at 0.4 mm", "dofs": 7}
+    row = compared(pair, [bad, bad])
+    (check,) = checks_of_spaces((row,))
+    assert check.outcome == "caution"
+    assert "stopped at 0.4 mm" in check.finding
+
+
+def test_the_outcome_follows_the_tolerance() -> None:
+    row = {"levels": {}, "unknowns": [10, 99], "depth_mm": 4.0, "message": ""}
+    near, far = checks_of_spaces(
+        (row | {"at_end": 0.004, "largest": 0.004}, row | {"at_end": 0.004, "largest": -0.006})
+    )
+    assert (near.outcome, far.outcome) == ("pass", "caution")
+
+
+def test_a_cylinder_needs_no_such_look(tmp_path: Path, records: dict[str, Record]) -> None:
+    text = DESIGN.replace('width = "24 mm"\ndepth = "24 mm"', 'radius = "12 mm"')
+    assert pairs(work_of(text.replace('"block"', '"cylinder"', 1), tmp_path), records) == []
