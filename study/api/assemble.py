@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from study.api.credibility import checks_of_spaces
@@ -15,7 +14,6 @@ from study.reporting.data import (
     ANY,
     Check,
     CurvePair,
-    Expectation,
     Failure,
     FittedConstant,
     NumericalRow,
@@ -73,7 +71,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         design_text=manifest["text"] or manifest["design"],
         scheme=design.scheme.summary,
         cells=None if design.scheme.rows is None else len(treatments(design)),
-        expected=tuple(Expectation(**asdict(one)) for one in design.expected),
+        expected=design.expected,
         beside=study.beside,
     )
 

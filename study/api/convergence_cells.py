@@ -223,7 +223,7 @@ def measured_cells(
         if part.jobs:
             run_batch(part, store, jobs=jobs, command=command, progress=_said(progress))
     hashes = {**work.input_hashes, **finer.input_hashes}
-    records = {record.case_id: record for record in store.records(hashes)}
+    records = store.by_case(hashes)
     names = [response.name for response in design.responses]
     rows = refine.numerical(work, finer, records, names, bases) if bases else []
     stored = {"of": digest(whole.input_hashes), "rows": [asdict(row) for row in rows]}

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from study.record import Record, Store
+    from study.record import Store
     from study.reporting.data import Check
     from study.runner.batch import Progress
     from study.runner.expand import Work
@@ -34,7 +34,7 @@ def refine(
     if finer is not None and finer.jobs:
         run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
         hashes |= finer.input_hashes
-    records = _by_case(store, hashes)
+    records = store.by_case(hashes)
     if finer is None:
         rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
     else:
@@ -49,7 +49,7 @@ def compare_spaces(work: Work, store: Store, jobs: int | None) -> None:
     from study.runner.batch import default_jobs
     from study.runner.refine_store import kept_by_workers
 
-    pairs = spaces.pairs(work, _by_case(store, work.input_hashes))
+    pairs = spaces.pairs(work, store.by_case(work.input_hashes))
     if not pairs:
         return
     solve = kept_by_workers(jobs or default_jobs(), store.path.parent, store.path.name)
@@ -57,16 +57,9 @@ def compare_spaces(work: Work, store: Store, jobs: int | None) -> None:
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
     results = solve(tasks)
     solid, flat = results[: len(pairs)], results[len(pairs) :]
-    rows = [
-        spaces.compared(pair, both) for pair, both in zip(pairs, zip(flat, solid, strict=True),
-                                                          strict=True)
-    ]  # fmt: skip
+    rows = [spaces.compared(pair, both) for *both, pair in zip(flat, solid, pairs, strict=True)]
     with store.lock():
         store.write_json("spaces", rows)
-
-
-def _by_case(store: Store, hashes: Mapping[str, str]) -> dict[str, Record]:
-    return {record.case_id: record for record in store.records(hashes)}
 
 
 def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:

@@ -50,7 +50,7 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
 
     finer = refine.refinement_work(work)
     hashes = {**work.input_hashes, **finer.input_hashes, **moved.input_hashes}
-    records = {record.case_id: record for record in store.records(hashes)}
+    records = store.by_case(hashes)
     bases = refine.chosen(work)
     mesh = mesh_shares(bases, finer, records, work.design.converge.ratio)
     inputs = input_shares(work, moved, records)

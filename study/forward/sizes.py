@@ -135,18 +135,16 @@ def reference_field(
     """
     a = contact_radius(indenter, depth_mm)
     zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
-    size = finest = zone
-    reach = 1.3 * a
+    size, reach = zone, 1.3 * a
     if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
         size = min(zone, indenter.tip_radius_mm / _PER_TIP)
-        finest, feature = size, _TIP_ZONE * indenter.tip_radius_mm
+        feature = _TIP_ZONE * indenter.tip_radius_mm
     elif isinstance(indenter, Flat):
         edge = indenter.edge_radius_mm
-        finest = edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE
-        size = finest = min(finest, zone)
+        size = min(edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE, zone)
         ring, feature, reach = a - edge, 1.5 * edge, a
     largest = _LARGEST * extent_mm
-    return SizeField(top_mm, size, finest, largest, feature, ring, zone, reach, _GROWTH)
+    return SizeField(top_mm, size, size, largest, feature, ring, zone, reach, _GROWTH)
 
 
 def size_field(

@@ -231,6 +231,10 @@ class Store:
         found = (self.read(case_id) for case_id in input_hashes)
         return [r for r in found if r is not None and r.input_hash == input_hashes[r.case_id]]
 
+    def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
+        """Read the records of this very input, by the name of their case."""
+        return {record.case_id: record for record in self.records(input_hashes)}
+
     def write_json(self, name: str, content: Any) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
         lost: dict[str, str] = {}

@@ -21,6 +21,7 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.design import Expected
     from study.reporting.data_beside import Beside
 
 #: level of a factor that a fit does not depend on
@@ -206,17 +207,6 @@ class NumericalRow:
 
 
 @dataclass(frozen=True)
-class Expectation:
-    """What was expected of a response before the study ran; see ``[[expected]]`` of a design."""
-
-    kind: str
-    factors: tuple[str, ...]
-    cells: tuple[Mapping[str, str], ...]
-    response: str
-    source: str = ""
-
-
-@dataclass(frozen=True)
 class ReportData:
     """Everything a report shows.
 
@@ -282,7 +272,7 @@ class ReportData:
         Cells of that part.
     labels : mapping of str to str
         Better names for factors or responses; made from the key when absent.
-    expected : tuple of Expectation
+    expected : tuple of Expected
         What was expected before the study ran.
     beside : Beside, optional
         What another study says of the same conclusions.
@@ -320,7 +310,7 @@ class ReportData:
     scheme: str = ""
     cells: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
-    expected: tuple[Expectation, ...] = ()
+    expected: tuple[Expected, ...] = ()
     beside: Beside | None = None
 
     @property

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from study.reporting.data import Expectation, ReportData
-from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, comparable
+from study.design import Expected
+from study.reporting.data import ReportData
+from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, cells
 from study.reporting.front import practical_of
 from study.reporting.tables import Table
 from study.reporting.text import (
@@ -42,7 +43,7 @@ def table(data: ReportData, found: Sequence[Facts]) -> Table:
     return Table("expected", columns, tuple(rows), 3, 1, raw=raw)
 
 
-def _said(item: Expectation, data: ReportData) -> str:
+def _said(item: Expected, data: ReportData) -> str:
     names = [name_of(name, data.labels) for name in item.factors]
     cells = [_cell(cell) for cell in item.cells]
     return {
@@ -58,7 +59,7 @@ def _cell(cell: Mapping[str, str]) -> str:
     return " x ".join(clean(level) for level in cell.values())
 
 
-def _judged(item: Expectation, facts: Facts, data: ReportData) -> tuple[str, str]:
+def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     if item.kind in ("best", "close"):
         return _cells(item, facts, data)
     if item.kind == "larger":
@@ -99,13 +100,15 @@ def _magnitudes(effect: Effect) -> tuple[float, float]:
     return (0.0 if inside else min(abs(low), abs(high))), max(abs(low), abs(high))
 
 
-def _cells(item: Expectation, facts: Facts, data: ReportData) -> tuple[str, str]:
+def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     """Compare means of cells with what matters."""
-    means = _means(list(item.cells[0]), facts, data)
+    frame = cells(data, facts.name, list(item.cells[0]))
+    levels = frame[list(item.cells[0])].itertuples(index=False, name=None)
+    means = dict(zip(levels, frame["mean"].tolist(), strict=True))
     keys = [tuple(cell.values()) for cell in item.cells]
     if any(key not in means for key in keys):
         return _UNKNOWN, CANNOT_TELL
-    limit = _limit(facts, data)
+    limit = practical_of(facts, cells(data, facts.name))
     own = _worse(means[keys[0]], facts)
     if item.kind == "close":
         apart = abs(means[keys[1]] - means[keys[0]])
@@ -128,20 +131,6 @@ def _from(limit: float, facts: Facts) -> str:
 
 def _worse(mean: float, facts: Facts) -> float:
     return -mean if facts.response.better == "higher" else mean
-
-
-def _means(factors: Sequence[str], facts: Facts, data: ReportData) -> dict[tuple[str, ...], float]:
-    """Mean response by the levels of some factors."""
-    known = comparable(data, facts.name)
-    values = known[facts.name].astype(float)
-    grouped = values.groupby([known[name].astype(str) for name in factors]).mean()
-    return {key if isinstance(key, tuple) else (key,): float(v) for key, v in grouped.items()}
-
-
-def _limit(facts: Facts, data: ReportData) -> float:
-    from study.reporting.facts import cells
-
-    return practical_of(facts, cells(data, facts.name))
 
 
 def _difference(value: float, limit: float, facts: Facts) -> str:

@@ -237,8 +237,8 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
     return known[known["block"].astype(str).isin(whole)]
 
 
-def cells(data: ReportData, response: str) -> pd.DataFrame:
-    """Mean response of every cell, best (lowest) first.
+def cells(data: ReportData, response: str, factors: Sequence[str] | None = None) -> pd.DataFrame:
+    """Mean response of every cell, or by the levels of some factors; best (lowest) first.
 
     Returns
     -------
@@ -249,7 +249,7 @@ def cells(data: ReportData, response: str) -> pd.DataFrame:
     """
     import numpy as np
 
-    factors = list(data.factors)
+    factors = list(data.factors if factors is None else factors)
     known = comparable(data, response)
     log = any(r.name == response and r.transform == "log" for r in data.responses)
     values = known[response].astype(float)

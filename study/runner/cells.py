@@ -39,7 +39,7 @@ def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
 
 
 def _group(job: CaseJob) -> str:
-    return digest([plain(job.case.config), _depth(job)], 32)
+    return digest([plain(job.case.config), job.depth_mm], 32)
 
 
 def _is_simulated(job: CaseJob) -> bool:
@@ -51,7 +51,3 @@ def _is_simulated(job: CaseJob) -> bool:
     closed = asked == "analytic" and build.is_homogeneous(config)
     solved = problem.method == "inverse-fem" and problem.shares_scored_problem
     return len(depths) == 1 and not closed and not solved
-
-
-def _depth(job: CaseJob) -> float:
-    return float(job.directions[0].measured.displacement_mm.max())

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from study.curve import Curve
 from study.errors import InputError
 from study.runner import build
 from study.runner.expand import CaseJob, FitJob
@@ -55,8 +54,7 @@ class Costs:
         asked = (config.get("calibration") or {}).get("method") or "auto"
         if shared or (asked == "analytic" and build.is_homogeneous(config)):
             return _OVERHEAD_S
-        depth = max(_depth(d.measured) for d in job.directions)
-        one, solves = self.solve_seconds(config, depth), float(len(job.directions))
+        one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
         if job.group:
             solves = _FROM_ANCHOR * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
@@ -96,7 +94,3 @@ def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float
         return float(found.seconds), float(found.memory_MB)
     except (InputError, ValueError, RuntimeError):
         return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
-
-
-def _depth(curve: Curve) -> float:
-    return float(curve.displacement_mm.max())

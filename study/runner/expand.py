@@ -57,6 +57,11 @@ class CaseJob:
     anchor: str | None = None
 
     @property
+    def depth_mm(self) -> float:
+        """Largest measured displacement of its directions."""
+        return max(float(d.measured.displacement_mm.max()) for d in self.directions)
+
+    @property
     def needs(self) -> tuple[str, ...]:
         """Keys of its fits."""
         keys = (self.anchor, *(d.fit_key for d in self.directions))

@@ -89,11 +89,8 @@ def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
 def chosen(work: Work) -> list[CaseJob]:
     """Choose one case for every kind of discretization, in the first block."""
     groups: dict[str, CaseJob] = {}
-    for job in work.jobs:
-        config = job.case.config
-        if job.case.block not in (None, *work.blocks[:1]) or build.is_homogeneous(config):
-            continue
-        key = discretization_key(config)
+    for job in meshed_cells(work):
+        key = discretization_key(job.case.config)
         best = groups.get(key)
         if best is None or _constants(job) < _constants(best):
             groups[key] = job
@@ -103,6 +100,11 @@ def chosen(work: Work) -> list[CaseJob]:
 def every_cell(work: Work) -> list[CaseJob]:
     """List the case of every cell in the first block."""
     return [job for job in work.jobs if job.case.block in (None, *work.blocks[:1])]
+
+
+def meshed_cells(work: Work) -> list[CaseJob]:
+    """List those whose answer depends on a mesh: their deformation is not homogeneous."""
+    return [job for job in every_cell(work) if not build.is_homogeneous(job.case.config)]
 
 
 def base_size_mm(case: Case) -> float:

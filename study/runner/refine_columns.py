@@ -12,10 +12,15 @@ from typing import Any
 from study.analysis.convergence import grid_convergence
 from study.design import plain
 from study.record import Record
-from study.runner import build
 from study.runner.expand import CaseJob, Work
 from study.runner.identity import digest
-from study.runner.refine import TWO_MESH_FACTOR, Numerical, base_size_mm, record_sizes
+from study.runner.refine import (
+    TWO_MESH_FACTOR,
+    Numerical,
+    base_size_mm,
+    meshed_cells,
+    record_sizes,
+)
 from study.runner.refine_formal import formal_of_case
 
 #: keys of a model that choose its mesh
@@ -30,9 +35,8 @@ def columns(work: Work) -> list[list[CaseJob]]:
     Empty unless every column of the study has its three meshes.
     """
     found: dict[str, list[CaseJob]] = {}
-    for job in work.jobs:
-        if job.case.block in (None, *work.blocks[:1]) and not build.is_homogeneous(job.case.config):
-            found.setdefault(_column(job.case.config), []).append(job)
+    for job in meshed_cells(work):
+        found.setdefault(_column(job.case.config), []).append(job)
     series = [sorted(jobs, key=lambda job: -base_size_mm(job.case)) for jobs in found.values()]
     return series if all(len(jobs) >= _NEEDED for jobs in series) else []
 

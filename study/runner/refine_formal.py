@@ -59,7 +59,7 @@ def formal_of_case(job: CaseJob) -> FormalOrder:
     """Formal order of a case whose constants are not known yet."""
     config = job.case.config
     section = {**config["material"], "model": "neo-hookean", "order": None}
-    depth = max((float(d.measured.displacement_mm.max()) for d in job.directions), default=1.0)
+    depth = job.depth_mm if job.directions else 1.0
     return formal_order(build.problem({**config, "material": section}, {"C10": 1.0}, depth))
 
 

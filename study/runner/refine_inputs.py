@@ -21,6 +21,7 @@ from study.record import Record
 from study.runner import build
 from study.runner.costs import Costs
 from study.runner.expand import CaseJob, FitJob, Work, case_job
+from study.runner.refine import every_cell
 
 PURPOSE = "input"
 #: places along a curve where it is compared, from its first measured point to its last
@@ -60,12 +61,11 @@ def representatives(work: Work) -> list[CaseJob]:
     """List the cheapest cell for every combination of the other factors, in the first block."""
     costs = Costs()
     best: dict[Any, tuple[float, CaseJob]] = {}
-    for job in work.jobs:
-        if job.case.block in (None, *work.blocks[:1]):
-            key = physics_of(job.case.levels)
-            price = costs.case_seconds(job)
-            if key not in best or price < best[key][0]:
-                best[key] = (price, job)
+    for job in every_cell(work):
+        key = physics_of(job.case.levels)
+        price = costs.case_seconds(job)
+        if key not in best or price < best[key][0]:
+            best[key] = (price, job)
     return [job for _, job in best.values()]
 
 

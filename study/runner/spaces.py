@@ -7,7 +7,6 @@ the discretization in the effect of the space.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,7 @@ from study.curve import Curve
 from study.record import Record
 from study.runner import build
 from study.runner.expand import CaseJob, Work
-from study.runner.refine import base_size_mm
+from study.runner.refine import base_size_mm, meshed_cells
 from study.runner.refine_solve import solve_task
 
 Config = Mapping[str, Any]
@@ -41,12 +40,9 @@ class Pair:
 def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
     """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
     kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
-    for job in work.jobs:
-        config = job.case.config
-        of_first = job.case.block in (None, *work.blocks[:1])
-        if not of_first or build.is_homogeneous(config) or config["specimen"]["shape"] != "block":
-            continue
-        if _constants(records.get(job.case.case_id)):
+    for job in meshed_cells(work):
+        block = job.case.config["specimen"]["shape"] == "block"
+        if block and _constants(records.get(job.case.case_id)):
             kinds.setdefault(_levels(job), []).append(job)
     found = [_pair(dict(levels), jobs, records) for levels, jobs in kinds.items()]
     return [pair for pair in found if pair is not None]
@@ -82,7 +78,7 @@ def _task(job: CaseJob, records: Mapping[str, Record]) -> dict[str, Any]:
     config, record = job.case.config, records[job.case.case_id]
     depth = config["test"].get("displacement_mm")
     if depth is None:
-        depth = max(float(d.measured.displacement_mm.max()) for d in job.directions)
+        depth = job.depth_mm
     changed = {
         **config,
         "specimen": _equivalent_cylinder(config["specimen"]),
@@ -101,7 +97,9 @@ def _constants(record: Record | None) -> dict[str, float]:
 
 def _equivalent_cylinder(block: Config) -> dict[str, Any]:
     """Cylinder of the same cross-section and height."""
-    radius = math.sqrt(block["width_mm"] * block["depth_mm"] / math.pi)
+    from study.forward.structured import equivalent_radius
+
+    radius = equivalent_radius(build.specimen(block))
     return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
 
 

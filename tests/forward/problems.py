@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.forward.mesh import Mesh
 from study.forward.problem import Cylinder, Model, Problem, Test
+from study.forward.solution import Solution
+from study.forward.solve import solve
 from study.forward.structured import extrude, rectangle
 from study.material import Material
+
+FloatArray = NDArray[np.float64]
 
 NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
@@ -31,6 +37,20 @@ def compression(
     """Compression between two like plates."""
     test = Test("compression", displacement_mm, interface, interface, steps=steps)  # type: ignore[arg-type]
     return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+
+
+def taylor_slopes(
+    problem: Problem, base: Solution, direction: FloatArray, lengths: Sequence[float]
+) -> FloatArray:
+    """Slopes in h of the largest |F(p + h dp) - F(p) - h g.dp|; exact gradients give 2."""
+    names = problem.material.names
+    rate = sum(base.curve.force_gradient[n] * d for n, d in zip(names, direction, strict=True))
+    errors = []
+    for h in lengths:
+        moved = problem.material.with_constants(problem.material.values + h * direction)
+        force = solve(replace(problem, material=moved), gradients=False, warm=base).curve.force_N
+        errors.append(np.abs(force - base.curve.force_N - h * rate).max())
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
 
 
 def grid(radius: float, height: float, nr: int, nz: int) -> Mesh:

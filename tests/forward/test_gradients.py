@@ -10,7 +10,7 @@ import pytest
 from study.forward.problem import Cylinder
 from study.forward.solve import solve
 from study.material import Material
-from tests.forward.problems import compression
+from tests.forward.problems import compression, taylor_slopes
 
 MATERIALS = [
     Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.4995),
@@ -29,15 +29,7 @@ def test_taylor(material: Material, space: str) -> None:
     )  # fmt: skip
     base = solve(problem)
     direction = np.array([0.3, -0.2, 0.1])[: len(material.names)] * material.values[0]
-    errors = []
-    for h in (0.2, 0.1, 0.05, 0.025):
-        moved = replace(problem, material=material.with_constants(material.values + h * direction))
-        force = solve(moved, gradients=False, warm=base).curve.force_N
-        slope = sum(
-            base.curve.force_gradient[n] * d for n, d in zip(material.names, direction, strict=True)
-        )
-        errors.append(np.abs(force - base.curve.force_N - h * slope).max())
-    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    slopes = taylor_slopes(problem, base, direction, (0.2, 0.1, 0.05, 0.025))
     assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
 
 

@@ -14,6 +14,7 @@ from study.forward.snap import solve_through
 from study.forward.solve import Options, solve
 from study.forward.system import System
 from study.material import Material
+from tests.forward.problems import taylor_slopes
 from tests.forward.test_indentation import NEEDLE, RUBBER, indentation
 
 #: with Poisson's ratio given, K follows the constants
@@ -87,15 +88,7 @@ def test_taylor_through_3d_contact(material: Material) -> None:
     )  # fmt: skip
     base = solve(problem)
     direction = np.array([0.3, -0.2]) * material.values
-    errors = []
-    for h in (0.08, 0.04, 0.02):
-        moved = replace(problem, material=material.with_constants(material.values + h * direction))
-        force = solve(moved, gradients=False, warm=base).curve.force_N
-        slope = sum(
-            base.curve.force_gradient[n] * d for n, d in zip(material.names, direction, strict=True)
-        )
-        errors.append(np.abs(force - base.curve.force_N - h * slope).max())
-    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    slopes = taylor_slopes(problem, base, direction, (0.08, 0.04, 0.02))
     assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
 
 

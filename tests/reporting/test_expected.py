@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from study.design import Expected
 from study.reporting import expected
-from study.reporting.data import Expectation, ReportData
+from study.reporting.data import ReportData
 from study.reporting.facts import facts
 from study.reporting.page import build
 
@@ -15,7 +16,7 @@ SCORE, MODULUS = "relative_rms_force_error", "mu0"
 BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
 
 
-def judged(data: ReportData, *items: Expectation) -> list[tuple[str, ...]]:
+def judged(data: ReportData, *items: Expected) -> list[tuple[str, ...]]:
     whole = replace(data, expected=items)
     return list(expected.table(whole, facts(whole)).rows)
 
@@ -24,20 +25,20 @@ def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) ->
     pair = ("plates", "model.space")
     there, back = judged(
         data,
-        Expectation("larger", pair, (), MODULUS, "me"),
-        Expectation("larger", pair[::-1], (), MODULUS),
+        Expected("larger", pair, (), MODULUS, "me"),
+        Expected("larger", pair[::-1], (), MODULUS),
     )
     assert there[:2] == ("plates has a larger effect than space", "me")
     assert there[3] == "holds"
     assert back[3] == "does not hold"
-    (same,) = judged(data, Expectation("larger", ("plates", "plates"), (), MODULUS))
+    (same,) = judged(data, Expected("larger", ("plates", "plates"), (), MODULUS))
     assert same[3] == "cannot tell"
 
 
 def test_a_factor_matters_as_its_verdict_says(data: ReportData) -> None:
     for facts_of in facts(data):
         for effect in facts_of.effects:
-            (row,) = judged(data, Expectation("matters", (effect.term,), (), facts_of.name))
+            (row,) = judged(data, Expected("matters", (effect.term,), (), facts_of.name))
             words = {"matters": "holds", "no practical difference": "does not hold"}
             assert row[3] == words.get(effect.verdict, "cannot tell")
 
@@ -50,10 +51,10 @@ def test_cells_are_compared_by_their_means_with_what_matters(data: ReportData) -
     assert means.max() - means.min() > 0.5
     rows = judged(
         data,
-        Expectation("best", (), (top,), SCORE),
-        Expectation("best", (), (last,), SCORE),
-        Expectation("close", (), (top, last), SCORE),
-        Expectation("close", (), (top, top), SCORE),
+        Expected("best", (), (top,), SCORE),
+        Expected("best", (), (last,), SCORE),
+        Expected("close", (), (top, last), SCORE),
+        Expected("close", (), (top, top), SCORE),
     )
     assert [row[3] for row in rows] == ["holds", "does not hold", "does not hold", "holds"]
     assert f"{means.min():.3g}" in rows[0][2]
@@ -62,13 +63,13 @@ def test_cells_are_compared_by_their_means_with_what_matters(data: ReportData) -
 
 def test_what_the_study_cannot_answer_is_said(data: ReportData) -> None:
     gone = {"material": "ogden-1", "plates": "bonded"}
-    (row,) = judged(data, Expectation("best", (), (gone,), SCORE))
+    (row,) = judged(data, Expected("best", (), (gone,), SCORE))
     assert row[2:] == ("The study has no answer.", "cannot tell")
 
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool) -> None:
-    item = Expectation("matters", ("plates",), (), MODULUS, "<b>me</b>")
+    item = Expected("matters", ("plates",), (), MODULUS, "<b>me</b>")
     page = build(replace(data, expected=(item,) if stated else ()))
     assert ('id="expected"' in page) is stated
     assert "<b>me</b>" not in page
