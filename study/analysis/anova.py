@@ -13,7 +13,7 @@ from study.analysis.blocks import own
 from study.analysis.copies import CopyGroups, group_cells, refuse_fake_replicates, ulp_floor
 from study.analysis.effects import Scale
 from study.analysis.groups import own_groups
-from study.analysis.matrix import Array, nested_in, number_within, terms_of
+from study.analysis.matrix import Array, nested_in, number_within, term_name, terms_of
 from study.analysis.options import Options
 from study.analysis.outcome import Outcome, assemble
 from study.analysis.pooled import pooled
@@ -94,7 +94,10 @@ def analyze(
     transform : {"none", "log"}
         ``log`` reports effects as ratios.
     u_num : float or mapping to float, optional
-        Numerical uncertainty in the unit of the response (the largest of a mapping).
+        Numerical uncertainty in the unit of the response: one for all effects, or one a term
+        (``"A"``, ``"A:B"``); a term that is absent has none. Cells are one computation where
+        they agree within it in every block, within the smallest of a mapping: a larger one is
+        that of a contrast in which the two cells need not differ.
     exact : bool
         Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
 
@@ -210,7 +213,8 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     data = out.data
     y = _transformed(data, response, out.transform)
     limit = threshold(options.practical)
-    scale = _scale(y, data, out.transform, limit, out.u_raw, out.records)
+    by_term = options.u_num_of_terms(map(term_name, out.terms))
+    scale = _scale(out, y, limit, by_term)
     out = replace(out, y=y, scale=scale, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
     copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
@@ -250,6 +254,7 @@ def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
         tol,
         options.largest_u_num,
         options.records,
+        options.smallest_u_num,
         replicates=_replicates(table, data, options),
     )
 
@@ -328,15 +333,20 @@ def _transformed(data: Data, response: str, transform: str) -> Array:
     return np.asarray(np.log(data.y))
 
 
-def _scale(
-    y: Array, data: Data, transform: str, limit: Any, u_raw: float | None, records: bool
-) -> Scale:
-    mean = float(np.exp(y.mean())) if transform == "log" else float(y.mean())
-    practical = None if limit is None else limit.on_scale(mean, transform)
-    u = u_raw
-    if u_raw is not None and transform == "log":
-        u = u_raw / mean
-    return Scale(transform, practical, u, u_raw, records and data.block is None)
+def _scale(out: Outcome, y: Array, limit: Any, by_term: Mapping[str, float] | None) -> Scale:
+    log, u = out.transform == "log", out.u_raw
+    mean = float(np.exp(y.mean())) if log else float(y.mean())
+    practical = None if limit is None else limit.on_scale(mean, out.transform)
+    unit = 1 / mean if log else 1.0
+    return Scale(
+        out.transform,
+        practical,
+        None if u is None else u * unit,
+        u,
+        out.records and out.data.block is None,
+        by_term,
+        unit,
+    )
 
 
 def _copies(out: Outcome) -> CopyGroups:
@@ -344,7 +354,7 @@ def _copies(out: Outcome) -> CopyGroups:
     data = out.data
     cells = np.unique(data.cell)
     blocks = 1 if data.block is None else len(data.layout.levels[data.block])
-    within = max(10 * out.tolerance, out.u_raw or 0.0, ulp_floor(data.y))
+    within = max(10 * out.tolerance, out.u_cells or 0.0, ulp_floor(data.y))
     # values of a CSV may tie by chance; equality in three or more blocks is no chance
     if not (out.records or out.tolerance > 0) and (data.block is None or blocks < 3):
         return CopyGroups(tuple((int(c),) for c in cells))

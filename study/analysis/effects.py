@@ -7,8 +7,8 @@ p never decides alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -58,13 +58,34 @@ class TermEstimate:
 
 @dataclass(frozen=True)
 class Scale:
-    """What turns an estimate into a verdict, on the working scale."""
+    """What turns an estimate into a verdict, on the working scale.
+
+    Parameters
+    ----------
+    u_num, u_num_raw : float or None
+        Numerical uncertainty on the working scale and in the unit of the response.
+    by_term : mapping of str to float, optional
+        Uncertainty of each term in the unit of the response, in place of one for all; a term
+        that is absent has none.
+    unit : float
+        Unit of the response on the working scale.
+    """
 
     transform: str
     practical: float | None
     u_num: float | None
     u_num_raw: float | None
     deterministic: bool
+    by_term: Mapping[str, float] | None = None
+    unit: float = 1.0
+
+    def of(self, term: Term) -> Scale:
+        """Scale of one term, with its own numerical uncertainty."""
+        if self.by_term is None:
+            return self
+        raw = self.by_term.get(term_name(term))
+        u = None if raw is None else raw * self.unit
+        return replace(self, u_num=u, u_num_raw=raw, by_term=None)
 
 
 def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
@@ -182,6 +203,7 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
 
 def size(estimate: TermEstimate, scale: Scale) -> Effect:
     """Turn an estimate into the reported effect with its verdict."""
+    scale = scale.of(estimate.term)
     back: Callable[[float], float] = math.exp if scale.transform == "log" else float
     mean = tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean)
     kind = "ratio" if scale.transform == "log" else "difference"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, nearest
 
 _CHOICES = {
     "type": ("auto", "I", "II", "III"),
@@ -68,7 +68,33 @@ class Options:
     @property
     def largest_u_num(self) -> float | None:
         """Numerical uncertainty in the unit of the response: the largest of a mapping."""
+        return max(self._u_nums(), default=None)
+
+    @property
+    def smallest_u_num(self) -> float | None:
+        """Numerical uncertainty in the unit of the response: the smallest of a mapping."""
+        return min(self._u_nums(), default=None)
+
+    def _u_nums(self) -> list[float]:
         if isinstance(self.u_num, Mapping):
-            known = [float(v) for v in self.u_num.values() if v is not None and np.isfinite(v)]
-            return max(known, default=None)
-        return None if self.u_num is None else float(self.u_num)
+            return [float(v) for v in self.u_num.values() if v is not None and np.isfinite(v)]
+        return [] if self.u_num is None else [float(self.u_num)]
+
+    def u_num_of_terms(self, terms: Iterable[str]) -> dict[str, float] | None:
+        """Numerical uncertainty of each term; None where one holds for all.
+
+        Raises
+        ------
+        InputError
+            If one is given for what is no term.
+        """
+        if not isinstance(self.u_num, Mapping):
+            return None
+        known = list(terms)
+        strange = [name for name in self.u_num if name not in known]
+        if strange:
+            raise InputError(
+                [Fault("u_num", f"{n!r} is no term", nearest(n, known)) for n in strange]
+            )
+        found = {name: float(u) for name, u in self.u_num.items() if u is not None}
+        return {name: u for name, u in found.items() if np.isfinite(u)}

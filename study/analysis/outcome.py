@@ -37,7 +37,11 @@ _MONTE_CARLO = 10_000
 
 @dataclass(frozen=True)
 class Outcome:
-    """Inputs and findings of one analysis; grows by ``replace``."""
+    """Inputs and findings of one analysis; grows by ``replace``.
+
+    ``u_raw`` is the largest numerical uncertainty of an effect, ``u_cells`` that within which
+    two cells are one computation, both in the unit of the response.
+    """
 
     data: Data
     response: str
@@ -49,6 +53,7 @@ class Outcome:
     tolerance: float
     u_raw: float | None
     records: bool
+    u_cells: float | None = None
     y: Array = field(default_factory=lambda: np.zeros(0))
     scale: Scale = field(default_factory=lambda: Scale("none", None, None, None, False))
     warnings: tuple[str, ...] = ()
@@ -137,6 +142,7 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.robustness,
         out.box_cox,
         power=_power(out),
+        u_num_by_term=out.scale.by_term is not None,
     )
 
 

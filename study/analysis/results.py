@@ -184,7 +184,8 @@ class Effect:
 class AnalysisResult:
     """Everything that one response of a factorial can tell.
 
-    Attributes carry the names of the JSON keys; tables are pandas frames.
+    Attributes carry the names of the JSON keys; tables are pandas frames. ``u_num`` is the
+    largest numerical uncertainty of an effect, ``u_num_by_term`` whether each has its own.
     """
 
     response: str
@@ -223,6 +224,7 @@ class AnalysisResult:
     bounds: tuple[FailureBound, ...] = ()
     nested: NestedUnits | None = None
     power: dict[str, tuple[PowerRow, ...]] = field(default_factory=dict)
+    u_num_by_term: bool = False
 
     @property
     def variance(self) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from study.analysis import analyze as anova
 from study.analysis import bartlett, grid_convergence, ryan_joiner
 from study.api.replicates import rows_for
+from study.api.resolution import effect_u_num
 from study.errors import Fault, InputError, nearest
 
 if TYPE_CHECKING:
@@ -68,9 +68,17 @@ def analyze(
 
 
 def analyze_records(
-    design: Design, records: Sequence[Record], response: Response, u_num: float | None = None
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[Numerical] = (),
 ) -> AnalysisResult:
     """Analyze one response of a study as its design says.
+
+    Parameters
+    ----------
+    numerical : sequence of Numerical
+        What refinement found; see :func:`study.api.resolution.effect_u_num`.
 
     Raises
     ------
@@ -87,41 +95,34 @@ def analyze_records(
     spec = design.analysis
     block, names = "block" if len(set(blocks)) > 1 else None, [f.name for f in design.factors]
     rows = rows_for(table(list(records)), response.name, names, spec.error, block)
+    factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
+    model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
     found = anova(
         rows.table,
         response.name,
-        [factor.name for factor in design.factors if len(factor.levels) > 1],
+        factors,
         block=rows.block,
         type=spec.type,
-        model=spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        model=model,
         records=True,
         practical=response.practical,
         transform=response.transform,
-        u_num=u_num,
+        u_num=effect_u_num(
+            design,
+            numerical,
+            records,
+            rows.table,
+            response.name,
+            response.transform,
+            factors=factors,
+            block=rows.block,
+            model=model,
+        ),
         alpha=spec.alpha,
         seed=design.seed,
         **rows.options,
     )
     return replace(found, warnings=(*found.warnings, *rows.notes))
-
-
-def largest_u_num(
-    numerical: Sequence[Numerical], records: Sequence[Record], response: str, transform: str
-) -> float | None:
-    """Largest numerical uncertainty of a response, in its unit.
-
-    On the log scale an uncertainty counts by its share of the value: that of the refined block
-    is carried to the geometric mean of all, for a stiff block's in kPa would drown a soft one's.
-    """
-    rows = [r for r in numerical if r.response == response and r.u_num is not None]
-    if transform != "log":
-        return max((float(r.u_num) for r in rows if r.u_num is not None), default=None)
-    shares = [abs(r.u_num / r.value) for r in rows if r.u_num is not None and r.value]
-    values = [r.response(response) for r in records]
-    known = [math.log(v) for v in values if math.isfinite(v) and v > 0]
-    if not shares or not known:
-        return None
-    return max(shares) * math.exp(math.fsum(known) / len(known))
 
 
 def _is_csv(path: Path) -> bool:
@@ -179,14 +180,20 @@ def _study(
         "seed": study.design.seed,
         "practical": None if asked is None else asked.practical,
         "transform": "none" if asked is None else asked.transform,
-        "u_num": largest_u_num(
-            study.numerical, study.records, name, "none" if asked is None else asked.transform
-        ),
     } | {k: v for k, v in options.items() if v is not None}
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
-    every = [f.name for f in study.design.factors]
+
+    def u_num(frame: pd.DataFrame, block: str | None) -> Any:
+        return effect_u_num(
+            study.design, study.numerical, study.records, frame, name, merged["transform"],
+            factors=names, block=block, model=merged["model"],
+        )  # fmt: skip
+
     if not isinstance(blocked, (str, type(None))):
+        merged = {"u_num": u_num(study.table, None)} | merged
         return anova(study.table, name, names, block=blocked, records=True, **merged)
+    every = [f.name for f in study.design.factors]
     rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
-    found = anova(rows.table, name, names, block=rows.block, records=True, **rows.options | merged)
+    merged = {"u_num": u_num(rows.table, rows.block)} | rows.options | merged
+    found = anova(rows.table, name, names, block=rows.block, records=True, **merged)
     return replace(found, warnings=(*found.warnings, *rows.notes))

@@ -255,16 +255,15 @@ def _analyses(
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     from study.analysis import threshold
-    from study.api.statistics import analyze_records, largest_u_num
+    from study.api.statistics import analyze_records
     from study.reporting.data import ResponseAnalysis
 
     found = []
     for response in design.responses:
         limit = threshold(response.practical)
-        u_num = largest_u_num(numerical, records, response.name, response.transform)
         result, refused = None, ""
         try:
-            result = analyze_records(design, records, response, u_num)
+            result = analyze_records(design, records, response, numerical)
         except StudyError as error:
             refused = str(error)
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""
@@ -276,7 +275,7 @@ def _analyses(
                 None if limit is None else limit.value,
                 limit is not None and limit.relative,
                 response.transform,
-                u_num,
+                None if result is None else result.u_num,
                 better,
                 refused=refused,
             )

@@ -41,8 +41,9 @@ class ResponseAnalysis:
         Unit of that column, for example ``"%"`` or ``"kPa"``.
     result : object
         Result of ``study.analysis.anova.analyze``; only ``to_json()`` (the keys of the
-        interface) and the attributes ``cell_means``, ``residuals``, ``distinct`` and
-        ``warnings`` are read, each of them optional. None where it could not be analyzed.
+        interface) and the attributes ``cell_means``, ``residuals``, ``distinct``,
+        ``u_num_by_term`` and ``warnings`` are read, each of them optional. None where it could
+        not be analyzed.
     practical : float, optional
         Smallest difference that matters: in ``unit``, or, with ``relative``, a fraction
         of the grand mean (0.1 is ten percent).
@@ -51,7 +52,7 @@ class ResponseAnalysis:
     transform : str
         ``"none"`` or ``"log"``; with ``"log"`` every effect is a ratio.
     u_num : float, optional
-        Largest numerical standard uncertainty of a cell, in ``unit``.
+        Largest numerical standard uncertainty of an effect, in ``unit``.
     better : str
         ``"lower"`` (an error), ``"higher"`` or ``""`` (an identified constant: no best cell).
     title : str

@@ -90,6 +90,7 @@ class Facts:
     distinct: int | None = None
     copies: tuple[tuple[str, ...], ...] = ()
     lenth: Mapping[str, Any] | None = None
+    u_num_by_term: bool = False
 
     @property
     def name(self) -> str:
@@ -158,6 +159,7 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
         distinct=distinct,
         copies=tuple(tuple(group) for group in found.get("copies") or ()),
         lenth=found.get("lenth"),
+        u_num_by_term=bool(getattr(response.result, "u_num_by_term", False)),
     )
 
 

@@ -19,7 +19,7 @@ def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
     """Return the methods paragraph: design, measurements, scoring, statistics, software."""
     parts = [_design(data), _measurements(data), _inputs(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]
-    parts += [_checks(found), _numerics(data), _software(data)]
+    parts += [_checks(found), _numerics(data, found), _software(data)]
     return " ".join(part for part in parts if part)
 
 
@@ -93,12 +93,18 @@ def _checks(found: Sequence[Facts]) -> str:
     )
 
 
-def _numerics(data: ReportData) -> str:
+def _numerics(data: ReportData, found: Sequence[Facts]) -> str:
     if not data.numerical:
         return ""
+    how = "by mesh refinement for each kind of discretization"
+    if any(facts.u_num_by_term for facts in found):
+        how = (
+            "for each effect, by the grid convergence index of the same contrast on the meshes of "
+            "the study"
+        )
     return (
-        "Numerical uncertainty was estimated by mesh refinement for each kind of discretization; "
-        "differences below three times it were not interpreted."
+        f"Numerical uncertainty was estimated {how}; differences below three times it were not "
+        "interpreted."
     )
 
 

@@ -255,6 +255,32 @@ def _question(facts: Facts, data: ReportData) -> str:
     return f"The p-values answer one question: {said}{end}"
 
 
+_BY_TERM = (
+    "u_num is the numerical uncertainty of the difference itself: the same difference was taken "
+    "on each of the study's meshes alone, and counts the uncertainty of its value on the finest "
+    "(grid convergence index, or thrice the range without an order) plus the distance from there "
+    "to the mean over all meshes, at the worst pair of levels. The mesh itself and its "
+    "interactions have none, for their differences are the error of the discretization."
+)
+_BY_COLUMN = (
+    "u_num is the largest numerical uncertainty of the response in any cell that was refined, "
+    "the same for every factor."
+)
+
+
+def numerical(found: Sequence[Facts]) -> str:
+    """Say what the numerical uncertainty beside an effect is; empty where none is known."""
+    known = [facts for facts in found if any(e.u_num is not None for e in facts.terms)]
+    if not known:
+        return ""
+    own = [facts for facts in known if facts.u_num_by_term]
+    if not own:
+        return _BY_COLUMN
+    if len(own) == len(known):
+        return _BY_TERM
+    return f"For the {listing([facts.title for facts in own])}, {_BY_TERM} Elsewhere {_BY_COLUMN}"
+
+
 VIRTUAL = (
     "The measurements are virtual, so p describes the scatter of their generator; the verdicts "
     "rest on the effects against what matters and on the numerical uncertainty."

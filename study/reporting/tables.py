@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from study.reporting import sentences
 from study.reporting.data import NumericalRow, ReportData
 from study.reporting.facts import Facts, cells, deciding_p, is_effect
 from study.reporting.text import (
@@ -93,7 +94,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         "effect / u_num",
         "p",
     )
-    return Table("verdicts", columns, tuple(rows), 3, raw=tuple(raw))
+    return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(found), tuple(raw))
 
 
 def anova(facts: Facts, data: ReportData) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from study.api.statistics import largest_u_num
+from study.api.resolution import largest_u_num
 from study.record import Record
 from study.runner.refine import Numerical
 

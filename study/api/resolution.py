@@ -1,0 +1,161 @@
+"""Numerical uncertainty of the effects of a study: what the verdicts are held against."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.mesh_series import MeshSeries
+    from study.design import Design
+    from study.record import Record
+    from study.runner.refine import Numerical
+
+#: factors whose levels are meshes
+MESH_FACTORS = ("model.mesh", "model.mesh_size")
+#: meshes that a series needs
+_NEEDED = 3
+
+Setting = tuple[tuple[float, ...], float | None]
+
+
+def effect_u_num(
+    design: Design,
+    numerical: Sequence[Numerical],
+    records: Sequence[Record],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+    *,
+    factors: Sequence[str],
+    block: str | None,
+    model: Any,
+) -> float | dict[str, float] | None:
+    """Numerical uncertainty of every effect of a response, in its unit.
+
+    The uncertainty of an effect is that of the same contrast. Where the meshes are a factor and
+    the study's own cases are the refinement series, each difference between two levels of a term
+    is followed from mesh to mesh, over all blocks and all other factors; its uncertainty is that
+    of the value on the finest mesh (grid convergence index, or thrice the range where there is
+    no order) plus its distance to the difference as analyzed. The sum, since the analyzed one is
+    an average over all meshes: it is off the finest mesh's by exactly that distance, and the
+    finest mesh's is off the limit by its own uncertainty, to the same side where the series is
+    monotone. The largest over all pairs of levels counts, and over the mesh sizes and formal
+    orders of the columns where these differ, for which pair leads may itself be the mesh's doing.
+
+    The mesh itself and its interactions have none: their effects *are* errors of the
+    discretization, differences between values of given meshes that no finer mesh could change.
+    Held against the uncertainty of the finest mesh, a mesh that plainly matters could never be
+    said to: a first-order series of ratio 2 spans but 2.4 times its index.
+
+    Everywhere else it is the largest uncertainty of a refined column, which errs to the safe
+    side as long as no error is larger in a column that was not refined.
+
+    Returns
+    -------
+    float, dict or None
+        One for all, or one a term (those of the mesh absent); None where nothing is known.
+    """
+    largest = largest_u_num(numerical, records, response, transform)
+    mesh = mesh_factor(design)
+    every = {f.name for f in design.factors if len(f.levels) > 1}
+    if largest is None or mesh is None or set(factors) != every:
+        return largest
+    settings = _settings(design, numerical, response, mesh)
+    meshes = _ordered(records, mesh)
+    if not settings or meshes is None or any(len(s) != len(meshes) for s, _ in settings):
+        return largest
+    from study.analysis.matrix import term_name, terms_of
+    from study.analysis.mesh_series import mesh_series
+
+    found = mesh_series(
+        table, response, factors, mesh, meshes, block=block, model=model, transform=transform
+    )
+    scale = _geometric_mean(records, response) if transform == "log" else 1.0
+    own = {term: u_of_series(series, settings) * scale for term, series in found.items()}
+    names = [term_name(term) for term in terms_of(factors, model) if mesh not in term]
+    return {name: own.get(name, largest) for name in names}
+
+
+def mesh_factor(design: Design) -> str | None:
+    """Name of the factor whose levels are meshes; None without, or with several."""
+    found = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
+    return found[0] if len(found) == 1 else None
+
+
+def u_of_series(series: MeshSeries, settings: Sequence[Setting]) -> float:
+    """Largest uncertainty over the pairs of levels of a term, on the working scale.
+
+    Parameters
+    ----------
+    settings : sequence of (tuple of float, float or None)
+        Mesh sizes from coarse to fine, and formal order, of every kind of column.
+    """
+    from study.runner.refine_columns import fine_uncertainty
+
+    worst = 0.0
+    for analyzed, values in series.pairs():
+        numbers = [float(v) for v in values]
+        u = max(fine_uncertainty(numbers, sizes, formal)[1] for sizes, formal in settings)
+        worst = max(worst, u + abs(analyzed - numbers[-1]))
+    return worst
+
+
+def _settings(
+    design: Design, numerical: Sequence[Numerical], response: str, mesh: str
+) -> list[Setting]:
+    """Mesh sizes and formal order of the study's own columns, equal ones once.
+
+    Sizes count by their ratios alone, which three digits tell well enough.
+    """
+    others = {f.name for f in design.factors} - {mesh}
+    found: dict[Setting, None] = {}
+    for row in numerical:
+        own = row.response == response and set(row.levels) == others
+        if own and len(row.series) >= _NEEDED and min(row.mesh_size, default=0.0) > 0:
+            ratios = tuple(float(f"{size / row.mesh_size[-1]:.3g}") for size in row.mesh_size)
+            found[ratios, row.formal_order] = None
+    return [setting for setting in found if len(set(setting[0])) == len(setting[0])]
+
+
+def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
+    """Meshes from coarse to fine; None where that order differs between columns."""
+    columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
+    for record in records:
+        size = record.mesh.get("mesh_size_mm")
+        if record.converged and size:
+            key = tuple(sorted((k, v) for k, v in record.levels.items() if k != mesh))
+            columns.setdefault(key, {})[record.levels[mesh]] = float(size)
+    longest = max((len(sizes) for sizes in columns.values()), default=0)
+    orders = {
+        tuple(sorted(sizes, key=lambda level: -sizes[level]))
+        for sizes in columns.values()
+        if len(sizes) == longest
+    }
+    return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else None
+
+
+def largest_u_num(
+    numerical: Sequence[Numerical], records: Sequence[Record], response: str, transform: str
+) -> float | None:
+    """Largest numerical uncertainty of a response in any refined column, in its unit.
+
+    On the log scale an uncertainty counts by its share of the value: that of the refined block
+    is carried to the geometric mean of all, for a stiff block's in kPa would drown a soft one's.
+    """
+    rows = [r for r in numerical if r.response == response and r.u_num is not None]
+    if transform != "log":
+        return max((float(r.u_num) for r in rows if r.u_num is not None), default=None)
+    shares = [abs(r.u_num / r.value) for r in rows if r.u_num is not None and r.value]
+    if not shares or not any(r.response(response) > 0 for r in records):
+        return None
+    return max(shares) * _geometric_mean(records, response)
+
+
+def _geometric_mean(records: Sequence[Record], response: str) -> float:
+    values = [r.response(response) for r in records]
+    known = [math.log(v) for v in values if math.isfinite(v) and v > 0]
+    return math.exp(math.fsum(known) / len(known))

@@ -1,0 +1,209 @@
+"""What an effect of a study whose meshes are a factor is held against: known truths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study.analysis import AnalysisResult
+from study.api.resolution import effect_u_num, largest_u_num
+from study.api.statistics import analyze_records
+from study.design import Design, Response, loads
+from study.record import Record
+from study.runner.refine import Numerical
+from study.runner.refine_columns import fine_uncertainty
+
+DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
+NAME = "relative_rms_force_error"
+#: sizes of the three meshes, by space: ratio 2 in one, 1.5 in the other
+SIZES = {
+    "axisymmetric": {"coarse": 0.4, "medium": 0.2, "fine": 0.1},
+    "3d": {"coarse": 0.45, "medium": 0.3, "fine": 0.2},
+}
+TRUE = {"neo-hookean": 9.0, "reduced-polynomial-2": 5.0, "mooney-rivlin": 8.0, "ogden-1": 8.5}
+ORDER = 2.0
+Levels = Mapping[str, str]
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return loads(DESIGN.read_text(encoding="utf-8"), "cone.toml")
+
+
+def records_of(
+    design: Design, error: Callable[[Levels], float], transform: str = "none"
+) -> list[Record]:
+    """Records of a true value by the material, plus ``error(levels) (h / h_fine)**2``."""
+    found = []
+    factors = {f.name: [level.label for level in f.levels] for f in design.factors}
+    for labels in product(*factors.values()):
+        levels = dict(zip(factors, labels, strict=True))
+        sizes = SIZES[levels["model.space"]]
+        size = sizes[levels["model.mesh"]]
+        for k in range(5):
+            y = TRUE[levels["material"]] + 0.2 * k + 0.003 * math.sin(17 * len(found))
+            y += error(levels) * (size / sizes["fine"]) ** ORDER
+            value = math.exp(y) if transform == "log" else y
+            found.append(
+                Record(
+                    f"c{len(found)}", "cone", levels, f"S{k}",
+                    responses={NAME: {"value": value, "unit": "%"}},
+                    mesh={"mesh_size_mm": size}, input_hash=f"h{len(found)}",
+                )
+            )  # fmt: skip
+    return found
+
+
+def columns_of(records: Sequence[Record]) -> list[Numerical]:
+    """What refinement stores of the first block: every column with its own uncertainty."""
+    found: dict[tuple[tuple[str, str], ...], list[tuple[float, float]]] = {}
+    for r in records:
+        if r.block == "S0" and r.converged:
+            key = tuple((k, v) for k, v in r.levels.items() if k != "model.mesh")
+            found.setdefault(key, []).append((r.mesh["mesh_size_mm"], r.response(NAME)))
+    rows = []
+    for levels, pairs in found.items():
+        sizes, values = zip(*sorted(pairs, reverse=True), strict=True)
+        if len(values) < 3:
+            rows.append(Numerical(dict(levels), NAME, None, None, "%", "not available", ""))
+            continue
+        behaviour, u = fine_uncertainty(values, sizes, ORDER)
+        rows.append(
+            Numerical(
+                dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"
+            )
+        )
+    return rows
+
+
+def analyzed(
+    design: Design, records: Sequence[Record], transform: str = "none"
+) -> tuple[AnalysisResult, list[Numerical]]:
+    response = Response(NAME, "%", None, transform)
+    numerical = columns_of(records)
+    return analyze_records(design, records, response, numerical), numerical
+
+
+def u_of(result: AnalysisResult, term: str) -> float:
+    u = result.effect(term).u_num
+    assert u is not None
+    return u
+
+
+def test_an_error_that_the_materials_share_is_none_of_their_difference(design: Design) -> None:
+    """The columns are off by percentage points, the difference of the materials by nothing."""
+    records = records_of(design, lambda levels: 2.0)
+    result, numerical = analyzed(design, records)
+    assert (largest_u_num(numerical, records, NAME, "none") or 0) > 2.0
+    # what is left is the scatter between cells of 0.003, however steep the series
+    assert u_of(result, "material") < 0.05
+    assert result.effect("material").range == pytest.approx(4.0, abs=0.01)
+    assert result.effect("material").resolved == "resolved"
+
+
+def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> None:
+    """Error d h^2 of one material: 1.25 d at the finest mesh, and the way there from the mean."""
+    d = 0.3
+    records = records_of(design, lambda levels: d * (levels["material"] == "neo-hookean"))
+    result, _ = analyzed(design, records)
+    # h/h_fine squared is 16, 4, 1 in one space and 5.0625, 2.25, 1 in the other
+    mean = d * (16 + 4 + 1 + 5.0625 + 2.25 + 1) / 6
+    effect = result.effect("material")
+    assert effect.range == pytest.approx(4.0 + mean, abs=0.02)
+    error = (effect.range or 0) - 4.0
+    assert error < u_of(result, "material") < 4 * error
+
+
+def test_an_error_of_one_space_counts_for_the_space_alone(design: Design) -> None:
+    records = records_of(design, lambda levels: 1.0 * (levels["model.space"] == "3d"))
+    result, _ = analyzed(design, records)
+    off = (5.0625 + 2.25 + 1) / 3
+    assert result.effect("model.space").range == pytest.approx(off, abs=0.01)
+    # no space truly differs from the other: the effect must not count as resolved
+    assert u_of(result, "model.space") > off
+    assert result.effect("model.space").resolved == "not resolved"
+    assert u_of(result, "material") < 0.05
+
+
+def test_an_error_of_one_combination_counts_for_the_interaction(design: Design) -> None:
+    def error(levels: Levels) -> float:
+        return 0.5 * ((levels["material"], levels["model.space"]) == ("mooney-rivlin", "3d"))
+
+    result, _ = analyzed(design, records_of(design, error))
+    interaction = result.effect("material:model.space")
+    assert (interaction.range or 0) < u_of(result, "material:model.space")
+    assert u_of(result, "material:model.element_order") < 0.05
+
+
+def test_the_mesh_itself_has_no_uncertainty(design: Design) -> None:
+    result, _ = analyzed(design, records_of(design, lambda levels: 2.0))
+    for effect in result.effects:
+        assert (effect.u_num is None) == ("model.mesh" in effect.term)
+    assert result.u_num_by_term
+
+
+def test_a_log_response_is_followed_on_the_log(design: Design) -> None:
+    own = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"))
+    plain, _ = analyzed(design, own)
+    same = records_of(design, lambda levels: 0.3 * (levels["material"] == "neo-hookean"), "log")
+    log, _ = analyzed(design, same, "log")
+    # exp(y) on the log is y: the same effect, and the same times its uncertainty
+    for term in ("material", "model.space"):
+        mine, other = log.effect(term), plain.effect(term)
+        assert math.log(mine.range or 1) == pytest.approx(other.range)
+        assert mine.effect_over_u_num == pytest.approx(other.effect_over_u_num)
+
+
+def test_a_material_without_a_whole_column_falls_back_to_the_largest(design: Design) -> None:
+    records = [
+        r
+        for r in records_of(design, lambda levels: 2.0)
+        if (r.levels["material"], r.levels["model.mesh"]) != ("ogden-1", "fine")
+    ]
+    result, numerical = analyzed(design, records)
+    largest = largest_u_num(numerical, records, NAME, "none")
+    assert result.effect("material").u_num == largest
+    assert result.effect("material:model.space").u_num == largest
+    # the others are followed over the materials that are left
+    assert u_of(result, "model.space:model.element_order") < 0.1
+
+
+def u_num_of(
+    design: Design, records: Sequence[Record], numerical: Sequence[Numerical], **options: Any
+) -> float | dict[str, float] | None:
+    from study.record import table
+
+    names = [factor.name for factor in design.factors]
+    usual = {"factors": names, "block": "block", "model": 2}
+    return effect_u_num(
+        design, numerical, records, table(list(records)), NAME, "none", **usual | options
+    )
+
+
+def test_other_refinements_give_one_number(design: Design) -> None:
+    records = records_of(design, lambda levels: 2.0)
+    rows = columns_of(records)
+    largest = largest_u_num(rows, records, NAME, "none")
+    assert isinstance(u_num_of(design, records, rows), dict)
+    # cells refined by name carry their mesh too
+    named = [Numerical(r.levels | {"model.mesh": "fine"}, *_rest(r)) for r in rows]  # type: ignore[operator]
+    assert u_num_of(design, records, named) == largest
+    # some of the factors average over the others, and over what their columns lack
+    assert u_num_of(design, records, rows, factors=["material", "model.mesh"]) == largest
+    assert u_num_of(design, records, []) is None
+    # meshes that one column orders in another way are no common series
+    first = records[0]
+    other = {"mesh_size_mm": 0.05}
+    upset = [Record(first.case_id, "cone", first.levels, first.block,
+                    responses=first.responses, mesh=other), *records[5:]]  # fmt: skip
+    assert u_num_of(design, upset, rows) == largest
+
+
+def _rest(row: Numerical) -> tuple[Any, ...]:
+    return (row.response, row.value, row.u_num, row.unit, row.behaviour, row.note, row.mesh_size,
+            row.series, row.formal_order, row.formal_reason)  # fmt: skip
