@@ -95,6 +95,37 @@ def solution_json(solution: Solution) -> dict[str, Any]:
     return made
 
 
+def writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        For a folder that does not exist, or a folder in place of a file.
+    """
+    faults = []
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
+        elif path is not None and path.is_dir():
+            faults.append(Fault(str(path), "is a folder", "name a file"))
+    if faults:
+        raise InputError(faults)
+
+
+def write_vtu(solution: Solution, path: str | Path) -> None:
+    """Write displacement, J and stress of the last converged step for ParaView.
+
+    Raises
+    ------
+    InputError
+        If no step converged, or the file cannot be written.
+    """
+    from study.forward.fields import write_vtu as write
+
+    write(solution, path)
+
+
 def write_picture(solution: Solution, path: str | Path) -> None:
     """Draw the mesh of a solution before and after its deformation.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
@@ -39,16 +40,25 @@ def solve(
     picture: Annotated[
         Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
     ] = None,
+    vtu: Annotated[
+        Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single import solution_json, write_picture
+    from study.api.single import solution_json, writable, write_picture, write_vtu
 
+    writable(picture, vtu)
     solution = api.solve(file, overrides=settings or ())
+    found = solution_json(solution)
+    if not found["displacement_mm"] and (picture or vtu):
+        print("no step converged: nothing is drawn or written", file=sys.stderr)
+        picture = vtu = None
     if picture is not None:
         write_picture(solution, picture)
-    found = solution_json(solution)
+    if vtu is not None:
+        write_vtu(solution, vtu)
     if as_json:
         show.print_json(found)
     else:

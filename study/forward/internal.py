@@ -113,6 +113,10 @@ class Internal:
             return 0.0, K
         return self.pointwise * K, (1 - self.pointwise) * K
 
+    def pointwise_bulk(self, material: Material) -> float:
+        """Bulk modulus that acts on J at every quadrature point, MPa."""
+        return self._shares(material.bulk)[0]
+
     def gathered(self) -> Array:
         """Sum of the element residuals, shape (n,)."""
         dofs, values = self.space.dofs.ravel(), self.residuals.ravel()

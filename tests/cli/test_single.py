@@ -7,10 +7,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 
 from study import api, design
+from study.curve import Curve
 from tests.cli.small import Edit, study
 
 SOLVE_KEYS = {
@@ -226,6 +228,37 @@ def test_fake_replicates_are_refused(home: Path) -> None:
     assert answer.out == ""
     assert "fake replicates" in answer.err
     assert "Instead:" in answer.err
+
+
+def test_solve_writes_the_deformed_fields(home: Path) -> None:
+    answer = study("solve", "problem.toml", "--vtu", "out.vtu", "--json")
+    assert answer.code == 0, answer.err
+    read = meshio.read("out.vtu")
+    assert read.point_data["displacement_mm"].min() == pytest.approx(-0.5)  # the upper half
+    assert set(read.cell_data) >= {"J", "cauchy_stress_MPa", "mean_stress_MPa"}
+
+
+def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "solve", lambda *_, **__: pytest.fail("solved"), raising=False)
+    answer = study("solve", "problem.toml", "--vtu", "nowhere/out.vtu", "--picture", ".")
+    assert answer.code == 2
+    assert "there is no folder nowhere" in answer.err
+    assert "is a folder" in answer.err
+
+
+def test_solve_without_a_converged_step_writes_no_fields(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = replace(
+        api.solve("problem.toml"), status="not-converged", curve=Curve(*np.zeros((3, 0))), warm=None
+    )
+    monkeypatch.setattr(api, "solve", lambda *_, **__: found, raising=False)
+    answer = study("solve", "problem.toml", "--vtu", "out.vtu", "--json")
+    assert answer.code == 1
+    assert answer.json["displacement_mm"] == []
+    assert not Path("out.vtu").exists()
 
 
 def test_solve_draws_the_deformed_mesh(home: Path) -> None:
