@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from study.curve import Curve
     from study.record import Record, Store
     from study.runner.batch import Progress
-    from study.runner.expand import Work
+    from study.runner.expand import CaseJob, Work
 
 Array = NDArray[np.float64]
 
@@ -45,34 +45,50 @@ def validate(
 
 def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
     """One row for every case: E and its uncertainty along the curve."""
-    from study.runner import refine
-    from study.runner.refine_inputs import input_shares, mesh_shares, physics_of
+    from study.runner import build
+    from study.runner.refine_inputs import input_shares, physics_of
 
-    finer = refine.refinement_work(work)
-    hashes = {**work.input_hashes, **finer.input_hashes, **moved.input_hashes}
-    records = store.by_case(hashes)
-    bases = refine.chosen(work)
-    mesh = mesh_shares(bases, finer, records, work.design.converge.ratio)
-    inputs = input_shares(work, moved, records)
-    of_model = {refine.discretization_key(b.case.config): mesh.get(b.case.case_id) for b in bases}
+    records = store.by_case({**work.input_hashes, **moved.input_hashes})
+    inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
     rows = []
     for job in work.jobs:
         record = records.get(job.case.case_id)
         if record is None or not record.converged:
             continue
-        share = numerical_share(job.case.config, of_model)
+        # where the deformation is the same everywhere no mesh matters
+        share = 0.0 if build.is_homogeneous(job.case.config) else mesh(job)
         rows.append(
             _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
         )
     return rows
 
 
-def numerical_share(config: Mapping[str, Any], of_model: Mapping[str, Array | None]) -> Any:
-    """Relative u_num of a cell: none where the deformation is the same everywhere."""
-    from study.runner import build
-    from study.runner.refine import discretization_key
+def _mesh_shares(
+    work: Work, records: Mapping[str, Record], store: Store
+) -> Callable[[CaseJob], Array | None]:
+    """Look up the relative u_num of a case: of its own column, or of its kind of discretization.
 
-    return 0.0 if build.is_homogeneous(config) else of_model.get(discretization_key(config))
+    Where the meshes are a factor nothing was refined, and the study's own cases are the series.
+    """
+    from study.runner import refine
+    from study.runner.refine_columns import columns
+    from study.runner.refine_inputs import column_shares, mesh_shares
+
+    series = columns(work)
+    if series:
+        own = column_shares(series, records)
+        of_cell = {_cell(job): own.get(job.case.case_id) for jobs in series for job in jobs}
+        return lambda job: of_cell.get(_cell(job))
+    finer, bases = refine.refinement_work(work), refine.chosen(work)
+    known = {**records, **store.by_case(finer.input_hashes)}
+    mesh = mesh_shares(bases, finer, known, work.design.converge.ratio)
+    of_model = {refine.discretization_key(b.case.config): mesh.get(b.case.case_id) for b in bases}
+    return lambda job: of_model.get(refine.discretization_key(job.case.config))
+
+
+def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
+    """Levels of a case, whatever its block."""
+    return frozenset(job.case.levels.items())
 
 
 def _row(

@@ -21,7 +21,9 @@ from study.record import Record
 from study.runner import build
 from study.runner.costs import Costs
 from study.runner.expand import CaseJob, FitJob, Work, case_job
-from study.runner.refine import every_cell
+from study.runner.refine import every_cell, record_sizes
+from study.runner.refine_columns import fine_uncertainty
+from study.runner.refine_formal import formal_of_case
 
 PURPOSE = "input"
 #: places along a curve where it is compared, from its first measured point to its last
@@ -159,13 +161,7 @@ def mesh_shares(
     bases: Sequence[CaseJob], finer: Work, records: Mapping[str, Record], ratio: float
 ) -> dict[str, Array]:
     """Relative numerical uncertainty of the force at :data:`PLACES`, by name of the base case."""
-    from study.runner.refine import (
-        ratio_of,
-        record_sizes,
-        series_uncertainty,
-        two_mesh_uncertainty,
-    )
-    from study.runner.refine_formal import formal_of_case
+    from study.runner.refine import ratio_of, series_uncertainty, two_mesh_uncertainty
 
     found: dict[str, Array] = {}
     for base in bases:
@@ -182,6 +178,34 @@ def mesh_shares(
             formal = formal_of_case(base).order
             u = [series_uncertainty(list(column), ratio, sizes, formal)[1] for column in columns]
         found[base.case.case_id] = np.array(u) / np.abs(columns[:, 0])
+    return found
+
+
+def column_shares(
+    series: Sequence[Sequence[CaseJob]], records: Mapping[str, Record]
+) -> dict[str, Array]:
+    """Relative numerical uncertainty of the force at :data:`PLACES`, by name of the case.
+
+    A coarser mesh of a column is off by its distance to the finest, and the finest by its own
+    uncertainty; the sum is on the safe side.
+
+    Parameters
+    ----------
+    series : sequence of sequence of CaseJob
+        As :func:`study.runner.refine_columns.columns` gives them. One of which a mesh gave no
+        answer is left out.
+    """
+    found: dict[str, Array] = {}
+    for jobs in series:
+        kept = [records.get(job.case.case_id) for job in jobs]
+        good = [r for r in kept if r is not None and r.converged]
+        if len(good) < len(jobs):
+            continue
+        forces, sizes = np.array([_force(r) for r in good]), record_sizes(good, jobs[0])
+        formal = formal_of_case(jobs[-1]).order
+        u = np.array([fine_uncertainty(list(place), sizes, formal)[1] for place in forces.T])
+        for job, force in zip(jobs, forces, strict=True):
+            found[job.case.case_id] = (np.abs(force - forces[-1]) + u) / np.abs(force)
     return found
 
 

@@ -242,3 +242,14 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
 def test_a_tiny_threshold_is_printed(data: ReportData):
     tiny = replace(facts(data)[0].effects[0], practical=7.97e-5, ratio=False)
     assert "7.97e\N{MINUS SIGN}05" in verdicts.practical(tiny, facts(data)[0])
+
+
+def test_the_number_beside_an_effect_is_explained():
+    known = replace(error(), terms=(effect(MATTERS, u_num=0.04),))
+    own = replace(known, u_num_by_term=True)
+    assert "in any cell that was refined" in sentences.numerical([known])
+    assert "of the difference itself" in sentences.numerical([own, own])
+    mixed = sentences.numerical([own, known])
+    assert mixed.startswith("For the relative RMS force error, u_num is")
+    assert "Elsewhere u_num is the largest" in mixed
+    assert sentences.numerical([replace(error(), terms=(effect(MATTERS),))]) == ""

@@ -16,6 +16,7 @@ from study.record import Store
 from study.runner import refine, refine_inputs
 from study.runner.batch import run_batch
 from study.runner.expand import expand
+from study.runner.refine_columns import columns
 
 from .conftest import DESIGN, FAKE
 
@@ -123,6 +124,44 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     np.testing.assert_allclose(row["error_N"], force - np.array(row["measured_N"]), atol=1e-12)
     assert rows["neo-hookean", "frictionless"]["u_num_N"][-1] == 0
     assert "the model is off by E" in row["verdict"]
+
+
+def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
+    one_mix: Path, tmp_path: Path
+) -> None:
+    """Forces of given constants are too large by 1 + 1e-3 h: the share of every mesh is known."""
+    text = DESIGN.replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
+    text = text.replace(
+        'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "8 kPa"\nC01 = "0.5 kPa"'
+    )
+    text = text.replace('mesh = "coarse"\n', "").replace(
+        "[factors]\n", '[factors]\nmodel.mesh = ["medium", "fine", "coarse"]\n'
+    )
+    text = text.partition('[[response]]\nname = "mu0"')[0]
+    text += '[calibration]\nmethod = "none"\n[uncertainty]\n"specimen.radius" = "0.1 mm"\n'
+    work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
+    moved = refine_inputs.input_work(work)
+    for part in (work, moved):
+        run_batch(part, store, jobs=2, command=FAKE)
+    rows = validation.compared(work, moved, store)
+    assert len(rows) == len(work.jobs) == 12
+    sizes = {j.case.case_id: refine.base_size_mm(j.case) for j in work.jobs}
+    for row in rows:
+        share = np.array(row["u_num_N"]) / np.array(row["simulated_N"])
+        if row["levels"]["plates"] == "frictionless":
+            assert not share.any()
+            continue
+        off = ERROR * sizes[row["case_id"]]
+        error = off / (1 + off)
+        # factor 1.25 or 3 of the error of the finest mesh, and the way there
+        assert (share > error).all()
+        assert (share < 4 * error).all()
+    # a column that lacks a mesh has no share, and its comparison says so
+    gone = next(j for j in work.jobs if j.case.levels["plates"] == "bonded")
+    records = store.by_case(work.input_hashes)
+    del records[gone.case.case_id]
+    series = columns(work)
+    assert len(refine_inputs.column_shares(series, records)) == 3 * (len(series) - 1)
 
 
 def test_comparison_says_what_is_unknown() -> None:
