@@ -35,6 +35,8 @@ class Plan:
         Wall time of what is missing; None where the data are not there yet.
     memory_MB : float or None
         Predicted peak of all workers together.
+    controls : int
+        Solutions still to be made besides the cases: the same cylinder in both spaces.
     """
 
     design: Design
@@ -49,6 +51,7 @@ class Plan:
     memory_MB: float | None  # noqa: N815
     jobs: int
     warnings: tuple[str, ...]
+    controls: int = 0
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``study plan --json``."""
@@ -66,6 +69,7 @@ class Plan:
             "warnings": list(self.warnings),
             "blocks": list(self.blocks),
             "fits": self.fits,
+            "controls": self.controls,
             "memory_MB": self.memory_MB,
             "design": dict(self.description),
         }
@@ -119,12 +123,31 @@ def _counted(
     todo = missing(work, store)
     fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
     costs = Costs()
+    controls = _controls(work, store)
     seconds = costs.total_seconds(fits, todo, workers)
-    memory = workers * max((costs.memory_MB(job.case.config) for job in todo), default=0.0)
+    seconds += costs.side_by_side([costs.solve_seconds(config) for config in controls], workers)
+    configs = [*(job.case.config for job in todo), *controls]
+    memory = workers * max(map(costs.memory_MB, configs), default=0.0)
     return Plan(
         work.design, description, work.blocks, len(work.jobs), len(found.done),
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+        len(controls),
     )  # fmt: skip
+
+
+def _controls(work: Work, store: Store) -> list[Mapping[str, Any]]:
+    """Problems of the spaces' control that have no solution yet."""
+    from study.runner.refine_store import is_kept
+    from study.runner.spaces import in_blocks, upcoming
+
+    plain = work.plain()
+    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
+    tasks = upcoming(
+        plain,
+        store.by_case(hashes),
+        lambda task: is_kept(task, store.path.parent, store.path.name),
+    )
+    return [task["config"] for task in tasks]
 
 
 def _idle_replicates(work: Work) -> list[str]:

@@ -277,6 +277,8 @@ def _print_plan(found: Plan) -> None:
     print(show.counts(cases))
     if found.missing and found.fits:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
+    if found.controls:
+        print(f"{found.controls} solutions to be made of one cylinder in both spaces, a control")
     if found.predicted_seconds is not None:
         time = show.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")

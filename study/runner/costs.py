@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from study.errors import InputError
@@ -65,6 +65,17 @@ class Costs:
         work = sum(self.fit_seconds(f.problem) for f in fits)
         work += sum(self.case_seconds(c) for c in cases)
         return work / jobs
+
+    @staticmethod
+    def side_by_side(seconds: Sequence[float], jobs: int) -> float:
+        """Wall time of a few solutions at once: the longest of them takes what it takes.
+
+        Examples
+        --------
+        >>> Costs.side_by_side([10.0, 2.0], 2), Costs.side_by_side([4.0, 4.0, 4.0], 2)
+        (10.0, 6.0)
+        """
+        return max(sum(seconds) / jobs, max(seconds, default=0.0))
 
     def solve_seconds(self, config: Mapping[str, Any], depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""

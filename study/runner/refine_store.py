@@ -83,6 +83,11 @@ def kept_by_workers(
     return looked_up
 
 
+def is_kept(task: Mapping[str, Any], results: Path, name: str) -> bool:
+    """Whether the solution of a task is stored."""
+    return Store(results / slug(name)).read_json(f"solves/{task_key(task)}") is not None
+
+
 def keep(store: Store, task: Mapping[str, Any], result: dict[str, Any]) -> dict[str, Any]:
     """Store a result that would come out again."""
     if result.get("status") in _KEPT:

@@ -7,7 +7,7 @@ the discretization in the effect of the space.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,13 +39,59 @@ class Pair:
 
 def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
     """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
+    known = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
+    found = []
+    for levels, chosen in _chosen(known):
+        first, second = (_task(job, _constants(records[job.case.case_id])) for job in chosen)
+        found.append(Pair(levels, (first, second)))
+    return found
+
+
+def upcoming(
+    work: Work, records: Mapping[str, Record], solved: Callable[[Mapping[str, Any]], bool]
+) -> list[dict[str, Any]]:
+    """List the tasks of :func:`pairs` that are still to be solved, before the cases are.
+
+    Parameters
+    ----------
+    records : mapping of str to Record
+        What is computed of the study; of a case that is not yet, the constants are left open.
+    solved : callable
+        Whether a task with known constants has its solution.
+    """
+    given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
+    hopeful = [
+        job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]
+    ]
+    found = []
+    for _, chosen in _chosen(hopeful):
+        for job in chosen:
+            constants = given[job.case.case_id]
+            task = _task(job, constants)
+            if not constants or not solved(task):
+                found.append(task)
+    return found
+
+
+def in_blocks(work: Work) -> list[CaseJob]:
+    """List the cells whose specimen has no axis, in the first block of the study."""
+    cells = meshed_cells(work)
+    return [job for job in cells if job.case.config["specimen"]["shape"] == "block"]
+
+
+def _chosen(
+    cells: Sequence[CaseJob],
+) -> Iterator[tuple[dict[str, str], tuple[CaseJob, CaseJob]]]:
+    """Finest mesh of both spaces for every kind of element, of the material of fewest constants."""
     kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
-    for job in meshed_cells(work):
-        block = job.case.config["specimen"]["shape"] == "block"
-        if block and _constants(records.get(job.case.case_id)):
-            kinds.setdefault(_levels(job), []).append(job)
-    found = [_pair(dict(levels), jobs, records) for levels, jobs in kinds.items()]
-    return [pair for pair in found if pair is not None]
+    for job in cells:
+        kinds.setdefault(_levels(job), []).append(job)
+    for levels, jobs in kinds.items():
+        flat, solid = (
+            [job for job in jobs if job.case.config["model"]["space"] == space] for space in SPACES
+        )
+        if flat and solid:
+            yield dict(levels), (min(flat, key=_preference), min(solid, key=_preference))
 
 
 def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
@@ -55,34 +101,21 @@ def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
     return tuple((k, v) for k, v in levels if k.startswith("model.") and k not in apart)
 
 
-def _pair(
-    levels: Mapping[str, str], jobs: Sequence[CaseJob], records: Mapping[str, Record]
-) -> Pair | None:
-    """Finest mesh of both spaces, with the material of fewest constants."""
-    tasks = []
-    for space in SPACES:
-        own = [job for job in jobs if job.case.config["model"]["space"] == space]
-        if not own:
-            return None
-        tasks.append(_task(min(own, key=_preference), records))
-    return Pair(levels, (tasks[0], tasks[1]))
-
-
 def _preference(job: CaseJob) -> tuple[int, str, float]:
     material = job.case.config["material"]
     names = build.calibrated_names(material)
     return len(names), str(material["model"]), base_size_mm(job.case)
 
 
-def _task(job: CaseJob, records: Mapping[str, Record]) -> dict[str, Any]:
-    config, record = job.case.config, records[job.case.case_id]
+def _task(job: CaseJob, constants: Mapping[str, float]) -> dict[str, Any]:
+    config = job.case.config
     depth = config["test"].get("displacement_mm")
     if depth is None:
         depth = job.depth_mm
     changed = {
         **config,
         "specimen": _equivalent_cylinder(config["specimen"]),
-        "material": {**config["material"], "constants": _constants(record)},
+        "material": {**config["material"], "constants": dict(constants)},
         "test": {**config["test"], "displacement_mm": depth},
     }
     return solve_task(changed, base_size_mm(job.case))

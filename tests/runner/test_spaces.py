@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 
 from study.api.credibility import checks_of_spaces
+from study.api.planning import plan
 from study.design import loads
 from study.record import Record
+from study.runner.costs import Costs
 from study.runner.expand import Work, expand
-from study.runner.refine_store import in_process
-from study.runner.spaces import compared, pairs
+from study.runner.refine_store import in_process, kept
+from study.runner.spaces import compared, pairs, upcoming
 from study.runner.virtual import usual_generator, write_virtual
 from tests.runner.test_anchors import finished
 
@@ -63,13 +65,23 @@ def work_of(text: str, home: Path) -> Work:
 
 
 @pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
-    return work_of(DESIGN, tmp_path_factory.mktemp("data"))
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("data")
 
 
 @pytest.fixture(scope="module")
-def records(work: Work, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
-    found = finished(work, tmp_path_factory.mktemp("results"))
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("results")
+
+
+@pytest.fixture(scope="module")
+def work(home: Path) -> Work:
+    return work_of(DESIGN, home)
+
+
+@pytest.fixture(scope="module")
+def records(work: Work, results: Path) -> dict[str, Record]:
+    found = finished(work, results / work.design.name)
     return {record.case_id: record for record in found}
 
 
@@ -113,6 +125,27 @@ def test_the_outcome_follows_the_tolerance() -> None:
     assert (near.outcome, far.outcome) == ("pass", "caution")
 
 
+def test_a_plan_counts_what_is_still_to_be_solved(
+    work: Work, home: Path, records: dict[str, Record], results: Path, tmp_path: Path
+) -> None:
+    before = plan(work.design, data=home, results=tmp_path, jobs=2)
+    assert (before.controls, before.to_json()["controls"]) == (2, 2)
+    # the longer of the two, the solid, runs beside the other
+    seconds = [
+        Costs().solve_seconds(task["config"]) for task in upcoming(work, {}, lambda _: False)
+    ]
+    assert seconds[1] > seconds[0]
+    cases = Costs().total_seconds(work.fits.values(), work.jobs, 2)
+    assert before.predicted_seconds == pytest.approx(cases + max(seconds[1], sum(seconds) / 2))
+
+    assert plan(work.design, data=home, results=results).controls == 2
+    (pair,) = pairs(work, records)
+    kept(in_process, results, "slab")(pair.tasks[:1])
+    assert plan(work.design, data=home, results=results).controls == 1
+
+
 def test_a_cylinder_needs_no_such_look(tmp_path: Path, records: dict[str, Record]) -> None:
     text = DESIGN.replace('width = "24 mm"\ndepth = "24 mm"', 'radius = "12 mm"')
-    assert pairs(work_of(text.replace('"block"', '"cylinder"', 1), tmp_path), records) == []
+    work = work_of(text.replace('"block"', '"cylinder"', 1), tmp_path)
+    assert pairs(work, records) == []
+    assert upcoming(work, {}, lambda _: False) == []
