@@ -13,7 +13,7 @@ from study.errors import Fault, InputError, MissingDataError, nearest
 from study.record import Record, Store
 
 if TYPE_CHECKING:
-    from study.runner.expand import Work
+    from study.runner.expand import CaseJob, Work
 
 
 @dataclass(frozen=True)
@@ -125,9 +125,11 @@ def _counted(
     costs = Costs()
     controls = _controls(work, store)
     seconds = costs.total_seconds(fits, todo, workers)
-    seconds += costs.side_by_side([costs.solve_seconds(config) for config in controls], workers)
-    configs = [*(job.case.config for job in todo), *controls]
-    memory = workers * max(map(costs.memory_MB, configs), default=0.0)
+    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
+    seconds += costs.side_by_side(own, workers)
+    memory = workers * max(
+        (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
+    )
     return Plan(
         work.design, description, work.blocks, len(work.jobs), len(found.done),
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
@@ -135,19 +137,18 @@ def _counted(
     )  # fmt: skip
 
 
-def _controls(work: Work, store: Store) -> list[Mapping[str, Any]]:
-    """Problems of the spaces' control that have no solution yet."""
+def _controls(work: Work, store: Store) -> list[CaseJob]:
+    """Cells of the spaces' control that have no solution yet."""
     from study.runner.refine_store import is_kept
     from study.runner.spaces import in_blocks, upcoming
 
     plain = work.plain()
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    tasks = upcoming(
+    return upcoming(
         plain,
         store.by_case(hashes),
         lambda task: is_kept(task, store.path.parent, store.path.name),
     )
-    return [task["config"] for task in tasks]
 
 
 def _idle_replicates(work: Work) -> list[str]:

@@ -49,8 +49,10 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
 
 def upcoming(
     work: Work, records: Mapping[str, Record], solved: Callable[[Mapping[str, Any]], bool]
-) -> list[dict[str, Any]]:
-    """List the tasks of :func:`pairs` that are still to be solved, before the cases are.
+) -> list[CaseJob]:
+    """List the cells whose cylinder is still to be solved, before the cases are computed.
+
+    A solution costs what the cell's own does, for the cylinder has its section and height.
 
     Parameters
     ----------
@@ -67,9 +69,8 @@ def upcoming(
     for _, chosen in _chosen(hopeful):
         for job in chosen:
             constants = given[job.case.case_id]
-            task = _task(job, constants)
-            if not constants or not solved(task):
-                found.append(task)
+            if not constants or not solved(_task(job, constants)):
+                found.append(job)
     return found
 
 

@@ -131,9 +131,10 @@ def test_a_plan_counts_what_is_still_to_be_solved(
     before = plan(work.design, data=home, results=tmp_path, jobs=2)
     assert (before.controls, before.to_json()["controls"]) == (2, 2)
     # the longer of the two, the solid, runs beside the other
-    seconds = [
-        Costs().solve_seconds(task["config"]) for task in upcoming(work, {}, lambda _: False)
-    ]
+    both = upcoming(work, {}, lambda _: False)
+    assert [job.case.config["model"]["space"] for job in both] == ["axisymmetric", "3d"]
+    costs = Costs()
+    seconds = [costs.solve_seconds(job.case.config, job.depth_mm) for job in both]
     assert seconds[1] > seconds[0]
     cases = Costs().total_seconds(work.fits.values(), work.jobs, 2)
     assert before.predicted_seconds == pytest.approx(cases + max(seconds[1], sum(seconds) / 2))
