@@ -30,6 +30,10 @@ def check(problem: Problem) -> None:
     faults = [*_material(problem), *_depth(problem)]
     if problem.test.kind == "indentation":
         faults += [*_indenter(problem)]
+    if not faults:
+        from study.forward.expected import size_faults  # it looks at how meshes are made
+
+        faults = [*size_faults(problem)]
     if faults:
         raise InputError(faults)
 

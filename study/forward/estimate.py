@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward.boundary import constraints
+from study.forward.expected import expected_unknowns, memory_MB
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.problem import Problem
 from study.forward.steps import StepRule, StepSettings
@@ -18,6 +19,8 @@ _ITERATIONS, _CONTACT_ITERATIONS = 4, 10
 #: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
 #: that is graded around an indenter: their matrices hold a third of the entries
 _LINEAR = 0.4
+#: larger meshes are not made to count their unknowns
+_COUNTED = 1e6
 #: edges and faces of a cell by its number of corners, as pairs and fours of its corners
 _EDGES = {
     (2, 3): [(0, 1), (1, 2), (0, 2)],
@@ -53,12 +56,12 @@ def estimate(problem: Problem) -> Estimate:
 
     The seconds are those of one of two workers that are both busy.
     """
-    mesh = build_mesh(problem)
-    dofs = unknowns(problem, mesh)
-    seconds = _load_steps(problem, mesh.height_mm) * _iteration(problem, dofs)
-    solid = problem.model.space == "3d"
-    memory = memory_3d_MB(dofs) if solid else 110 + 3e-3 * dofs
-    return Estimate(int(dofs), float(seconds), float(memory))
+    dofs = expected_unknowns(problem)
+    if dofs < _COUNTED:
+        dofs = unknowns(problem, build_mesh(problem))
+    seconds = _load_steps(problem, problem.specimen.height_mm) * _iteration(problem, dofs)
+    memory = memory_MB(dofs, solid=problem.model.space == "3d")
+    return Estimate(int(dofs), float(seconds), memory)
 
 
 def _iteration(problem: Problem, dofs: float) -> float:
@@ -75,11 +78,6 @@ def _iteration(problem: Problem, dofs: float) -> float:
         return float(0.5 * (dofs / 28e3) ** 1.95)
     share = 1.0 if problem.model.element_order == "quadratic" else _LINEAR
     return float(0.2 * share * (dofs / 8.2e3) ** 1.7)
-
-
-def memory_3d_MB(dofs: float) -> float:  # noqa: N802
-    """Peak memory of a solve with so many unknowns in 3D."""
-    return float(110 + 0.25e-3 * dofs**1.35)
 
 
 def unknowns(problem: Problem, mesh: Mesh) -> int:

@@ -36,7 +36,7 @@ Cells = NDArray[np.int64]
 _FRONTAL, _DELAUNAY = 6, 1
 #: sizes of grids along the top and along the axis under a cone, over those of the field: what
 #: begins tall ends less flat where a needle stretches the surface to three times its length
-_UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
+UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
 #: smallest quality (gmsh's inverse condition number) of a tetrahedron or triangle
 _POOREST = 0.02
 
@@ -52,7 +52,7 @@ def indentation_mesh(problem: Problem) -> Mesh:
     specimen, model = problem.specimen, problem.model
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("a graded mesh needs a cylinder or a block")
-    height, field = specimen.height_mm, _field(problem)
+    height, field = specimen.height_mm, sizes_of(problem)
     ring = _edge_of(problem.test.indenter)
     if model.element_shape == "tensor":
         points, cells = _grid(problem, specimen, field, ring)
@@ -65,10 +65,11 @@ def indentation_mesh(problem: Problem) -> Mesh:
 
 def graded_size(problem: Problem) -> float:
     """Element size of an indented cylinder or block, as ``mesh_size`` names it."""
-    return _field(problem).size_mm
+    return sizes_of(problem).size_mm
 
 
-def _field(problem: Problem) -> SizeField:
+def sizes_of(problem: Problem) -> SizeField:
+    """Sizes of the elements of an indented cylinder or block."""
     specimen, test = problem.specimen, problem.test
     if not isinstance(specimen, Cylinder | Block) or test.indenter is None:
         raise MeshError("an indentation mesh needs a cylinder or a block, and an indenter")
@@ -96,7 +97,7 @@ def _grid(
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
     space, order = problem.model.space, problem.model.element_order
     cone = isinstance(problem.test.indenter, Cone)
-    wide, tall = _UNDER_CONE[order] if cone else (1.0, 1.0)
+    wide, tall = UNDER_CONE[order] if cone else (1.0, 1.0)
     top = np.array([field.top_mm])
 
     def along_top(rho: Array) -> Array:

@@ -11,6 +11,7 @@ import pytest
 from study.errors import InputError
 from study.forward.checks import check
 from study.forward.estimate import unknowns
+from study.forward.expected import too_large
 from study.forward.mesh import build_mesh
 from study.forward.problem import (
     Block,
@@ -28,7 +29,6 @@ from study.forward.problem import (
 from study.forward.solution import Solution
 from study.forward.solve import solve
 from study.forward.surface_mesh import expected_unknowns
-from study.forward.surface_use import too_large
 from study.material.homogeneous import uniaxial
 from tests.forward.problems import GEL
 from tests.forward.surfaces import Shape, box, cylinder, sphere, write
