@@ -6,8 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from study.api.credibility import refine
+from study.api.statistics import analyze
+from study.api.studies import _write_manifest, open_study, report
 from study.design import loads
-from study.record import Record
+from study.record import Record, Store
 from study.runner.expand import Work, expand
 from study.runner.refine import base_size_mm
 from study.runner.refine_columns import columns, fine_uncertainty, numerical_of_columns
@@ -31,8 +34,13 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
 
 
 @pytest.fixture(scope="module")
-def records(work: Work, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Record]:
-    found = finished(work, tmp_path_factory.mktemp("results"))
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("results")
+
+
+@pytest.fixture(scope="module")
+def records(work: Work, results: Path) -> dict[str, Record]:
+    found = finished(work, results)
     return {record.case_id: record for record in found}
 
 
@@ -68,6 +76,49 @@ def test_a_column_without_all_its_meshes_has_no_uncertainty(
     first, second = numerical_of_columns(series, kept, UNITS)
     assert (first.u_num, first.note) == (None, "2 of 3 meshes gave an answer")
     assert second.u_num is not None
+
+
+def test_each_effect_of_the_study_is_held_against_its_own_contrast(
+    work: Work, records: dict[str, Record], results: Path, tmp_path: Path
+) -> None:
+    store = Store(results)
+    refine(work, store, 1, None, None)
+    _write_manifest(store, work, {}, None)
+    study = open_study(results)
+    (response,) = study.analyses
+    material, mesh, both = response.result.effects
+    assert [e.term for e in (material, mesh, both)] == [
+        "material", "model.mesh", "material:model.mesh",
+    ]  # fmt: skip
+    assert (mesh.u_num, both.u_num) == (None, None)
+
+    # by hand: the materials' difference of the means over both blocks, from coarse to fine
+    def mean(name: str, level: str) -> float:
+        found = [
+            r.response(response.name)
+            for r in records.values()
+            if (r.levels["material"], r.levels["model.mesh"]) == (name, level)
+        ]
+        assert len(found) == 2
+        return sum(found) / 2
+
+    first, second = (level.label for level in work.design.factors[0].levels)
+    meshes = ("coarse", "medium", "fine")
+    apart = [mean(first, level) - mean(second, level) for level in meshes]
+    jobs = columns(work)[0]
+    row = next(r for r in study.numerical if r.levels == {"material": first})
+    expected = fine_uncertainty(apart, row.mesh_size, row.formal_order)[1]
+    expected += abs(sum(apart) / 3 - apart[-1])
+    assert len(jobs) == 3
+    # sizes count by three digits of their ratios
+    assert material.u_num == pytest.approx(expected, rel=0.02)
+    assert material.range == pytest.approx(abs(sum(apart) / 3))
+    rows = {v["factor"]: v["u_num"] for v in study.to_json()["verdicts"]}
+    assert rows["material"] == material.u_num
+    page = (report(study, reports=tmp_path).report or tmp_path).read_text(encoding="utf-8")
+    assert "is the numerical uncertainty of the difference itself" in page
+    again = analyze(results)
+    assert [e.u_num for e in again.effects] == [e.u_num for e in response.result.effects]
 
 
 def test_two_meshes_are_no_column(tmp_path: Path) -> None:
