@@ -202,19 +202,18 @@ def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
 
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
     """Say what would change the answer."""
-    doubts = [
-        term_name(effect.term, data.labels)
-        for facts in found
-        for effect in facts.effects
-        if effect.verdict == CANNOT_TELL
-    ]
+    open_ones = [e for facts in found for e in facts.effects if e.verdict == CANNOT_TELL]
+    doubts = _names([e for e in open_ones if not _of_the_mesh(e)], data)
+    coarse = _names([e for e in open_ones if _of_the_mesh(e)], data)
     parts = []
     if doubts:
         unit = clean(data.block) if data.block else "replicate"
         parts.append(
             f"more {plural_of(unit)} would narrow the interval"
-            f"{'s' if len(set(doubts)) > 1 else ''} of {listing(list(dict.fromkeys(doubts)))}"
+            f"{'s' if len(doubts) > 1 else ''} of {listing(doubts)}"
         )
+    if coarse:
+        parts.append(f"finer meshes could resolve {listing(coarse)}")
     if data.assumed:
         names = listing([name_of(key, data.labels) for key in data.assumed])
         parts.append(f"a measured value of what is assumed here ({names}) could move every result")
@@ -227,6 +226,15 @@ def would_change(data: ReportData, found: Sequence[Facts]) -> str:
             "a different smallest difference that matters, or measurements of another material"
         )
     return sentence("; ".join(parts))
+
+
+def _of_the_mesh(effect: Effect) -> bool:
+    """Whether it is the numerical uncertainty that leaves an effect open."""
+    return "u_num" in effect.why or "numerical uncertainty" in effect.why
+
+
+def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
+    return list(dict.fromkeys(term_name(effect.term, data.labels) for effect in effects))
 
 
 def error_term(facts: Facts, data: ReportData) -> str:

@@ -253,3 +253,12 @@ def test_the_number_beside_an_effect_is_explained():
     assert mixed.startswith("For the relative RMS force error, u_num is")
     assert "Elsewhere u_num is the largest" in mixed
     assert sentences.numerical([replace(error(), terms=(effect(MATTERS),))]) == ""
+
+
+def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData):
+    why = "not resolved by the mesh: the difference is within 3 u_num"
+    few = replace(error(), terms=(effect(CANNOT_TELL, why="the interval crosses the threshold"),))
+    coarse = replace(error(), terms=(effect(CANNOT_TELL, term="order", why=why),))
+    text = sentences.would_change(data, [few, coarse])
+    assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
+    assert "narrow" not in sentences.would_change(data, [coarse])
