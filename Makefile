@@ -3,6 +3,7 @@
 #   make test     the test suite
 #   make verify   the long verification: expected, got, error
 #   make bench    the speed comparisons
+#   make elements error of every element against unknowns and seconds: docs/elements.md
 #   make check    the gates: style, types, layers, doctests
 
 PYTEST_WORKERS ?= 2
@@ -12,7 +13,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup demo test verify bench check lint format-check types layers doctests
+.PHONY: help setup demo test verify bench elements check lint format-check types layers doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -35,6 +36,10 @@ verify: $(ready)
 
 bench: $(ready)
 	@.venv/bin/python -m benchmarks
+
+elements: $(ready)
+	@$(one_thread) .venv/bin/python docs/elements.py measure
+	@.venv/bin/python docs/elements.py draw
 
 check: lint format-check types layers doctests
 

@@ -149,7 +149,7 @@ def _under_indenter(problem: Problem) -> float:
     rho = _places(radius, field.ring_mm, field)
     z = specimen.height_mm - _places(specimen.height_mm, 0.0, field)
     h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
-    density = 1 / h**2 if flat else np.pi / 2 * rho / h**3
+    density = np.asarray(1 / h**2 if flat else np.pi / 2 * rho / h**3)
     total = abs(np.trapezoid(np.trapezoid(density, rho, axis=1), z))
     return float((_PER_SQUARE if flat else _PER_CUBE) * total)
 
