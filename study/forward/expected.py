@@ -150,8 +150,8 @@ def _under_indenter(problem: Problem) -> float:
     z = specimen.height_mm - _places(specimen.height_mm, 0.0, field)
     h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
     density = np.asarray(1 / h**2 if flat else np.pi / 2 * rho / h**3)
-    total = abs(np.trapezoid(np.trapezoid(density, rho, axis=1), z))
-    return float((_PER_SQUARE if flat else _PER_CUBE) * total)
+    total = abs(float(np.trapezoid(np.trapezoid(density, rho, axis=1), z)))
+    return (_PER_SQUARE if flat else _PER_CUBE) * total
 
 
 def _grid(problem: Problem, field: SizeField, radius: float) -> float:

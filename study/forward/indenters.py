@@ -217,7 +217,8 @@ class Press:
         """Signed distance (n,), outward normal (n, dim) and Hessian (n, dim, dim)."""
         z = x[:, -1] - (self.height_mm - self.speed * displacement_mm)
         if x.shape[1] == 2:
-            found = signed_distance(self.pieces, x[:, 0], z)
+            # an iterate may throw a point across the axis, where no piece would be near
+            found = signed_distance(self.pieces, np.maximum(x[:, 0], 0.0), z)
             rr, rz, zz = found.curvature
             hessian = np.stack([np.stack([rr, rz], -1), np.stack([rz, zz], -1)], -1)
             return found.gap, np.stack(found.slope, axis=-1), hessian

@@ -82,3 +82,13 @@ def test_height_of_the_undeformed_profile() -> None:
     sphere = profile_height(profile(Sphere(5), far_mm=1e4), rho)
     np.testing.assert_allclose(sphere, 5 - np.sqrt(25 - rho**2), atol=1e-12)
     assert profile_height(profile(Flat(1), far_mm=1e4), rho)[2] > 1e3
+
+
+@pytest.mark.parametrize("indenter", [Cone(30, 1, 3), Flat(3, 0.3), Flat(3), Sphere(5)])
+def test_a_point_thrown_across_the_axis_has_a_gap(indenter: Indenter) -> None:
+    """Seen in iterates that fail: an infinite gap made the forces of the next one NaN."""
+    z = np.array([51.0, 49.9, 48.0, 40.0])
+    across, on = (np.column_stack([np.full(4, r), z]) for r in (-0.1, 0.0))
+    press = Press(profile(indenter, far_mm=1e5), 50.0)
+    np.testing.assert_array_equal(press.gap(across, 1.0)[0], press.gap(on, 1.0)[0])
+    assert np.isfinite(press.gap(across, 1.0)[0]).all()
