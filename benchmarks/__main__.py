@@ -1,66 +1,138 @@
-"""Compare `study` with plain scikit-fem forms on the same mesh, element and tolerance.
+"""Compare `study` with other codes on the same meshes, elements, material and tolerance.
 
 Imports and the first compilation are left out, set-up is counted. Run by ``make bench``.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
+import platform
 import statistics
-import time
-from collections.abc import Callable
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
-from benchmarks import fitting, plain_scikit_fem
-from study.forward.mesh import build_mesh
-from study.forward.problem import Cylinder, Model, Problem, Test
-from study.forward.solve import Options, solve
-from study.material import Material
+from benchmarks import fitting, indentation, launch, table
+from benchmarks.cases import CASES, Case
+from benchmarks.peers import NAMES
 
-GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
-SPECIMEN, DISPLACEMENT_MM = Cylinder(25.0, 50.0), 2.5
-
-
-def timed(run: Callable[[], float], repeats: int = 3) -> tuple[float, float]:
-    """Median of the seconds, and the force."""
-    seconds, force = [], 0.0
-    for _ in range(repeats):
-        began = time.perf_counter()
-        force = run()
-        seconds.append(time.perf_counter() - began)
-    return statistics.median(seconds), force
+EXTRAS = ("indentation-3k", "fitting")
 
 
-def compare(mesh_size_mm: float, repeats: int) -> None:
-    """Print one row: unknowns, seconds of both, ratio and how far the forces agree."""
-    test = Test("compression", DISPLACEMENT_MM, "bonded", "bonded", steps=1)
-    model = Model("3d", "quadratic", mesh_size_mm=mesh_size_mm)
-    problem = Problem(SPECIMEN, test, GEL, model)
-    # one lifted step without side contact, as the forms do it
-    options = Options(side_contact=False)
-    mesh = build_mesh(problem)
-    unknowns = solve(problem, gradients=False, options=options, mesh=mesh).dofs
-
-    def ours() -> float:
-        solution = solve(problem, gradients=False, options=options, mesh=mesh)
-        return float(solution.curve.force_N[-1])
-
-    def forms() -> float:
-        return plain_scikit_fem.solve(mesh, DISPLACEMENT_MM, 5e-3, 10.0)[0]
-
-    mine, force = timed(ours, repeats)
-    theirs, other = timed(forms, repeats)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the chosen cases, print the table, write the file."""
+    chosen = parsed(arguments)
+    machine = described() | {"threads": chosen.threads}
     print(
-        f"{unknowns:>9}{mine:>10.2f}{theirs:>15.2f}{theirs / mine:>8.1f}"
-        f"{abs(force / other - 1):>15.1e}"
+        f"{machine['cores']} cores, load {machine['load']:.1f}; threads of every code: {chosen.threads}"
     )
+    print("ratio: seconds over those of study; force: relative difference from study's")
+    if machine["load"] > 0.5:
+        print("the machine is busy: times are longer than they should be, and ratios uncertain")
+    print(f"\n{table.HEAD}")
+    rows: list[table.Row] = []
+    for case in CASES:
+        if not chosen.only or case.name in chosen.only:
+            rows += compared(case, chosen)
+    if not chosen.only or "indentation-3k" in chosen.only:
+        rows += indented()
+    for path in (chosen.json, chosen.csv):
+        if path is not None:
+            table.write(path, rows, machine)
+    if not chosen.only or "fitting" in chosen.only:
+        fitting.main()
 
 
-def main() -> None:
-    """Print the table."""
-    print("3D bonded compression, one step of 5 %, neo-Hookean, P2/P1, K/mu = 1000 (median of 3)")
-    print(f"{'unknowns':>9}{'study s':>10}{'plain forms s':>15}{'ratio':>8}{'force differs':>15}")
-    compare(5.0, 3)
-    compare(3.2, 3)
-    fitting.main()
+def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    names = [*(case.name for case in CASES), *EXTRAS]
+    parser.add_argument("--only", nargs="+", choices=names, help="these cases alone")
+    parser.add_argument("--codes", nargs="+", choices=NAMES, help="these codes alone")
+    parser.add_argument(
+        "--python", action="append", default=[], metavar="CODE=INTERPRETER",
+        help="Python that has a code; also by the variable BENCH_PYTHON_CODE",
+    )  # fmt: skip
+    parser.add_argument("--limit", type=float, default=1200.0, help="seconds for one code and case")
+    parser.add_argument("--threads", type=int, default=2, help="threads of every code")
+    parser.add_argument("--repeats", type=int, help="runs of which the median counts")
+    parser.add_argument("--json", type=Path, help="write the rows to this file")
+    parser.add_argument("--csv", type=Path, help="write the rows to this file")
+    chosen = parser.parse_args(arguments)
+    if any("=" not in given for given in chosen.python):
+        parser.error("--python takes CODE=INTERPRETER, such as felupe=/path/to/python")
+    chosen.python = dict(given.split("=", 1) for given in chosen.python)
+    unknown = sorted(set(chosen.python) - set(NAMES))
+    if unknown:
+        parser.error(f"--python knows no code {unknown[0]}; there are {', '.join(NAMES)}")
+    return chosen
+
+
+def described() -> table.Row:
+    """Machine and how busy it is."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    return {
+        "cores": os.cpu_count(), "load": load,
+        "processor": platform.processor() or platform.machine(),
+        "python": platform.python_version(),
+    }  # fmt: skip
+
+
+def compared(case: Case, chosen: argparse.Namespace) -> list[table.Row]:
+    """Rows of a case, printed one by one; `study` comes first, as the others need its figures."""
+    codes = chosen.codes or case.codes
+    rows: list[table.Row] = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        case.warm_up().write(folder / "warm.npz")
+        case.task().write(folder / "task.npz")
+        for code in sorted(codes, key=lambda code: code != "study"):
+            found = launch.run(
+                code, folder, python=chosen.python, limit_s=chosen.limit,
+                repeats=chosen.repeats or case.repeats, threads=chosen.threads,
+            )  # fmt: skip
+            rows.append(row(case, code, found, rows[0] if rows else None))
+            print(table.text(rows[-1]), flush=True)
+    for sentence in table.verdicts(case, rows):
+        print(f"{'':<17}{sentence}")
+    print(flush=True)
+    return rows
+
+
+def row(case: Case, code: str, found: dict[str, Any], ours: table.Row | None) -> table.Row:
+    """One row of the table from what a child wrote."""
+    made: table.Row = {"case": case.name, "code": code}
+    if "problem" in found:
+        why = found["problem"]
+        hint = f": {NAMES[code].install}" if why == "not installed" else ""
+        return made | {"note": why + hint}
+    seconds, parts = statistics.median(found["seconds"]), found["parts_s"]
+    made |= {name: found[name] for name in ("unknowns", "iterations", "force_N", "peak_MB")}
+    made |= {"seconds": seconds, "runs_s": found["seconds"], "solver": found["solver"]}
+    made["note"] = found["solver"]
+    if parts:
+        share = parts["assembly"] / (parts["total"] - parts["setup"])
+        made |= {"setup_s": parts["setup"], "assembly_share": share}
+        made["note"] += f", set-up {parts['setup']:.2f} s, assembly {100 * share:.1f} %"
+    reference = ours if ours and ours["code"] == "study" and "seconds" in ours else None
+    if reference or code == "study":
+        against = reference or made
+        made["ratio"] = seconds / against["seconds"]
+        made["force_difference"] = abs(found["force_N"] / against["force_N"] - 1)
+    return made
+
+
+def indented() -> list[table.Row]:
+    """Rows of the indentation, and what is asked of it."""
+    rows = indentation.rows()
+    for made in rows:
+        print(table.text(made))
+    worst, asked = max(made["seconds"] for made in rows), indentation.ASKED_S
+    print(f"{'':<17}a curve in {worst:.2f} s, asked at most {asked:g}: "
+          f"{'met' if worst <= asked else 'MISSED'}\n")  # fmt: skip
+    return rows
 
 
 if __name__ == "__main__":

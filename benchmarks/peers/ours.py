@@ -1,0 +1,37 @@
+"""`study` itself, told to take the load steps as they are asked for."""
+
+from __future__ import annotations
+
+from benchmarks.exchange import Answer, NoAnswerError, Task
+from study.forward.mesh import Mesh
+from study.forward.problem import Cylinder, Model, Problem, Test
+from study.forward.solve import Options
+from study.forward.solve import solve as simulate
+from study.forward.steps import StepSettings
+from study.material import Material
+
+#: no step is cut in two, and the free side passes through the plates: as in the other codes
+OPTIONS = Options(side_contact=False, steps=StepSettings(largest=0.06))
+
+
+def problem(task: Task) -> tuple[Problem, Mesh]:
+    """Problem and mesh of a task."""
+    radius, height = float(task.points[:, 0].max()), 2 * task.middle_mm
+    test = Test("compression", task.displacement_mm, "bonded", "bonded", steps=task.steps)
+    gel = Material("neo-hookean", {"C10": task.c10}, bulk_modulus=task.bulk)
+    space = "axisymmetric" if task.axisymmetric else "3d"
+    model = Model(space, "quadratic", mesh_size_mm=1.0)
+    mesh = Mesh(task.points, task.cells, half_height=True, size_mm=1.0)
+    return Problem(Cylinder(radius, height), test, gel, model), mesh
+
+
+def solve(task: Task) -> Answer:
+    """Simulate without gradients, as nobody else has them."""
+    asked, mesh = problem(task)
+    found = simulate(asked, gradients=False, options=OPTIONS, mesh=mesh)
+    if found.status != "converged":
+        raise NoAnswerError(found.message)
+    spent = sum(found.newton_iterations)
+    return Answer(
+        float(found.curve.force_N[-1]), spent, found.dofs, found.solver, dict(found.seconds)
+    )
