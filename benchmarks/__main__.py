@@ -25,9 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the chosen cases, print the table, write the file."""
     chosen = parsed(arguments)
     machine = described() | {"threads": chosen.threads}
-    print(
-        f"{machine['cores']} cores, load {machine['load']:.1f}; threads of every code: {chosen.threads}"
-    )
+    print(f"{machine['cores']} cores, load {machine['load']:.1f}")
+    print(f"threads of every code: {chosen.threads}")
     print("ratio: seconds over those of study; force: relative difference from study's")
     if machine["load"] > 0.5:
         print("the machine is busy: times are longer than they should be, and ratios uncertain")

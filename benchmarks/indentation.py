@@ -1,4 +1,4 @@
-"""One coarse curve of conical indentation in ten steps with gradients; does it compile again?
+"""One coarse curve of conical indentation with gradients, and what a second process compiles.
 
 Run in two processes, one after the other: what the first one compiled the second one loads.
 One thread each, as a worker of a study has.
