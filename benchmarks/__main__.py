@@ -55,6 +55,9 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
         help="Python that has a code; also by the variable BENCH_PYTHON_CODE",
     )  # fmt: skip
     parser.add_argument("--limit", type=float, default=1200.0, help="seconds for one code and case")
+    parser.add_argument(
+        "--processes", type=int, default=1, help="of DOLFINx, under mpirun, sharing the threads"
+    )
     parser.add_argument("--threads", type=int, default=2, help="threads of every code")
     parser.add_argument("--repeats", type=int, help="runs of which the median counts")
     parser.add_argument("--json", type=Path, help="write the rows to this file")
@@ -91,6 +94,7 @@ def compared(case: Case, chosen: argparse.Namespace) -> list[table.Row]:
             found = launch.run(
                 code, folder, python=chosen.python, limit_s=chosen.limit,
                 repeats=chosen.repeats or case.repeats, threads=chosen.threads,
+                processes=chosen.processes,
             )  # fmt: skip
             rows.append(row(case, code, found, rows[0] if rows else None))
             print(table.text(rows[-1]), flush=True)
@@ -110,7 +114,7 @@ def row(case: Case, code: str, found: dict[str, Any], ours: table.Row | None) ->
     seconds, parts = statistics.median(found["seconds"]), found["parts_s"]
     made |= {name: found[name] for name in ("unknowns", "iterations", "force_N", "peak_MB")}
     made |= {"seconds": seconds, "runs_s": found["seconds"], "solver": found["solver"]}
-    made["note"] = found["solver"]
+    made |= {"cpu_s": statistics.median(found["cpu_s"]), "note": found["solver"]}
     if parts:
         share = parts["assembly"] / (parts["total"] - parts["setup"])
         made |= {"setup_s": parts["setup"], "assembly_share": share}

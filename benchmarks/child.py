@@ -36,16 +36,18 @@ def peak_MB() -> float:
 
 
 def measured(peer: Any, warm_up: Task, task: Task, repeats: int) -> dict[str, Any]:
-    """Seconds of every run and the last answer."""
+    """Seconds (of the clock, of all cores) of every run, and the last answer."""
     peer.solve(warm_up)
-    seconds = []
+    everywhere = getattr(peer, "everywhere", float)
+    seconds, cpu = [], []
     for _ in range(repeats):
-        began = time.perf_counter()
+        began, busy = time.perf_counter(), time.process_time()
         answer = peer.solve(task)
-        took = time.perf_counter() - began
+        took, spent = time.perf_counter() - began, everywhere(time.process_time() - busy)
         seconds.append(took if answer.seconds is None else answer.seconds)
-    own = getattr(peer, "everywhere", float)(peak_MB())
-    return asdict(answer) | {"seconds": seconds, "peak_MB": answer.peak_MB or own}
+        cpu.append(spent if answer.cpu_s is None else answer.cpu_s)
+    peak = answer.peak_MB or everywhere(peak_MB())
+    return asdict(answer) | {"seconds": seconds, "cpu_s": cpu, "peak_MB": peak}
 
 
 def outcome(code: str, warm_up: Task, task: Task, repeats: int) -> tuple[dict[str, Any], int]:

@@ -112,6 +112,7 @@ class Answer:
     peak_MB: float = 0.0
     #: time of the code itself where the call does more than that
     seconds: float | None = None
+    cpu_s: float | None = None
 
 
 Solve = Callable[[Task], Answer]

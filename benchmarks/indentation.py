@@ -14,7 +14,6 @@ import time
 from typing import Any
 
 from benchmarks.launch import ROOT, environment
-from benchmarks.peers import NAMES
 
 ASKED_S = 0.5
 #: under the tip; about 3000 unknowns
@@ -63,7 +62,7 @@ def rows() -> list[dict[str, Any]]:
     out = []
     for which in ("first process", "second process"):
         ran = subprocess.run(
-            command, cwd=ROOT, env=environment(NAMES["study"], 1), capture_output=True, text=True,
+            command, cwd=ROOT, env=environment(1), capture_output=True, text=True,
             check=True, timeout=600,
         )  # fmt: skip
         found = json.loads(ran.stdout)

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmarks.peers import NAMES, Peer
+from benchmarks.peers import NAMES
 
 ROOT = Path(__file__).resolve().parents[1]
 _THREAD_VARIABLES = (
@@ -27,9 +27,9 @@ def interpreter(code: str, chosen: dict[str, str]) -> str:
     return chosen.get(code) or os.environ.get(variable) or NAMES[code].python or sys.executable
 
 
-def environment(peer: Peer, threads: int) -> dict[str, str]:
+def environment(threads: int, processes: int = 1) -> dict[str, str]:
     """As many threads in all, whatever the code's library; its processes share them."""
-    each = str(max(1, threads // peer.processes))
+    each = str(max(1, threads // processes))
     return os.environ | dict.fromkeys(_THREAD_VARIABLES, each) | {"PYTHONPATH": str(ROOT)}
 
 
@@ -41,18 +41,23 @@ def run(
     repeats: int,
     limit_s: float,
     threads: int,
+    processes: int = 1,
 ) -> dict[str, Any]:
     """Return what the child wrote, or ``{"problem": why}``."""
-    peer, program = NAMES[code], interpreter(code, python)
+    program = interpreter(code, python)
     if shutil.which(program) is None:
         return {"problem": "not installed"}
     with tempfile.TemporaryDirectory() as name:
         result = Path(name) / "result.json"
         arguments = ["-m", "benchmarks.child", code, str(folder), str(result)]
         command = [program, *arguments, "--repeats", str(repeats)]
-        if peer.processes > 1:
-            command = ["mpirun", "-n", str(peer.processes), *command]
-        problem = waited(command, environment(peer, threads), limit_s)
+        shared = processes if NAMES[code].parallel else 1
+        variables = environment(threads, shared)
+        if shared > 1:
+            command = ["mpirun", "-n", str(shared), *command]
+            # in a container there may be no other user
+            variables |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+        problem = waited(command, variables, limit_s)
         if result.exists():
             found: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
             return found

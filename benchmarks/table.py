@@ -14,7 +14,7 @@ from benchmarks.peers import NAMES
 Row = dict[str, Any]
 COLUMNS = (
     "case", "unknowns", "code", "seconds", "ratio", "force_difference", "iterations",
-    "peak_MB", "force_N", "setup_s", "assembly_share", "solver", "note",
+    "peak_MB", "cpu_s", "force_N", "setup_s", "assembly_share", "solver", "note",
 )  # fmt: skip
 HEAD = (
     f"{'case':<17}{'unknowns':>9}  {'code':<24}{'seconds':>8}{'ratio':>7}{'force':>9}"

@@ -18,8 +18,8 @@ class Peer:
     install: str
     #: Debian's packages serve the system's own interpreter
     python: str | None = None
-    #: processes, each with its share of the threads
-    processes: int = 1
+    #: whether it can share the work among processes
+    parallel: bool = False
 
 
 _PYPI = "python -m pip install --group bench (or set --python {name}=INTERPRETER that has it)"
@@ -34,6 +34,7 @@ NAMES = {
         "DOLFINx",
         "Debian or Ubuntu: apt-get install python3-dolfinx-real libopenblas0-pthread",
         "/usr/bin/python3",
+        parallel=True,
     ),
     "calculix": Peer("calculix", "CalculiX", "Debian or Ubuntu: apt-get install calculix-ccx"),
 }

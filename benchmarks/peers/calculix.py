@@ -72,8 +72,8 @@ def load(task: Task) -> Iterator[str]:
     yield "*NODE PRINT, NSET=PLATE, TOTALS=ONLY, FREQUENCY=1\nRF\n*END STEP"
 
 
-def run(folder: Path) -> tuple[str, float, float]:
-    """Return what the program printed, its seconds and its peak memory in MB."""
+def run(folder: Path) -> tuple[str, dict[str, float]]:
+    """Return what the program printed, and what it took."""
     began = time.perf_counter()
     with (folder / "log").open("w") as log:
         child = subprocess.Popen(["ccx", "-i", "deck"], cwd=folder, stdout=log, stderr=log)
@@ -86,7 +86,8 @@ def run(folder: Path) -> tuple[str, float, float]:
         # with equal steps it ends at the first one that it would have to cut
         stopped = "divergence" in said or "best solution and residuals" in said
         raise NoAnswerError("diverged" if stopped else last)
-    return said, seconds, usage.ru_maxrss / 1024
+    took = {"seconds": seconds, "cpu_s": usage.ru_utime + usage.ru_stime}
+    return said, took | {"peak_MB": usage.ru_maxrss / 1024}
 
 
 def solve(task: Task) -> Answer:
@@ -94,7 +95,7 @@ def solve(task: Task) -> Answer:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "deck.inp").write_text("\n".join(deck(task)) + "\n", encoding="utf-8")
-        said, seconds, peak = run(folder)
+        said, took = run(folder)
         table = (folder / "deck.dat").read_text(encoding="utf-8")
     forces = re.findall(r"total force.*?\n\s*\n\s*(.+)", table)
     if len(forces) < task.steps:
@@ -104,4 +105,4 @@ def solve(task: Task) -> Answer:
     axial = -float(forces[-1].split()[task.points.shape[1] - 1])
     unknowns = int((re.findall(r"number of equations\s+(\d+)", said) or [0])[0])
     iterations = len(re.findall(r"^ iteration\s+\d+", said, flags=re.MULTILINE))
-    return Answer(sectors * axial, iterations, unknowns, "SPOOLES", peak_MB=peak, seconds=seconds)
+    return Answer(sectors * axial, iterations, unknowns, "SPOOLES", **took)

@@ -172,6 +172,6 @@ def solve(task: Task) -> Answer:
     return Answer(-task.scale * force, iterations, int(unknowns), how)
 
 
-def everywhere(peak_MB: float) -> float:
-    """Memory of all processes together."""
-    return float(COMM.allreduce(peak_MB))
+def everywhere(mine: float) -> float:
+    """Sum of a figure over all processes."""
+    return float(COMM.allreduce(mine))
