@@ -39,6 +39,9 @@ class LinearSolver(Protocol):
     def negative_eigenvalues(self) -> int | None:
         """Count the negative eigenvalues of the last matrix; None where that is unknown."""
 
+    def worth(self) -> float:
+        """How many back-substitutions a factorization costs, by counts; 0 before the first."""
+
     def close(self) -> None:
         """Give the memory back."""
 
@@ -61,6 +64,8 @@ _IPARM = {
     2: 2,  # nested dissection
     8: 0,  # refine only where pivots were perturbed: Newton corrects itself
     10: 8,  # perturb pivots below 1e-8 of the norm
+    18: -1,  # count the entries of the factors
+    19: -1,  # and the operations, in millions
     21: 1,  # Bunch-Kaufman pivoting for an indefinite matrix
 }
 
@@ -71,6 +76,10 @@ _MATCHING = {11: 1, 13: 1}
 _TRUSTED = 0.05
 #: residual over matrix times solution: stays small where only the matrix is nearly singular
 _BACKWARD = 1e-11
+#: operations of a factorization in the time that a back-substitution takes for an entry
+_PER_ENTRY = 38.0
+#: back-substitutions that a factorization of SuperLU costs, over the entries of a column
+_PER_LENGTH = 0.1
 #: parameter of PARDISO that counts negative eigenvalues
 _NEGATIVE = 23
 
@@ -111,11 +120,12 @@ class Pardiso:
         self._matrix = sp.csr_matrix(
             (np.zeros(pattern.indices.size), pattern.indices, pattern.indptr), shape=(n, n)
         )
-        self._analyzed = self._matching = False
+        self._analyzed = self._matching = self._trusted = False
 
     def factorize(self, data: Array) -> None:
         """Numerical factorization (phase 22), after the analysis (11) the first time."""
-        self._matrix.data = data
+        np.copyto(self._matrix.data, data)  # the factors outlive the entries they came from
+        self._trusted = False
         empty = np.zeros(self._matrix.shape[0])
         if not self._analyzed or self._matching:
             self._call(11, empty)
@@ -126,7 +136,8 @@ class Pardiso:
         """Back-substitution (phase 33) for one or several right-hand sides."""
         b = np.asfortranarray(right, dtype=np.float64)
         x = np.ascontiguousarray(self._call(33, b))
-        if self._matching or self._solved(x, b):
+        if self._matching or self._trusted or self._solved(x, b):
+            self._trusted = True
             return x
         self._matching = True
         for number, value in _MATCHING.items():
@@ -148,6 +159,14 @@ class Pardiso:
     def negative_eigenvalues(self) -> int | None:
         """Count the negative eigenvalues of the last factorized matrix."""
         return int(self._solver.iparm[_NEGATIVE - 1])
+
+    def worth(self) -> float:
+        """By counts: operations of a factorization, entries read in a back-substitution."""
+        if self._matching or not self._analyzed:
+            return 0.0
+        entries, millions = (float(self._solver.iparm[n - 1]) for n in (18, 19))
+        read = max(entries + float(self._matrix.data.size), 1.0)
+        return 1e6 * millions / (_PER_ENTRY * read)
 
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
@@ -210,6 +229,12 @@ class SuperLU:
     def negative_eigenvalues(self) -> int | None:
         """Unknown: row exchanges hide the signs of the pivots."""
         return None
+
+    def worth(self) -> float:
+        """By counts: columns of the factors are as long as their entries over their number."""
+        if self._factors is None:
+            return 0.0
+        return _PER_LENGTH * float(self._factors.nnz) / float(self._matrix.shape[0])
 
     def close(self) -> None:
         """Drop the factors."""

@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 _HOPELESS, _FAR = 9, 0.1
 #: relative residual below which contact may be decided point by point
 _CALM = 0.01
+#: relative residual of a linear solve by an older factorization: far below what one Newton
+#: iteration gains
+_LINEAR = 1e-4
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class NewtonSettings:
         After as many the step has failed; the second counts while contact still changes.
     j_filter : float
         A step is halved until no J falls below this fraction of its last value.
+    passing_tolerance, passing_gap : float
+        Instead of ``tolerance`` and ``gap`` between the displacements that are asked for.
     """
 
     tolerance: float = 1e-8
@@ -46,6 +51,16 @@ class NewtonSettings:
     max_iterations: int = 25
     max_switching: int = 40
     j_filter: float = 0.1
+    passing_tolerance: float = 1e-5
+    passing_gap: float = 2e-6
+
+    def passing(self) -> NewtonSettings:
+        """For a state that nobody asked for: it only leads to the next."""
+        return replace(
+            self,
+            tolerance=max(self.tolerance, self.passing_tolerance),
+            gap=max(self.gap, self.passing_gap),
+        )
 
 
 @dataclass(frozen=True)
@@ -71,8 +86,8 @@ class Course(Protocol):
     ) -> bool:
         """Whether to give up; ``changing`` says that contact still does."""
 
-    def factorize(self, system: System, residuals: list[float]) -> None:
-        """Factorize the tangent of the state."""
+    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
+        """Solve with the tangent of the state, rows weighted by ``scale``."""
 
     def share(self, system: System, residuals: list[float], increment: Array) -> float:
         """Part of a step that is taken, before any J is looked at."""
@@ -93,9 +108,12 @@ class FullSteps:
             return True
         return iteration >= (settings.max_switching if changing else settings.max_iterations)
 
-    def factorize(self, system: System, residuals: list[float]) -> None:
-        """Take the tangent as it is."""
+    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
+        """Take the tangent as it is; a calm one differs little from one already factorized."""
+        if residuals and residuals[-1] < _CALM:
+            return system.solve(right, scale, _LINEAR)
         system.factorize()
+        return system.back_substitute(right)
 
     def share(self, system: System, residuals: list[float], increment: Array) -> float:
         """Take all of it."""
@@ -149,11 +167,11 @@ def iterate(
         if course.ended(iteration, residuals, switches.changing, settings):
             break
         try:
-            course.factorize(system, residuals)
+            solution = course.solve(system, residuals, right, _scale(system, state, assembly))
         except SingularMatrixError as error:
             return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
         increment = np.zeros(system.space.n)
-        increment[free] = system.back_substitute(right)
+        increment[free] = solution
         if not np.isfinite(increment).all():
             return NewtonResult(state, False, iteration, "singular tangent", ())
         if lift.size:
@@ -214,11 +232,23 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
     n_u = system.space.n_displacement
     out_of_balance = assembly.residual.copy()
     out_of_balance[system.constraints.dofs] = 0.0
+    reaction, volume = _measures(system, state, assembly)
+    force = float(np.linalg.norm(out_of_balance[:n_u])) / reaction
+    return max(force, float(np.linalg.norm(out_of_balance[n_u:])) / volume)
+
+
+def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, float]:
+    """Force and volume that residuals are compared with."""
     reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
     floor = system.force_floor(state.displacement_mm)
-    force = float(np.linalg.norm(out_of_balance[:n_u])) / max(reaction, floor)
-    volume = float(np.linalg.norm(out_of_balance[n_u:])) / float(system.space.weights.sum())
-    return max(force, volume)
+    return max(reaction, floor), float(system.space.weights.sum())
+
+
+def _scale(system: System, state: State, assembly: Assembly) -> Array:
+    """Weights of the equations, so that forces and volumes can be added up, shape (n_free,)."""
+    reaction, volume = _measures(system, state, assembly)
+    free = system.pattern.free
+    return np.where(free < system.space.n_displacement, 1.0 / reaction, 1.0 / volume)
 
 
 def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:

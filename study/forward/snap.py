@@ -59,7 +59,12 @@ class Descent:
         """After so many iterations."""
         return iteration >= _ITERATIONS
 
-    def factorize(self, system: System, residuals: list[float]) -> None:
+    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
+        """Solve with a tangent that makes a step of descent."""
+        self._factorize(system, residuals)
+        return system.back_substitute(right)
+
+    def _factorize(self, system: System, residuals: list[float]) -> None:
         """Add the smallest multiple of the diagonal that makes a step of descent."""
         if len(residuals) <= _PLAIN:
             system.factorize()

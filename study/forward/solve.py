@@ -102,7 +102,9 @@ def solve(
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
     if warm is not None and warm.warm is not None:
-        return warm.warm.system.with_material(problem.material)
+        system = warm.warm.system.with_material(problem.material)
+        system.kept.forget()
+        return system
     return System.build(
         problem,
         build_mesh(problem) if mesh is None else mesh,
@@ -155,7 +157,8 @@ class _Run:
         while result is None or not self._at(target):
             remaining = target - self.state.displacement_mm
             pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))
-            result = self._attempt(self.state.displacement_mm + remaining / pieces)
+            newton = self.options.newton if pieces == 1 else self.options.newton.passing()
+            result = self._attempt(self.state.displacement_mm + remaining / pieces, newton)
             spent += result.iterations
             if result.converged:
                 self._adapt(result.iterations, remaining / pieces)
@@ -176,9 +179,8 @@ class _Run:
     def _at(self, target: float) -> bool:
         return abs(self.state.displacement_mm - target) < 1e-9 * self.system.height_mm
 
-    def _attempt(self, displacement: float) -> NewtonResult:
+    def _attempt(self, displacement: float, newton: NewtonSettings) -> NewtonResult:
         guess = self._extrapolated(displacement)
-        newton = self.options.newton
         if guess is not None:
             result = solve_step(self.system, guess, newton)
             if result.converged:
@@ -257,8 +259,7 @@ class _Run:
     def _record(self, result: NewtonResult) -> None:
         if result.assembly is None:
             raise RuntimeError("a converged step has an assembly")
-        if result.iterations == 0:
-            self.system.factorize()  # nothing was factorized on the way here
+        self.system.factorize()
         row = step_gradients(self.system, self.state, result.assembly, wanted=self.wanted)
         self.rows.append(row)
         self.reached.append(self.state.displacement_mm)

@@ -17,6 +17,7 @@ from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
 from study.forward.problem import Problem, Surface
+from study.forward.reuse import KeptFactors
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -78,8 +79,10 @@ class System:
     material: Material
     pattern: Pattern
     solver: LinearSolver
+    kept: KeptFactors
     data: Array
     seconds: dict[str, float] = field(default_factory=dict)
+    _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
 
     @classmethod
@@ -93,6 +96,7 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
         sector = 1.0 if whole else 4.0
+        direct = make_solver(pattern, solver)
         height = mesh.height_mm
         bottom = height / 2 if mesh.half_height else 0.0
         system = cls(
@@ -107,7 +111,8 @@ class System:
             touch_mm=touch_radius(problem),
             material=problem.material,
             pattern=pattern,
-            solver=make_solver(pattern, solver),
+            solver=direct,
+            kept=KeptFactors(direct, pattern),
             data=np.zeros(pattern.indices.size),
         )
         system._place_contact()
@@ -171,6 +176,7 @@ class System:
                 blocks[:] = points.stiffness(touch)
                 inside = positions >= 0
                 np.add.at(self.data, positions[inside], blocks[inside])
+        self._touching = np.concatenate([np.zeros(0, bool), *(t.active for t in contacts)])
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
 
@@ -195,6 +201,7 @@ class System:
             data = data.copy()
             data[at] += shift * np.abs(data[at])
         self.solver.factorize(data)
+        self.kept.renewed(self._touching)
         self._count("factorization", began)
 
     def instabilities(self) -> int | None:
@@ -206,6 +213,16 @@ class System:
         negative = self.solver.negative_eigenvalues()
         pressures = int((self.pattern.free >= self.space.n_displacement).sum())
         return None if negative is None else negative - pressures
+
+    def solve(self, right: Array, scale: Array, tolerance: float) -> Array:
+        """Solve with the last assembled tangent, by an older factorization where that pays."""
+        began = time.perf_counter()
+        found = self.kept.solve(self.data, right, scale, tolerance, self._touching)
+        self._count("solve", began)
+        if found is not None:
+            return found
+        self.factorize()
+        return self.back_substitute(right)
 
     def lift_product(self, lift: Array) -> Array:
         """Force of prescribed increments on the free unknowns, contact left out."""

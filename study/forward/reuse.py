@@ -1,0 +1,156 @@
+"""Solves with a tangent by the factorization of an earlier one, for as long as that pays.
+
+From one Newton iteration to the next a tangent changes little: the factors of an old one
+make a preconditioner with which GMRES needs a few back-substitutions, where a solid's new
+factorization costs twenty (Saad 2003, sec. 9.4: the flexible variant, which keeps the
+preconditioned directions, so that nothing is solved twice). When to factorize anew is
+decided by counts of operations, never by a clock: a result does not depend on the load
+of the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from study.forward.linear_solver import LinearSolver
+from study.forward.pattern import Pattern
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Operator = Callable[[Array], Array]
+
+#: iterations worth less than this are no gain over factorizing: small systems never reuse
+_WORTH = 6.0
+#: contact points that may have changed sides, each of them a direction more to search
+_SWITCHED = 0.25
+
+
+class KeptFactors:
+    """A direct solver whose factors serve later matrices of the same pattern.
+
+    Parameters
+    ----------
+    solver : LinearSolver
+        Factorizes, and solves with its last factorization.
+    pattern : Pattern
+        Upper triangle of the matrices.
+    """
+
+    def __init__(self, solver: LinearSolver, pattern: Pattern) -> None:
+        self._solver, self._pattern = solver, pattern
+        self._spent: list[int] = []
+        self._touching: NDArray[np.bool_] | None = None
+
+    def renewed(self, touching: NDArray[np.bool_]) -> None:
+        """Say that the solver has just factorized, with these contact points closed."""
+        self._spent, self._touching = [], touching
+
+    def forget(self) -> None:
+        """Factorize first: what another run left behind must not change a digit of this one."""
+        self._touching = None
+
+    def solve(
+        self,
+        data: Array,
+        right: Array,
+        scale: Array,
+        tolerance: float,
+        touching: NDArray[np.bool_],
+    ) -> Array | None:
+        """Solve to a relative residual of ``tolerance``, rows weighted by ``scale``.
+
+        None where a new factorization is cheaper.
+        """
+        budget = self._budget(touching)
+        if budget < 1:
+            return None
+        found, count = self._krylov(data, right, scale, tolerance, budget)
+        self._spent.append(count)
+        return found
+
+    def _budget(self, touching: NDArray[np.bool_]) -> int:
+        """Back-substitutions that may be spent on the next solve.
+
+        A factorization is shared by the solves that it serves: it is kept while the next
+        one is expected to cost less than the average so far.
+        """
+        worth = self._solver.worth()
+        if self._touching is None or worth < _WORTH:
+            return 0
+        if np.count_nonzero(touching != self._touching) > _SWITCHED * worth:
+            return 0
+        average = (worth + sum(self._spent)) / (len(self._spent) + 1)
+        if self._spent and self._spent[-1] > average:
+            return 0
+        return int(average)
+
+    def _krylov(
+        self, data: Array, right: Array, scale: Array, tolerance: float, most: int
+    ) -> tuple[Array | None, int]:
+        indptr, indices = self._pattern.indptr, self._pattern.indices
+
+        def product(v: Array) -> Array:
+            return scale * symmetric_product(indptr, indices, data, v)
+
+        return fgmres(product, self._solver.solve, scale * right, tolerance, most, scale)
+
+
+def fgmres(
+    product: Operator, precondition: Operator, b: Array, tolerance: float, most: int, scale: Array
+) -> tuple[Array | None, int]:
+    """Solve ``product(x) = b`` in at most ``most`` iterations; None where they do not suffice.
+
+    Saad (1993), SIAM J. Sci. Comput. 14, 461, algorithm 2.2, without restarts.
+
+    Returns
+    -------
+    x : ndarray or None
+    iterations : int
+    """
+    size = float(np.linalg.norm(b))
+    if size == 0:
+        return np.zeros_like(b), 0
+    basis, directions = [b / size], []
+    hessenberg = np.zeros((most + 1, most))
+    right = np.zeros(most + 1)
+    right[0] = size
+    for j in range(most):
+        directions.append(precondition(basis[j] / scale))
+        w = product(directions[j])
+        for _ in range(2):  # Gram-Schmidt twice is enough
+            for i, v in enumerate(basis):
+                h = float(v @ w)
+                hessenberg[i, j] += h
+                w -= h * v
+        norm = float(np.linalg.norm(w))
+        hessenberg[j + 1, j] = norm
+        y, *_ = np.linalg.lstsq(hessenberg[: j + 2, : j + 1], right[: j + 2], rcond=None)
+        left = float(np.linalg.norm(right[: j + 2] - hessenberg[: j + 2, : j + 1] @ y))
+        if left <= tolerance * size:
+            return np.asarray(np.column_stack(directions) @ y), j + 1
+        if not np.isfinite(norm) or norm <= 1e-14 * size:
+            return None, j + 1
+        # too slow at the rate so far: the rest of the budget would be lost as well
+        if j >= 1 and np.log(tolerance) * (j + 1) < np.log(left / size) * most:
+            return None, j + 1
+        basis.append(w / norm)
+    return None, most
+
+
+@njit(cache=True)
+def symmetric_product(indptr: Ints, indices: Ints, data: Array, v: Array) -> Array:
+    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector."""
+    out = np.zeros(v.size)
+    for i in range(v.size):
+        k = indptr[i]
+        total = data[k] * v[i]  # rows begin with their diagonal
+        for k in range(indptr[i] + 1, indptr[i + 1]):
+            j = indices[k]
+            total += data[k] * v[j]
+            out[j] += data[k] * v[i]
+        out[i] += total
+    return out
