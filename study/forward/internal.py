@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.elements import Discretization
+from study.forward.swell import add_unevenness
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 #: share of the bulk modulus that acts pointwise where elements need it: at a Poisson's ratio of
 #: 0.4995 thirty shear moduli, too few to lock a quadratic element
 POINTWISE = 0.03
+#: kappa of linear simplices over the shear modulus: their bubbles collapse without it
+EVENNESS = 20.0
 #: stands for a volume measure that is not positive, where that means nothing
 _SMALLEST = 1e-6
 
@@ -80,19 +83,23 @@ class Internal:
         pressures. A mixed element resists a change of volume on average only: under a sharp
         indenter single points collapse to a third of their volume, and the surface buckles
         with them. The energy is the same.
+    evenness : float
+        Resistance to uneven volume within an element over the shear modulus, see
+        :mod:`study.forward.swell`.
     """
 
     space: Discretization
     residuals: Array
     tangents: Array
     pointwise: float = 0.0
+    evenness: float = 0.0
 
     @classmethod
-    def on(cls, space: Discretization, pointwise: float = 0.0) -> Internal:
+    def on(cls, space: Discretization, pointwise: float = 0.0, evenness: float = 0.0) -> Internal:
         """Take the memory for a discretization."""
         m = space.dofs.shape[1]
         packed = np.zeros((space.n_elements, m * (m + 1) // 2))
-        return cls(space, np.zeros((space.n_elements, m)), packed, pointwise)
+        return cls(space, np.zeros((space.n_elements, m)), packed, pointwise, evenness)
 
     def evaluate(self, material: Material, x: Array, *, tangent: bool) -> float:
         """Fill the element arrays at unknowns ``x``, shape (n,); return the smallest J.
@@ -103,6 +110,8 @@ class Internal:
         law = law_of(material)
         everywhere, held = self._shares(material.bulk)
         min_j = self._elements(x, law, tangent, everywhere, 1 / held)
+        if self._uneven(material) and min_j > 0:
+            self._add_unevenness(material, x, self.evenness * material.mu0, tangent)
         return max(min_j, _SMALLEST) if law.family == kernels.LINEAR else min_j
 
     def _shares(self, K: float) -> tuple[float, float]:
@@ -151,8 +160,31 @@ class Internal:
         self._elements(without_pressure, law_rate(material, name), False, 0.0, 0.0)
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
-        bulk_rate = material.bulk_gradient()[name]
+        bulk_rate, mu_rate = material.bulk_gradient()[name], material.mu0_gradient()[name]
+        if self._uneven(material) and mu_rate:
+            self.residuals[:] = 0.0
+            self._add_unevenness(material, x, self.evenness * mu_rate, tangent=False)
+            out += self.gathered()
         return out + bulk_rate * self._bulk_derivative(material, x) if bulk_rate else out
+
+    def _uneven(self, material: Material) -> bool:
+        """Whether uneven volume within an element is resisted; small strain has no limit point."""
+        return self.evenness > 0 and material.family != "linear-elastic"
+
+    def _add_unevenness(self, material: Material, x: Array, kappa: float, tangent: bool) -> None:
+        """Add that resistance to the element arrays."""
+        space, J = self.space, self.volume_ratios(material, x)
+        add_unevenness(
+            space.gradients,
+            space.hoop,
+            space.weights,
+            self._local_u(x),
+            J,
+            kappa,
+            tangent,
+            self.residuals,
+            self.tangents,
+        )
 
     def _bulk_derivative(self, material: Material, x: Array) -> Array:
         """dR/dK at fixed unknowns: p/K^2 N in the mixed form, (J - 1) dJ/dF pointwise."""

@@ -35,7 +35,7 @@ POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
 
 
 @kernel(fastmath=_FAST)
-def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
+def deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = gradients.shape[1]
     f[:] = 0.0
@@ -51,7 +51,7 @@ def _deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> 
 
 
 @kernel(fastmath=_FAST)
-def _add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
+def add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
     """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out so that it vectorizes."""
     na = dN.shape[0]
     for a in range(na):
@@ -75,7 +75,7 @@ def _add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
 
 
 @kernel(fastmath=_FAST)
-def _add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
+def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
     """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
     na = dN.shape[0]
     for a in range(na):
@@ -145,7 +145,7 @@ def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     smallest = np.inf
     for e in range(gradients.shape[0]):
         for q in range(gradients.shape[1]):
-            _deformation_gradient(gradients[e, q], hoop[e, q], u[e], f)
+            deformation_gradient(gradients[e, q], hoop[e, q], u[e], f)
             value = cofactor(f, g)
             if not f[8] > 0.0 and gradients.shape[3] == 2:
                 value = -1.0
@@ -224,7 +224,7 @@ def element_residuals(
             dN, H = gradients[e, q], hoop[e, q]
             N = pressure_shape[0 if shared else e, q]
             w = weights[e, q]
-            _deformation_gradient(dN, H, u[e], f)
+            deformation_gradient(dN, H, u[e], f)
             J = isochoric(family, f, constants, work, stress, tangent, want_tangent)
             if curvature > 0.0 and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
@@ -245,9 +245,9 @@ def element_residuals(
                     Rl[dim * a + i] += w * r
             if want_tangent:
                 if dim == 3:
-                    _add_stiffness_3d(dN, tangent, w, Kl)
+                    add_stiffness_3d(dN, tangent, w, Kl)
                 else:
-                    _add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
+                    add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
                 if n_p > 0:
                     _add_coupling(dN, H, g, w * growth, N, Kl)
             for b in range(n_p):

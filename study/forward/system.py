@@ -12,7 +12,7 @@ from study.forward import kernels
 from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
 from study.forward.contact import ContactPoints, ContactState
 from study.forward.elements import Discretization, discretize
-from study.forward.internal import POINTWISE, Internal
+from study.forward.internal import EVENNESS, POINTWISE, Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -63,6 +63,14 @@ def _pointwise(problem: Problem) -> float:
     return POINTWISE if solid and test.kind == "indentation" else 0.0
 
 
+def _evenness(problem: Problem) -> float:
+    """Resistance to uneven volume in linear simplices, see :class:`Internal`."""
+    model = problem.model
+    bubbles = (model.element_order, model.element_shape) == ("linear", "simplex")
+    mixed = model.formulation != "displacement"
+    return EVENNESS if bubbles and mixed and problem.test.kind == "indentation" else 0.0
+
+
 @dataclass
 class System:
     """One problem on one mesh, ready to be solved for any constants of its material."""
@@ -102,7 +110,7 @@ class System:
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space, _pointwise(problem)),
+            internal=Internal.on(space, _pointwise(problem), _evenness(problem)),
             constraints=held,
             contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -9,6 +11,7 @@ import scipy.sparse as sp
 from study.forward.boundary import contact_points
 from study.forward.contact import ContactPoints, Plate
 from study.forward.elements import discretize
+from study.forward.internal import Internal
 from study.forward.mesh import build_mesh
 from study.forward.problem import Block, Cone, Cylinder, Model, Problem, Sphere, Test
 from study.forward.solve import Options, solve
@@ -21,6 +24,8 @@ ENERGIES = {
     "yeoh-2": Material("reduced-polynomial", {"C10": 5e-3, "C20": 3e-4}, bulk_modulus=10.0),
     "ogden": Material("ogden", {"mu1": 0.012, "alpha1": 2.8}, bulk_modulus=10.0),
 }
+#: as lubricated compression of a measured silicone gives it: it softens in tension
+SOFTENING = Material("ogden", {"mu1": 0.015422, "alpha1": 1.52394}, poisson_ratio=0.4995)
 MESHES = [
     (shape, order, mesh)
     for shape in ("simplex", "tensor")
@@ -35,10 +40,10 @@ def deep(material: Material, shape: str, order: str, mesh: str) -> Problem:
     return Problem(Cylinder(25, 50), test, material, model)
 
 
-def in_block(material: Material, depth: float, order: str, mesh: str) -> Problem:
+def in_block(material: Material, depth: float, order: str, mesh: str, space: str = "3d") -> Problem:
     steps = round(depth / 0.4)
     test = Test("indentation", depth, "frictionless", "bonded", steps, Cone(30, 1, 3))
-    model = Model("3d", order, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
+    model = Model(space, order, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
     return Problem(Block(60, 60, 40), test, material, model)
 
 
@@ -54,6 +59,51 @@ def test_the_softest_energy_reaches_five_millimetres(shape: str, order: str, mes
     solution = solve(deep(NEO_HOOKEAN, shape, order, mesh), gradients=False)
     assert solution.converged, solution.message
     assert "snapped" not in solution.message
+
+
+@pytest.mark.parametrize("mesh", ["medium", "fine"])
+def test_linear_triangles_of_a_softening_energy_reach_their_depth(mesh: str) -> None:
+    """Bubbles that swell unevenly at no cost had limit points at 2.5 and 2.0 mm."""
+    problem = in_block(SOFTENING, 4.0, "linear", mesh, "axisymmetric")
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped" not in solution.message
+    # 0.511 N on six meshes of quadratic triangles, coarse to fine, within 0.1 %
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("alpha", [1.3, 1.8])
+@pytest.mark.parametrize("size", [0.25, 0.3, 0.35, 0.4, 0.5])
+def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: float) -> None:
+    material = Material("ogden", {"mu1": 0.0154, "alpha1": alpha}, poisson_ratio=0.4995)
+    problem = in_block(material, 4.0, "linear", "fine", "axisymmetric")
+    problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_uneven_volume_has_the_tangent_of_its_residual(space: str) -> None:
+    problem = in_block(SOFTENING, 1.0, "linear", "coarse", space)
+    pair = discretize(build_mesh(problem), problem.model)
+    x, v = np.random.default_rng(3).normal(size=(2, pair.n))
+    x *= 4e-3  # an element of a quarter of a millimeter keeps its volume
+
+    def internal(point: np.ndarray, kappa: float, *, tangent: bool = False) -> Internal:
+        found = Internal.on(pair, evenness=kappa)
+        assert found.evaluate(SOFTENING, point, tangent=tangent) > 0
+        return found
+
+    def own(point: np.ndarray) -> np.ndarray:
+        return internal(point, 1e6).gathered() - internal(point, 0.0).gathered()
+
+    stiff, plain = (internal(x, kappa, tangent=True).product(v) for kappa in (1e6, 0.0))
+    # central differences of a residual of about one: h^2 against rounding over h
+    rate = (own(x + 1e-6 * v) - own(x - 1e-6 * v)) / 2e-6
+    np.testing.assert_allclose(stiff - plain, rate, atol=1e-5 * np.abs(rate).max())
+    assert np.abs(rate).max() > 0
 
 
 @pytest.mark.slow
