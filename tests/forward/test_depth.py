@@ -72,6 +72,14 @@ def test_linear_triangles_of_a_softening_energy_reach_their_depth(mesh: str) -> 
     assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.03)
 
 
+def test_quadratic_triangles_of_a_softening_energy_reach_their_depth() -> None:
+    """Facets a twentieth of the tip wide, on the coarse mesh, stopped at 3.86 mm."""
+    problem = in_block(SOFTENING, 4.0, "quadratic", "coarse", "axisymmetric")
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.003)
+
+
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("alpha", [1.3, 1.8])
