@@ -6,6 +6,7 @@ session of one thread and closed before anything else happens.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -201,7 +202,7 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
     corners += [(0.0, height)]
 
     def size(r: float, z: float, _: float) -> float:
-        return float(field.at(np.array(r), np.array(z)))
+        return field.at_point(r, z)
 
     with gmsh_session(size) as gmsh:
         tags = [gmsh.model.geo.addPoint(r, z, 0.0) for r, z in corners]
@@ -254,7 +255,7 @@ def _tetrahedra(
     outline: Array, height: float, field: SizeField, ring: float
 ) -> tuple[Array, Cells]:
     def size(x: float, y: float, z: float) -> float:
-        return float(field.at(np.array(np.hypot(x, y)), np.array(z)))
+        return field.at_point(math.hypot(x, y), z)
 
     with gmsh_session(size) as gmsh:
         _quarter(gmsh, outline, height, ring, size)

@@ -6,11 +6,13 @@ series with one ratio everywhere, as an observed order of convergence presumes.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from study.forward.compiled import kernel
 from study.forward.problem import Cone, Flat, Indenter, Model, Sphere, mesh_level
 
 Array = NDArray[np.float64]
@@ -75,20 +77,19 @@ class SizeField:
 
     def at(self, rho: Array, z: Array) -> Array:
         """Size at radius ``rho`` from the axis and height ``z``, shape (n,)."""
-        depth = z - self.top_mm
-        from_feature = np.hypot(rho - self.ring_mm, depth)
-        feature = from_feature - self.feature_mm - self.even * self.finest_mm
-        if self.ring_mm:
-            outside = np.hypot(np.maximum(rho - self.contact_mm, 0.0), depth)
-        else:
-            outside = np.hypot(rho, depth) - self.contact_mm
-        near = self.finest_mm + self.growth * np.maximum(feature, 0.0)
-        zone = self.zone_mm + self.growth * np.maximum(outside, 0.0)
-        size = np.minimum(np.minimum(near, zone), self.largest_mm)
-        if self.halvings:
-            rings = np.maximum(from_feature / self.finest_mm, 0.5**self.halvings)
-            size = np.where(rings < 1.0, 0.5 ** np.ceil(-np.log2(rings)) * size, size)
-        return np.asarray(size)
+        both = np.broadcast_arrays(np.asarray(rho, float), np.asarray(z, float))
+        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self._numbers())
+        return np.asarray(sizes.reshape(both[0].shape))
+
+    def at_point(self, rho: float, z: float) -> float:
+        """Size at one place: mesh generators ask for tens of thousands."""
+        return float(_size(rho, z, *self._numbers()))
+
+    def _numbers(self) -> tuple[float, ...]:
+        return (
+            self.top_mm, self.finest_mm, self.largest_mm, self.feature_mm, self.ring_mm,
+            self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
+        )  # fmt: skip
 
     def scaled(self, factor: float) -> SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
@@ -100,6 +101,41 @@ class SizeField:
             zone_mm=self.zone_mm * factor,
             growth=self.growth * factor,
         )
+
+
+@kernel()
+def _size(
+    rho: float, z: float, top: float, finest: float, largest: float, feature: float, ring: float,
+    zone: float, contact: float, growth: float, even: float, halvings: float,
+) -> float:  # fmt: skip
+    """Size at one place; the arguments are the fields of :class:`SizeField`."""
+    depth = z - top
+    from_feature = math.hypot(rho - ring, depth)
+    if ring > 0.0:
+        outside = math.hypot(max(rho - contact, 0.0), depth)
+    else:
+        outside = math.hypot(rho, depth) - contact
+    near = finest + growth * max(from_feature - feature - even * finest, 0.0)
+    size = min(near, zone + growth * max(outside, 0.0), largest)
+    if halvings > 0.0:
+        rings = max(from_feature / finest, 0.5**halvings)
+        if rings < 1.0:
+            size *= 0.5 ** math.ceil(-math.log2(rings))
+    return size
+
+
+@kernel()
+def _sizes(
+    rho: Array, z: Array, top: float, finest: float, largest: float, feature: float, ring: float,
+    zone: float, contact: float, growth: float, even: float, halvings: float,
+) -> Array:  # fmt: skip
+    """Sizes at places, shape (n,)."""
+    out = np.empty(rho.size)
+    for i in range(rho.size):
+        out[i] = _size(
+            rho[i], z[i], top, finest, largest, feature, ring, zone, contact, growth, even, halvings
+        )
+    return out
 
 
 def contact_radius(indenter: Indenter, depth_mm: float) -> float:

@@ -32,7 +32,7 @@ class StepSettings:
     largest_touch: float = 0.25
     deeper: float = 0.08
     smallest: float = 0.03
-    growth: float = 1.4
+    growth: float = 1.6
     easy: int = 7
     hard: int = 14
 

@@ -7,6 +7,7 @@ again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. M
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -102,7 +103,7 @@ def _size_function(problem: Problem, found: Body, size: float) -> Size:
     field = _field(problem, found)
 
     def graded(x: float, y: float, z: float) -> float:
-        return float(field.at(np.array(np.hypot(x, y)), np.array(z)))
+        return field.at_point(math.hypot(x, y), z)
 
     return graded
 
