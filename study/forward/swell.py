@@ -41,6 +41,34 @@ def _add_rates(dN: Array, H: Array, g: Array, w: float, out: Array) -> None:
 
 
 @kernel()
+def _means(J: Array, w: Array, kappa: float) -> tuple[float, float, float, float]:
+    """Volume, mean J, mean of kappa d^3, and integral of 3 kappa d^2 over one element."""
+    volume, swollen = 0.0, 0.0
+    for q in range(J.size):
+        volume += w[q]
+        swollen += w[q] * J[q]
+    mean = swollen / volume
+    even, stiff = 0.0, 0.0
+    for q in range(J.size):
+        d = J[q] - mean
+        even += w[q] * kappa * d**3 / volume
+        stiff += w[q] * 3.0 * kappa * d**2
+    return volume, mean, even, stiff
+
+
+@kernel()
+def _add_packed(Kl: Array, cross: Array, mean_rate: Array, stiff: float, m: int, K: Array) -> None:
+    """Add the upper triangle of one element to its packed rows of ``m`` unknowns."""
+    nu, s = mean_rate.size, 0
+    for i in range(nu):
+        for j in range(i, nu):
+            between = cross[i] * mean_rate[j] + mean_rate[i] * cross[j]
+            K[s] += Kl[i, j] - between + stiff * mean_rate[i] * mean_rate[j]
+            s += 1
+        s += m - nu
+
+
+@kernel()
 def add_unevenness(
     gradients: Array,
     hoop: Array,
@@ -68,17 +96,7 @@ def add_unevenness(
         Rl[:] = 0.0
         mean_rate[:] = 0.0
         cross[:] = 0.0
-        volume = 0.0
-        swollen = 0.0
-        for q in range(nq):
-            volume += weights[e, q]
-            swollen += weights[e, q] * J[e, q]
-        mean = swollen / volume
-        even, stiff = 0.0, 0.0
-        for q in range(nq):
-            d = J[e, q] - mean
-            even += weights[e, q] * kappa * d**3 / volume
-            stiff += weights[e, q] * 3.0 * kappa * d**2
+        volume, mean, even, stiff = _means(J[e], weights[e], kappa)
         for q in range(nq):
             dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
             deformation_gradient(dN, H, u[e], f)
@@ -101,10 +119,4 @@ def add_unevenness(
         for i in range(nu):
             R[e, i] += Rl[i]
         if want_tangent:
-            s = 0
-            for i in range(nu):
-                for j in range(i, nu):
-                    between = cross[i] * mean_rate[j] + mean_rate[i] * cross[j]
-                    K[e, s] += Kl[i, j] - between + stiff * mean_rate[i] * mean_rate[j]
-                    s += 1
-                s += m - nu
+            _add_packed(Kl, cross, mean_rate, stiff, m, K[e])
