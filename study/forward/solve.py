@@ -16,6 +16,7 @@ from study.forward.gradients import StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
 from study.forward.problem import Problem, Surface
+from study.forward.reach import lost_ellipticity
 from study.forward.snap import solve_through
 from study.forward.solution import Solution, Warm, WarmStep, without_answer
 from study.forward.steps import StepRule, StepSettings
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it
 _LEAPS = (0.5, 0.1)
+#: what a user can do about an energy that is stretched too far
+_OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
 
@@ -300,9 +303,10 @@ class _Run:
         )
         vertices = system.mesh.points.shape[0]
         reached = self.state.displacement_mm
+        lost = lost_ellipticity(system, self.state)
         return Solution(
-            status="converged" if done else "not-converged",
-            message=self._message(done),
+            status="converged" if done else "unstable" if lost else "not-converged",
+            message=self._message(done, lost),
             curve=curve,
             reached_mm=reached,
             min_j=self.min_j,
@@ -320,7 +324,7 @@ class _Run:
             warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
         )
 
-    def _message(self, done: bool) -> str:
+    def _message(self, done: bool, lost: str) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""
         said = ["every step converged"]
         if self.snaps:
@@ -333,7 +337,11 @@ class _Run:
             )
         if not done:
             reached, asked = self.state.displacement_mm, self.problem.test.displacement_mm
-            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {self.reason}"]
+            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or self.reason}"]
+            if lost:
+                said.append(_OUT_OF_REACH)
+        elif lost:
+            said.append(f"{lost}: there the answer depends on the mesh")
         if isinstance(self.problem.specimen, Surface):
             said += self.problem.specimen.notes
         return "; ".join(said)

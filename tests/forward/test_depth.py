@@ -187,3 +187,13 @@ def test_every_corner_has_the_mid_sides_of_its_edges() -> None:
         far = int(np.linalg.norm(places - other, axis=1).argmin())
         assert np.linalg.norm(places[far] - other) < 1e-9
         assert around[far] > 0
+
+
+def test_an_energy_that_is_no_longer_elliptic_says_so() -> None:
+    """An exponent of nearly zero is Hencky's energy: no mesh carries it under a needle."""
+    hencky = Material("ogden", {"mu1": 0.01228, "alpha1": -0.019}, poisson_ratio=0.4995)
+    found = solve(in_block(hencky, 4.0, "quadratic", "coarse", "axisymmetric"), gradients=False)
+    assert found.status == "unstable"
+    assert "no longer elliptic where it is stretched" in found.message
+    assert "use another energy" in found.message
+    assert 1.5 < found.reached_mm < 3.0

@@ -1,0 +1,56 @@
+"""Loss of ellipticity: closed forms, and energies that never get there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from study.material import Material
+from study.material.ellipticity import ellipticity
+
+ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
+
+
+def ogden(alpha: float) -> Material:
+    return Material("ogden", {"mu1": 1.0, "alpha1": alpha}, incompressible=True)
+
+
+def test_a_neo_hookean_solid_has_the_squares_of_its_stretches() -> None:
+    """W = C (l1^2 + l2^2 + l3^2 - 3): alpha = 2 C l^2, beta + sqrt(alpha gamma) = C (l1 + l2)^2."""
+    rubber = Material("neo-hookean", {"C10": 1.5}, incompressible=True)
+    bar = ANYWHERE / np.cbrt(ANYWHERE.prod(axis=0))
+    smallest, middle, _ = np.sort(bar, axis=0)
+    wanted = np.minimum(2 * smallest**2, (smallest + middle) ** 2) * 1.5
+    np.testing.assert_allclose(ellipticity(rubber, ANYWHERE), wanted, rtol=1e-9)
+
+
+def test_the_undeformed_state_has_the_shear_modulus() -> None:
+    """alpha = mu and beta + sqrt(alpha gamma) = 2 mu there, for every energy."""
+    for material in (ogden(-0.02), ogden(9.0), ogden(1.5)):
+        found = ellipticity(material, np.ones((3, 1)))
+        assert found == pytest.approx(material.mu0, rel=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [1e-3, -1e-3])
+def test_hencky_gives_way_at_a_ratio_of_stretches(alpha: float) -> None:
+    """W = mu sum (ln l)^2: d tanh d = 1 with d half the logarithm of the ratio."""
+    d = brentq(lambda d: d * np.tanh(d) - 1, 0.5, 2.0)
+    for share, lost in ((0.999, False), (1.001, True)):
+        ratio = np.exp(2 * d * share)
+        stretch = ratio ** (1 / 3)  # equibiaxial: l, l, l^-2
+        found = ellipticity(ogden(alpha), np.array([[stretch], [stretch], [stretch**-2]]))
+        assert (found[0] <= 0) == lost
+
+
+@pytest.mark.parametrize("alpha", [-3.0, -1.0, 1.0, 1.5239, 2.8, 9.0])
+def test_exponents_of_one_and_more_never_give_way(alpha: float) -> None:
+    """Ogden's terms are polyconvex there (Ball 1977)."""
+    assert (ellipticity(ogden(alpha), ANYWHERE) > 0).all()
+
+
+def test_a_change_of_volume_does_not_count() -> None:
+    material = ogden(0.5)
+    np.testing.assert_allclose(
+        ellipticity(material, 1.3 * ANYWHERE), ellipticity(material, ANYWHERE), rtol=1e-9
+    )
