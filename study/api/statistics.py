@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.analysis import analyze as anova
 from study.analysis import bartlett, grid_convergence, ryan_joiner
+from study.api.gaps import without_gaps
 from study.api.replicates import rows_for
 from study.api.resolution import effect_u_num
 from study.errors import Fault, InputError, nearest
@@ -97,8 +98,9 @@ def analyze_records(
     rows = rows_for(table(list(records)), response.name, names, spec.error, block)
     factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
     model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
+    whole, gaps = without_gaps(design, rows.table, response.name, factors, rows.block, model)
     found = anova(
-        rows.table,
+        whole,
         response.name,
         factors,
         block=rows.block,
@@ -111,7 +113,7 @@ def analyze_records(
             design,
             numerical,
             records,
-            rows.table,
+            whole,
             response.name,
             response.transform,
             factors=factors,
@@ -122,7 +124,7 @@ def analyze_records(
         seed=design.seed,
         **rows.options,
     )
-    return replace(found, warnings=(*found.warnings, *rows.notes))
+    return replace(found, warnings=(*found.warnings, *rows.notes, *gaps))
 
 
 def _is_csv(path: Path) -> bool:

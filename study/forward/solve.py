@@ -169,7 +169,7 @@ class _Run:
                 continue
             self.step_mm = remaining / pieces / 2
             if self.step_mm < self.rule.smallest_mm():
-                through = self._through(target) if self.options.snaps else None
+                through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason
                     return False
@@ -195,6 +195,10 @@ class _Run:
     def _lift(self) -> State | None:
         """State that a driven specimen is lifted from; an indenter drives no unknown."""
         return self.state if self.system.constraints.rate.any() else None
+
+    def _may_snap(self) -> bool:
+        """Whether to look beyond a limit point: not for an energy that has lost its ellipticity."""
+        return self.options.snaps and not lost_ellipticity(self.system, self.state)
 
     def _through(self, target: float) -> NewtonResult | None:
         """Go past a limit point, in a step long enough to leave it behind; None if none does."""

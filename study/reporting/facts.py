@@ -226,12 +226,15 @@ def is_effect(row: Mapping[str, Any], factors: Sequence[str]) -> bool:
 def comparable(data: ReportData, response: str) -> pd.DataFrame:
     """Rows with the response, of the blocks that every computed cell shares.
 
-    All rows where there are no blocks, or none that all cells share.
+    Cells answered in half of the blocks or fewer are left out, as in the analysis. All rows
+    where there are no blocks, or none that all cells share.
     """
     known = data.table.dropna(subset=[response])
     if not data.blocks or "block" not in known or known.empty:
         return known
     cell = known[list(data.factors)].astype(str).agg(":".join, axis=1)
+    often = 2 * known["block"].groupby(cell).transform("nunique") > known["block"].nunique()
+    known, cell = known[often], cell[often]
     per_block = cell.groupby(known["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
     if len(whole) in (0, len(per_block)):
