@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from study.forward.newton import NewtonSettings
 from study.forward.problem import Block, Cylinder, Model, Problem, Test
 from study.forward.solve import Options, solve
 from study.material import Material
@@ -212,13 +213,26 @@ def test_constants_that_soften_without_end_are_unstable_before_any_mesh() -> Non
 
 
 def test_an_unreachable_displacement_is_a_status() -> None:
-    """Constants that only the corner's large strains make unstable: what was reached is kept."""
+    """Constants that only the corner's large strains make unstable: what was reached is kept.
+
+    The place is said where the energy has lost its ellipticity: no mesh goes further.
+    """
     constants = {"C10": 6.12e-3, "C20": 0.02e-3, "C30": -0.23e-3}
     soft = Material("reduced-polynomial", constants, poisson_ratio=0.4995)
     solution = solve(compression(Cylinder(25, 30), 6, material=soft, steps=40, mesh="fine"))
+    assert solution.status == "unstable"
+    assert "stopped at" in solution.message
+    assert "no longer elliptic where it is stretched" in solution.message
+    assert 0 < len(solution.curve) < 40
+
+
+def test_a_solver_that_gives_up_blames_no_energy() -> None:
+    impatient = Options(newton=NewtonSettings(max_iterations=1, max_switching=1), snaps=False)
+    problem = compression(Cylinder(25, 30), 6, material=GEL, steps=2, mesh="coarse")
+    solution = solve(problem, options=impatient)
     assert solution.status == "not-converged"
     assert "stopped at" in solution.message
-    assert 0 < len(solution.curve) < 40
+    assert "elliptic" not in solution.message
 
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
