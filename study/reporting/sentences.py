@@ -48,10 +48,22 @@ def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
     if not any(facts.terms for facts in found):
         return ("No response could be analyzed; the reasons stand below.",)
     return (
-        " ".join(_which(data, facts) for facts in found if facts.terms),
+        " ".join(
+            [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
+        ),
         _one_not_other(data, found),
         best_cell(data, found),
     )
+
+
+def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
+    """Say which levels failed in too many of their cells to be compared with the others."""
+    gone: dict[str, None] = {}
+    for effect in (effect for facts in found for effect in facts.effects):
+        own = [str(level) for level in data.factors.get(effect.term, ())]
+        if effect.levels and set(effect.levels) < set(own):
+            gone.update(dict.fromkeys(clean(o) for o in own if o not in effect.levels))
+    return [f"Left out, for want of answers: {listing(list(gone))}."] if gone else []
 
 
 def _which(data: ReportData, facts: Facts) -> str:

@@ -139,6 +139,14 @@ def test_answer_is_three_sentences_of_the_example(data: ReportData):
     assert best.startswith("The lowest relative RMS force error is 4.83 %, with mooney-rivlin")
 
 
+def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
+    found = facts(data)
+    assert "Left out" not in " ".join(sentences.answer(data, found))
+    name, levels = next(iter(data.factors.items()))
+    more = replace(data, factors={**data.factors, name: (*levels, "ogden-9")})
+    assert "Left out, for want of answers: ogden-9." in sentences.answer(more, found)[0]
+
+
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
     assert "scatter of their generator" in render(prepare(replace(virtual, curves=())))
