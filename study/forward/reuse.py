@@ -123,10 +123,10 @@ def fgmres(
         w = product(directions[j])
         for _ in range(2):  # Gram-Schmidt twice is enough
             for i, v in enumerate(basis):
-                h = float(v @ w)
+                h = float(np.einsum("i,i->", v, w))  # no threads for so little
                 hessenberg[i, j] += h
                 w -= h * v
-        norm = float(np.linalg.norm(w))
+        norm = float(np.sqrt(np.einsum("i,i->", w, w)))
         hessenberg[j + 1, j] = norm
         y, *_ = np.linalg.lstsq(hessenberg[: j + 2, : j + 1], right[: j + 2], rcond=None)
         left = float(np.linalg.norm(right[: j + 2] - hessenberg[: j + 2, : j + 1] @ y))
