@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from study.record import answered_often
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -75,13 +77,9 @@ def _answered(
     table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None
 ) -> set[Cell]:
     known = table.dropna(subset=[response])
-    if block is None:
-        return {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
-    blocks = table[block].nunique()
-    per_cell = known.groupby(list(factors), sort=False, observed=True)[block].nunique()
-    names = [key if isinstance(key, tuple) else (key,) for key in per_cell.index]
-    counts = zip(names, per_cell.to_numpy(), strict=True)
-    return {tuple(map(str, name)) for name, n in counts if 2 * n > blocks}
+    if block is not None and len(known):
+        known = known[answered_often(known, factors, block, table[block].nunique())]
+    return {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
 
 
 def _worst(

@@ -93,15 +93,23 @@ def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array
                 K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
+@kernel(inline="always")
+def volume_rate(dN: Array, H: Array, g: Array, a: int, i: int) -> float:
+    """dJ/du_ai at one quadrature point, ``g`` being dJ/dF."""
+    dim = dN.shape[1]
+    rate = H[a] * g[8] if dim == 2 and i == 0 else 0.0
+    for j in range(dim):
+        rate += dN[a, j] * g[3 * i + j]
+    return rate
+
+
 @kernel(fastmath=_FAST)
 def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -> None:
     """K_ai,b += w dN_a,j g_ij N_b in the columns of the pressures."""
     na, dim = dN.shape
     for a in range(na):
         for i in range(dim):
-            gn = H[a] * g[8] if dim == 2 and i == 0 else 0.0
-            for j in range(dim):
-                gn += dN[a, j] * g[3 * i + j]
+            gn = volume_rate(dN, H, g, a, i)
             for b in range(N.shape[0]):
                 K[dim * a + i, dim * na + b] += w * gn * N[b]
 

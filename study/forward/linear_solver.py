@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from study.forward.pattern import Pattern
+from study.forward.pattern import Pattern, symmetric_product
 
 Array = NDArray[np.float64]
 
@@ -148,8 +148,11 @@ class Pardiso:
     def _solved(self, x: Array, b: Array) -> bool:
         """Whether ``x`` solves this system or one next to it (Higham 2002, sec. 7.1)."""
         upper = self._matrix
-        diagonal = upper.diagonal()
-        product = upper @ x + upper.T @ x - (x.T * diagonal).T
+        product = np.empty_like(x)
+        for column, into in zip(np.atleast_2d(x.T), np.atleast_2d(product.T), strict=True):
+            into[:] = symmetric_product(
+                upper.indptr, upper.indices, upper.data, np.ascontiguousarray(column)
+            )
         residual, size = float(np.linalg.norm(b - product)), float(np.linalg.norm(b))
         if residual <= _TRUSTED * size:
             return True

@@ -86,8 +86,10 @@ class Course(Protocol):
     ) -> bool:
         """Whether to give up; ``changing`` says that contact still does."""
 
-    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
-        """Solve with the tangent of the state, rows weighted by ``scale``."""
+    def solve(
+        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
+    ) -> Array:
+        """Solve with the tangent of a state that was just assembled."""
 
     def share(self, system: System, residuals: list[float], increment: Array) -> float:
         """Part of a step that is taken, before any J is looked at."""
@@ -108,10 +110,12 @@ class FullSteps:
             return True
         return iteration >= (settings.max_switching if changing else settings.max_iterations)
 
-    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
+    def solve(
+        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
+    ) -> Array:
         """Take the tangent as it is; a calm one differs little from one already factorized."""
         if residuals and residuals[-1] < _CALM:
-            return system.solve(right, scale, _LINEAR)
+            return system.solve(right, _scale(system, *at), _LINEAR)
         system.factorize()
         return system.back_substitute(right)
 
@@ -167,7 +171,7 @@ def iterate(
         if course.ended(iteration, residuals, switches.changing, settings):
             break
         try:
-            solution = course.solve(system, residuals, right, _scale(system, state, assembly))
+            solution = course.solve(system, residuals, right, (state, assembly))
         except SingularMatrixError as error:
             return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
         increment = np.zeros(system.space.n)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 Narrow = NDArray[np.int32]
 Wide = NDArray[np.int64]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -136,4 +137,19 @@ def _find(indptr: Narrow, indices: Narrow, low: Narrow, high: Narrow) -> Narrow:
             k = a + np.searchsorted(indices[a:b], high[i])
             if k < b and indices[k] == high[i]:
                 out[i] = k
+    return out
+
+
+@njit(cache=True)
+def symmetric_product(indptr: Narrow, indices: Narrow, data: Floats, v: Floats) -> Floats:
+    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector."""
+    out = np.zeros(v.size)
+    for i in range(v.size):
+        k = indptr[i]
+        total = data[k] * v[i]  # rows begin with their diagonal
+        for k in range(indptr[i] + 1, indptr[i + 1]):
+            j = indices[k]
+            total += data[k] * v[j]
+            out[j] += data[k] * v[i]
+        out[i] += total
     return out

@@ -13,14 +13,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from study.forward.linear_solver import LinearSolver
-from study.forward.pattern import Pattern
+from study.forward.pattern import Pattern, symmetric_product
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int32]
 Operator = Callable[[Array], Array]
 
 #: iterations worth less than this are no gain over factorizing: small systems never reuse
@@ -96,11 +94,14 @@ class KeptFactors:
         def product(v: Array) -> Array:
             return scale * symmetric_product(indptr, indices, data, v)
 
-        return fgmres(product, self._solver.solve, scale * right, tolerance, most, scale)
+        def precondition(v: Array) -> Array:
+            return self._solver.solve(v / scale)
+
+        return fgmres(product, precondition, scale * right, tolerance, most)
 
 
 def fgmres(
-    product: Operator, precondition: Operator, b: Array, tolerance: float, most: int, scale: Array
+    product: Operator, precondition: Operator, b: Array, tolerance: float, most: int
 ) -> tuple[Array | None, int]:
     """Solve ``product(x) = b`` in at most ``most`` iterations; None where they do not suffice.
 
@@ -119,7 +120,7 @@ def fgmres(
     right = np.zeros(most + 1)
     right[0] = size
     for j in range(most):
-        directions.append(precondition(basis[j] / scale))
+        directions.append(precondition(basis[j]))
         w = product(directions[j])
         for _ in range(2):  # Gram-Schmidt twice is enough
             for i, v in enumerate(basis):
@@ -139,18 +140,3 @@ def fgmres(
             return None, j + 1
         basis.append(w / norm)
     return None, most
-
-
-@njit(cache=True)
-def symmetric_product(indptr: Ints, indices: Ints, data: Array, v: Array) -> Array:
-    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector."""
-    out = np.zeros(v.size)
-    for i in range(v.size):
-        k = indptr[i]
-        total = data[k] * v[i]  # rows begin with their diagonal
-        for k in range(indptr[i] + 1, indptr[i + 1]):
-            j = indices[k]
-            total += data[k] * v[j]
-            out[j] += data[k] * v[i]
-        out[i] += total
-    return out

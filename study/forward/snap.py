@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from study.forward.newton import NewtonResult, NewtonSettings, iterate
 from study.forward.switches import Switches
-from study.forward.system import State, System
+from study.forward.system import Assembly, State, System
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,9 @@ class Descent:
         """After so many iterations."""
         return iteration >= _ITERATIONS
 
-    def solve(self, system: System, residuals: list[float], right: Array, scale: Array) -> Array:
+    def solve(
+        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
+    ) -> Array:
         """Solve with a tangent that makes a step of descent."""
         self._factorize(system, residuals)
         return system.back_substitute(right)

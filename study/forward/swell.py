@@ -22,6 +22,7 @@ from study.forward.kernels import (
     add_stiffness_3d,
     add_stiffness_axisymmetric,
     deformation_gradient,
+    volume_rate,
 )
 from study.forward.law import add_pressure, cofactor
 
@@ -34,10 +35,7 @@ def _add_rates(dN: Array, H: Array, g: Array, w: float, out: Array) -> None:
     na, dim = dN.shape
     for a in range(na):
         for i in range(dim):
-            rate = H[a] * g[8] if dim == 2 and i == 0 else 0.0
-            for j in range(dim):
-                rate += dN[a, j] * g[3 * i + j]
-            out[dim * a + i] += w * rate
+            out[dim * a + i] += w * volume_rate(dN, H, g, a, i)
 
 
 @kernel()

@@ -12,7 +12,7 @@ from study.record.files import FileSystem, write_atomic
 from study.record.record import Record
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
 #: columns that number the replicates of a cell, and the number of the case that they repeat
@@ -76,6 +76,20 @@ def table(records: Sequence[Record]) -> DataFrame:
     )
     frame.attrs["units"] = units
     return frame
+
+
+def answered_often(
+    known: DataFrame, factors: Sequence[str], block: str, blocks: int
+) -> Series[bool]:
+    """Tell which rows belong to a cell with an answer in more than half of so many blocks.
+
+    Parameters
+    ----------
+    known : DataFrame
+        The rows with an answer.
+    """
+    cell = known[list(factors)].astype(str).agg(":".join, axis=1)
+    return 2 * known[block].groupby(cell).transform("nunique") > blocks
 
 
 def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:

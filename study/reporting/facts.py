@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, Any
 
+from study.record import answered_often
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.text import clean, name_of
 
@@ -232,9 +233,9 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
     known = data.table.dropna(subset=[response])
     if not data.blocks or "block" not in known or known.empty:
         return known
-    cell = known[list(data.factors)].astype(str).agg(":".join, axis=1)
-    often = 2 * known["block"].groupby(cell).transform("nunique") > known["block"].nunique()
-    known, cell = known[often], cell[often]
+    factors = list(data.factors)
+    known = known[answered_often(known, factors, "block", known["block"].nunique())]
+    cell = known[factors].astype(str).agg(":".join, axis=1)
     per_block = cell.groupby(known["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
     if len(whole) in (0, len(per_block)):
