@@ -38,6 +38,9 @@ _RULES = {
     ("3d", "quadratic", "tensor"): 5,
     ("3d", "linear", "tensor"): 3,
 }
+#: and under an indenter, where a quadratic tetrahedron is stretched five times: looked at in
+#: four points only, it collapses between them
+_STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
 
 
 @dataclass(frozen=True)
@@ -85,14 +88,21 @@ class Discretization:
         return int(self.element_nodes.shape[0])
 
 
-def discretize(mesh: Mesh, model: Model) -> Discretization:
-    """Shape-function arrays of a mesh for a model's element pair."""
+def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discretization:
+    """Shape-function arrays of a mesh for a model's element pair.
+
+    Parameters
+    ----------
+    stretched : bool
+        Whether single places are stretched several times, as under an indenter.
+    """
     from skfem import Basis
 
     axisymmetric = model.space == "axisymmetric"
     fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
     element = _displacement_element(model, axisymmetric)
-    rule = _RULES[(model.space, model.element_order, model.element_shape)]
+    kind = (model.space, model.element_order, model.element_shape)
+    rule = _STRETCHED_RULES.get(kind, _RULES[kind]) if stretched else _RULES[kind]
     basis = Basis(fem_mesh, element, intorder=rule)
     ne, nq = basis.dx.shape
     gradients = np.stack(

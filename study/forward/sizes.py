@@ -20,11 +20,11 @@ Array = NDArray[np.float64]
 #: elements across the contact radius, and across the radius of a rounded tip or edge
 _PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
 #: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
-#: still, within a smaller part: the surface is stretched three times and more there, and facets as
-#: wide as the tip let it snap (linear and tensor elements collapse the sooner the smaller they are)
-_TIP_ZONE, _TIP_CORE = 1.5, 0.3
-#: what a plane can afford carries energies that soften in tension, where it is stretched five times
-_TIP_FINER = {"axisymmetric": 7.0, "3d": 5.0}
+#: still, within a smaller part: the surface is stretched three times there, five times if its
+#: energy softens in tension, and facets as wide as the tip let it snap (linear and tensor elements
+#: collapse the sooner the smaller they are)
+_TIP_ZONE = 1.5
+_TIP_FINER, _TIP_CORE = 7.0, {"axisymmetric": 0.3, "3d": 0.2}
 _STRETCHED = ("quadratic", "simplex")
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
 _EVEN, _EVEN_GROWTH = 4.0, 0.12
@@ -193,7 +193,7 @@ def size_field(
     if sharp_edge(indenter) and model.space == "axisymmetric":
         reference = _about_sharp_edge(reference, indenter, depth_mm)
     if isinstance(indenter, Cone) and (model.element_order, model.element_shape) == _STRETCHED:
-        reference = _under_tip(reference, indenter, _TIP_FINER[model.space])
+        reference = _under_tip(reference, indenter, _TIP_CORE[model.space])
     if model.mesh_size_mm is not None:
         return reference.scaled(model.mesh_size_mm / reference.size_mm)
     return reference.scaled(mesh_level(model))
@@ -208,9 +208,9 @@ def _about_sharp_edge(field: SizeField, indenter: Indenter, depth_mm: float) -> 
     return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
 
 
-def _under_tip(field: SizeField, cone: Cone, finer: float) -> SizeField:
+def _under_tip(field: SizeField, cone: Cone, core: float) -> SizeField:
     """Smaller elements under a rounded tip, where a deep needle stretches them most."""
-    finest = cone.tip_radius_mm / (_PER_TIP * finer)
+    finest = cone.tip_radius_mm / (_PER_TIP * _TIP_FINER)
     if not 0 < finest < field.finest_mm:
         return field
-    return replace(field, finest_mm=finest, feature_mm=_TIP_CORE * cone.tip_radius_mm)
+    return replace(field, finest_mm=finest, feature_mm=core * cone.tip_radius_mm)

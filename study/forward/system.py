@@ -99,7 +99,7 @@ class System:
     ) -> System:
         """Discretize, constrain and analyze a problem on a mesh."""
         start = time.perf_counter()
-        space = discretize(mesh, problem.model)
+        space = discretize(mesh, problem.model, stretched=problem.test.kind == "indentation")
         held = constraints(problem, space, mesh)
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)

@@ -82,6 +82,28 @@ def test_quadratic_triangles_of_a_softening_energy_reach_their_depth() -> None:
 
 @pytest.mark.slow
 @pytest.mark.verify
+@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+def test_quadratic_tetrahedra_of_a_softening_energy_reach_their_depth(mesh: str) -> None:
+    """Integrated at four points they collapse between them, at 3.18 and 3.43 mm."""
+    solution = solve(in_block(SOFTENING, 4.0, "quadratic", mesh), gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped" not in solution.message
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.02)
+
+
+def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -> None:
+    problem = in_block(SOFTENING, 4.0, "quadratic", "coarse")
+    mesh = build_mesh(problem)
+    usual, stretched = (
+        discretize(mesh, problem.model, stretched=much).weights for much in (False, True)
+    )
+    assert stretched.shape[1] > 3 * usual.shape[1]
+    assert (stretched > 0).all(), "a point with a negative weight would reward its collapse"
+    assert stretched.sum() == pytest.approx(usual.sum(), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
 @pytest.mark.parametrize("alpha", [1.3, 1.8])
 @pytest.mark.parametrize("size", [0.25, 0.3, 0.35, 0.4, 0.5])
 def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: float) -> None:
