@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it
 _LEAPS = (0.5, 0.1)
+#: smallest step of an energy that has lost its ellipticity over that of any other
+_BEYOND = 8.0
 #: what a user can do about an energy that is stretched too far
 _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
 #: force of a pin over that of the test above which a specimen is not balanced
@@ -168,7 +170,7 @@ class _Run:
                 self._accept(result)
                 continue
             self.step_mm = remaining / pieces / 2
-            if self.step_mm < self.rule.smallest_mm():
+            if self.step_mm < self._smallest_mm():
                 through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason
@@ -195,6 +197,12 @@ class _Run:
     def _lift(self) -> State | None:
         """State that a driven specimen is lifted from; an indenter drives no unknown."""
         return self.state if self.system.constraints.rate.any() else None
+
+    def _smallest_mm(self) -> float:
+        """Step that is the last to be tried: a long one where the energy's reach has ended."""
+        smallest = self.rule.smallest_mm()
+        lost = self.step_mm < _BEYOND * smallest and lost_ellipticity(self.system, self.state)
+        return _BEYOND * smallest if lost else smallest
 
     def _may_snap(self) -> bool:
         """Whether to look beyond a limit point: not for an energy that has lost its ellipticity."""
