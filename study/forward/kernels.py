@@ -44,8 +44,10 @@ def deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> N
     f[8] = 1.0
     for a in range(gradients.shape[0]):
         for i in range(dim):
-            for j in range(dim):
-                f[3 * i + j] += u[a, i] * gradients[a, j]
+            f[3 * i] += u[a, i] * gradients[a, 0]
+            f[3 * i + 1] += u[a, i] * gradients[a, 1]
+            if dim == 3:
+                f[3 * i + 2] += u[a, i] * gradients[a, 2]
         if dim == 2:
             f[8] += u[a, 0] * hoop[a]
 
@@ -93,25 +95,38 @@ def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array
                 K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
-@kernel(inline="always")
-def volume_rate(dN: Array, H: Array, g: Array, a: int, i: int) -> float:
-    """dJ/du_ai at one quadrature point, ``g`` being dJ/dF."""
-    dim = dN.shape[1]
-    rate = H[a] * g[8] if dim == 2 and i == 0 else 0.0
-    for j in range(dim):
-        rate += dN[a, j] * g[3 * i + j]
-    return rate
-
-
 @kernel(fastmath=_FAST)
-def _add_coupling(dN: Array, H: Array, g: Array, w: float, N: Array, K: Array) -> None:
-    """K_ai,b += w dN_a,j g_ij N_b in the columns of the pressures."""
+def along_nodes(dN: Array, H: Array, T: Array, out: Array) -> None:
+    """T : dF/du at one quadrature point, node by node: forces of a stress, dJ/du of dJ/dF."""
     na, dim = dN.shape
     for a in range(na):
         for i in range(dim):
-            gn = volume_rate(dN, H, g, a, i)
-            for b in range(N.shape[0]):
-                K[dim * a + i, dim * na + b] += w * gn * N[b]
+            total = dN[a, 0] * T[3 * i] + dN[a, 1] * T[3 * i + 1]
+            if dim == 3:
+                total += dN[a, 2] * T[3 * i + 2]
+            elif i == 0:
+                total += H[a] * T[8]
+            out[dim * a + i] = total
+
+
+@kernel(fastmath=_FAST)
+def _add_coupling(rates: Array, w: float, N: Array, K: Array) -> None:
+    """K_b,ai += w N_b dJ/du_ai: below the diagonal, where the unknowns of a row are neighbors."""
+    nu = rates.size
+    for b in range(N.size):
+        share = w * N[b]
+        for r in range(nu):
+            K[nu + b, r] += share * rates[r]
+
+
+@kernel()
+def _pack(K: Array, nu: int, packed: Array) -> None:
+    """Upper triangle of a symmetric tangent, row by row; its pressure rows hold the coupling."""
+    m, s = K.shape[0], 0
+    for i in range(m):
+        for j in range(i, m):
+            packed[s] = K[j, i] if i < nu <= j else K[i, j]
+            s += 1
 
 
 @kernel(inline="always")
@@ -221,7 +236,7 @@ def element_residuals(
     m = nu + n_p
     f, stress = np.empty(9), np.empty(9)
     work, tangent = np.zeros((WORK_ROWS, 9)), np.empty((9, 9))
-    Kl, Rl = np.empty((m, m)), np.empty(m)
+    Kl, Rl, rates = np.empty((m, m)), np.empty(m), np.empty(nu)
     shared = pressure_shape.shape[0] == 1
     curvature = 0.0 if family == LINEAR else 1.0
     smallest = np.inf
@@ -243,21 +258,17 @@ def element_residuals(
                 held += N[b] * p[e, b]
             pressure = held + bulk * (J - 1.0)
             add_pressure(growth, g, pressure, bulk, curvature, stress, tangent, want_tangent)
-            for a in range(na):
-                for i in range(dim):
-                    r = 0.0
-                    for j in range(dim):
-                        r += dN[a, j] * stress[3 * i + j]
-                    if dim == 2 and i == 0:
-                        r += H[a] * stress[8]
-                    Rl[dim * a + i] += w * r
+            along_nodes(dN, H, stress, rates)
+            for r in range(nu):
+                Rl[r] += w * rates[r]
             if want_tangent:
                 if dim == 3:
                     add_stiffness_3d(dN, tangent, w, Kl)
                 else:
                     add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
                 if n_p > 0:
-                    _add_coupling(dN, H, g, w * growth, N, Kl)
+                    along_nodes(dN, H, g, rates)
+                    _add_coupling(rates, w * growth, N, Kl)
             for b in range(n_p):
                 Rl[nu + b] += w * (J - 1.0 - held * compliance) * N[b]
                 if want_tangent:
@@ -265,11 +276,7 @@ def element_residuals(
                         Kl[nu + b, nu + c] -= w * N[b] * N[c] * compliance
         R[e] = Rl
         if want_tangent:
-            s = 0
-            for i in range(m):
-                for j in range(i, m):
-                    K[e, s] = Kl[i, j]
-                    s += 1
+            _pack(Kl, nu, K[e])
     return smallest
 
 

@@ -139,38 +139,51 @@ def _polynomial_tangent(
     second: bool,
     tangent: Array,
 ) -> None:
-    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
+    """Rows of the tangent: what an invariant owes to each dyad, and what its slope does."""
+    g, d1, w = work[0], work[3], work[5]
+    first, curved = w[0] * s1, w[2]
     for i in range(3):
         for j in range(3):
             n = 3 * i + j
+            along_f = -4.0 / 3.0 * first * g[n]
+            along_g = first * (4.0 / 9.0 * I1 * g[n] - 4.0 / 3.0 * f[n])
+            along_d = curved * d1[n]
             for k in range(3):
+                crossed = 2.0 / 3.0 * first * I1 * g[3 * k + j]
                 for m in range(3):
                     o = 3 * k + m
-                    if o < n:
-                        continue
-                    gg = g[n] * g[o]
-                    gx = g[3 * i + m] * g[3 * k + j]
-                    same = 2.0 if n == o else 0.0
-                    a1 = same - 4.0 / 3.0 * (f[n] * g[o] + g[n] * f[o])
-                    a1 += I1 * (4.0 / 9.0 * gg + 2.0 / 3.0 * gx)
-                    value = w[0] * s1 * a1 + w[2] * d1[n] * d1[o]
-                    if second:
-                        # dI2/dF without its volumetric part: d2 / s2 + 4/3 I2 G
-                        hn = d2[n] / s2 + 4.0 / 3.0 * I2 * g[n]
-                        ho = d2[o] / s2 + 4.0 / 3.0 * I2 * g[o]
-                        a2 = 2.0 * f[n] * f[o] - f[3 * i + m] * f[3 * k + j]
-                        if i == k:
-                            a2 -= right[3 * m + j]
-                        if j == m:
-                            a2 -= left[3 * i + k]
-                        if n == o:
-                            a2 += I1
-                        a2 = 2.0 * a2 - 4.0 / 3.0 * (hn * g[o] + g[n] * ho)
-                        a2 += I2 * (16.0 / 9.0 * gg + 4.0 / 3.0 * gx)
-                        value += w[1] * s2 * a2 + w[4] * d2[n] * d2[o]
-                        value += w[3] * (d1[n] * d2[o] + d2[n] * d1[o])
-                    tangent[n, o] = value
-                    tangent[o, n] = value
+                    value = along_f * f[o] + along_g * g[o] + along_d * d1[o]
+                    tangent[n, o] = value + crossed * g[3 * i + m]
+            tangent[n, n] += 2.0 * first
+    if second:
+        _add_second_invariant(f, I1, I2, s2, work, tangent)
+
+
+@kernel(fastmath=_FAST)
+def _add_second_invariant(
+    f: Array, I1: float, I2: float, s2: float, work: Array, tangent: Array
+) -> None:
+    """Add what W owes to the second invariant, alone and together with the first."""
+    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
+    slope = w[1] * s2
+    for i in range(3):
+        for j in range(3):
+            n = 3 * i + j
+            # dI2/dF without its volumetric part: d2 / s2 + 4/3 I2 G
+            own = d2[n] / s2 + 4.0 / 3.0 * I2 * g[n]
+            along_g = slope * (16.0 / 9.0 * I2 * g[n] - 4.0 / 3.0 * (own + 4.0 / 3.0 * I2 * g[n]))
+            along_d1 = w[3] * d2[n]
+            along_d2 = w[4] * d2[n] + w[3] * d1[n] - 4.0 / 3.0 * w[1] * g[n]
+            along_f = 4.0 * slope * f[n]
+            for k in range(3):
+                crossed, turned = 4.0 / 3.0 * slope * I2 * g[3 * k + j], 2.0 * slope * f[3 * k + j]
+                for m in range(3):
+                    o = 3 * k + m
+                    value = along_f * f[o] + along_g * g[o] + along_d1 * d1[o] + along_d2 * d2[o]
+                    tangent[n, o] += value + crossed * g[3 * i + m] - turned * f[3 * i + m]
+                tangent[n, 3 * i + k] -= 2.0 * slope * right[3 * k + j]
+                tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
+            tangent[n, n] += 2.0 * slope * I1
 
 
 @kernel(fastmath=_FAST)
@@ -221,14 +234,13 @@ def add_pressure(
     """
     for n in range(9):
         stress[n] += p * J * g[n]
-    bend = curvature * p * J
+    bend, stiff = curvature * p * J, stiffening * J * J
     if want_tangent:
         for i in range(3):
             for j in range(3):
                 n = 3 * i + j
+                along = (bend + stiff) * g[n]
                 for k in range(3):
+                    crossed = bend * g[3 * k + j]
                     for m in range(3):
-                        o = 3 * k + m
-                        gx = g[3 * i + m] * g[3 * k + j]
-                        tangent[n, o] += bend * (g[n] * g[o] - gx)
-                        tangent[n, o] += stiffening * J * J * g[n] * g[o]
+                        tangent[n, 3 * k + m] += along * g[3 * k + m] - crossed * g[3 * i + m]

@@ -21,21 +21,12 @@ from study.forward.compiled import kernel
 from study.forward.kernels import (
     add_stiffness_3d,
     add_stiffness_axisymmetric,
+    along_nodes,
     deformation_gradient,
-    volume_rate,
 )
 from study.forward.law import add_pressure, cofactor
 
 Array = NDArray[np.float64]
-
-
-@kernel()
-def _add_rates(dN: Array, H: Array, g: Array, w: float, out: Array) -> None:
-    """Out_ai += w dJ/du_ai, ``g`` being dJ/dF."""
-    na, dim = dN.shape
-    for a in range(na):
-        for i in range(dim):
-            out[dim * a + i] += w * volume_rate(dN, H, g, a, i)
 
 
 @kernel()
@@ -88,7 +79,8 @@ def add_unevenness(
     nu, m = dim * na, R.shape[1]
     f, g = np.empty(9), np.empty(9)
     stress, tangent = np.zeros(9), np.zeros((9, 9))
-    Kl, Rl, mean_rate, cross = np.empty((nu, nu)), np.empty(nu), np.empty(nu), np.empty(nu)
+    Kl, Rl, rates = np.empty((nu, nu)), np.empty(nu), np.empty(nu)
+    mean_rate, cross = np.empty(nu), np.empty(nu)
     for e in range(ne):
         Kl[:] = 0.0
         Rl[:] = 0.0
@@ -101,10 +93,11 @@ def add_unevenness(
             growth = cofactor(f, g)
             d = growth - mean
             pressure, stiffness = kappa * d**3 - even, 3.0 * kappa * d**2
-            _add_rates(dN, H, g, w * pressure, Rl)
+            along_nodes(dN, H, g, rates)
+            Rl += w * pressure * rates
             if want_tangent:
-                _add_rates(dN, H, g, w / volume, mean_rate)
-                _add_rates(dN, H, g, w * stiffness, cross)
+                mean_rate += w / volume * rates
+                cross += w * stiffness * rates
                 for i in range(9):
                     g[i] /= growth
                 stress[:] = 0.0
