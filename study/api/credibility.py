@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -43,23 +44,67 @@ def refine(
         store.write_json("numerical", [asdict(row) for row in rows])
 
 
-def compare_spaces(work: Work, store: Store, jobs: int | None) -> None:
+def compare_spaces(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None = None,
+) -> None:
     """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
     from study.runner import spaces
     from study.runner.batch import default_jobs
-    from study.runner.refine_store import kept_by_workers
+    from study.runner.refine_store import is_kept, kept_by_workers
 
     pairs = spaces.pairs(work, store.by_case(work.input_hashes))
     if not pairs:
         return
-    solve = kept_by_workers(jobs or default_jobs(), store.path.parent, store.path.name)
+    workers = jobs or default_jobs()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    todo = [task for task in tasks if not is_kept(task, store.path.parent, store.path.name)]
+    watch = _Watch(todo, workers, progress or (lambda state: None))
+    solve = kept_by_workers(
+        workers, store.path.parent, store.path.name, finished=lambda task, _: watch.finished(task)
+    )
     results = solve(tasks)
     solid, flat = results[: len(pairs)], results[len(pairs) :]
     rows = [spaces.compared(pair, both) for *both, pair in zip(flat, solid, pairs, strict=True)]
     with store.lock():
         store.write_json("spaces", rows)
+
+
+class _Watch:
+    """Progress of solutions whose time is predicted, the first line before any is there."""
+
+    def __init__(
+        self,
+        tasks: Sequence[Mapping[str, Any]],
+        workers: int,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        from study.runner.costs import Costs
+        from study.runner.refine_solve import task_key
+
+        costs = Costs()
+        self._key, self._side_by_side = task_key, costs.side_by_side
+        self._left = {task_key(task): costs.solve_seconds(task["config"], None) for task in tasks}
+        self._total, self._workers, self._progress = len(self._left), workers, progress
+        self._began = time.monotonic()
+        if tasks:
+            self._say()
+
+    def finished(self, task: Mapping[str, Any]) -> None:
+        """Say what is left after one more."""
+        self._left.pop(self._key(task), None)
+        self._say()
+
+    def _say(self) -> None:
+        from study.runner.batch import Progress
+
+        left = self._side_by_side(list(self._left.values()), self._workers)
+        done, seconds = self._total - len(self._left), time.monotonic() - self._began
+        label = "one cylinder in both spaces, a control"
+        self._progress(Progress(done, self._total, 0, seconds, left, label))
 
 
 def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:

@@ -173,7 +173,7 @@ def run(
         from study.api import credibility
 
         credibility.refine(work.plain(), store, jobs, progress, timeout_s)
-        credibility.compare_spaces(work.plain(), store, jobs)
+        credibility.compare_spaces(work.plain(), store, jobs, progress)
         clock.mark("mesh refinement")
         if loaded.uncertainty:
             from study.api.validation import validate

@@ -67,11 +67,23 @@ def kept(solve: Solver, results: Path, name: str) -> Solver:
 
 
 def kept_by_workers(
-    jobs: int, results: Path, name: str, command: Sequence[str] | None = None
+    jobs: int,
+    results: Path,
+    name: str,
+    command: Sequence[str] | None = None,
+    finished: Callable[[Mapping[str, Any], dict[str, Any]], object] = lambda task, result: None,
 ) -> Solver:
-    """Solve what is not stored yet on workers; every result is stored as it comes."""
+    """Solve what is not stored yet on workers; every result is stored as it comes.
+
+    ``finished`` is called after that with the task and its result.
+    """
     store = Store(results / slug(name))
-    solve = by_workers(jobs, command, lambda task, result: keep(store, task, result))
+
+    def stored(task: Mapping[str, Any], result: dict[str, Any]) -> None:
+        keep(store, task, result)
+        finished(task, result)
+
+    solve = by_workers(jobs, command, stored)
 
     def looked_up(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         known = {task_key(t): store.read_json(f"solves/{task_key(t)}") for t in tasks}

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
-from study.api.credibility import checks_of_spaces
+from study.api.credibility import checks_of_spaces, compare_spaces
 from study.api.planning import plan
 from study.design import loads
-from study.record import Record
+from study.record import Record, Store
+from study.runner.batch import Progress
 from study.runner.costs import Costs
 from study.runner.expand import Work, expand
 from study.runner.refine_store import in_process, kept
@@ -96,6 +98,23 @@ def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
         assert config["specimen"]["radius_mm"] == pytest.approx(24 / 3.141592653589793**0.5)
         assert config["test"]["displacement_mm"] == pytest.approx(1.0, rel=0.05)
         assert set(config["material"]["constants"]) == {"C10"}
+
+
+def test_the_control_says_how_far_it_is_and_is_solved_once(
+    work: Work, records: dict[str, Record], results: Path, tmp_path: Path
+) -> None:
+    assert records
+    shutil.copytree(results / "slab", tmp_path / "slab", ignore=lambda *_: {"solves"})
+    store, said = Store(tmp_path / "slab"), list[Progress]()
+    compare_spaces(work, store, 1, said.append)
+    assert [state.done for state in said] == [0, 1, 2]
+    assert all(state.total == 2 and "both spaces" in state.label for state in said)
+    left = [state.seconds_left for state in said]
+    assert left[0] > left[1] > left[2] == 0
+    assert store.read_json("spaces")
+    again: list[Progress] = []
+    compare_spaces(work, store, 1, again.append)
+    assert not again
 
 
 def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Record]) -> None:
