@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 #: factors whose levels are meshes
 MESH_FACTORS = ("model.mesh", "model.mesh_size")
+#: factors whose levels discretize the same equations, and the level that does so best
+_BEST_ELEMENTS = {"model.element_order": "quadratic", "model.formulation": "mixed"}
 #: meshes that a series needs
 _NEEDED = 3
 
@@ -46,6 +49,11 @@ def effect_u_num(
     monotone. The largest over all pairs of levels counts, and over the mesh sizes and formal
     orders of the columns where these differ, for which pair leads may itself be the mesh's doing.
 
+    Linear and quadratic elements have the same limit, and so have mixed and displacement
+    elements. An effect that is none of theirs is therefore followed to that limit by the better
+    ones alone, chosen before any number is seen; the distance to the effect as analyzed still
+    counts what the poorer ones do to it.
+
     The mesh itself and its interactions have none: their effects *are* errors of the
     discretization, differences between values of given meshes that no finer mesh could change.
     Held against the uncertainty of the finest mesh, a mesh that plainly matters could never be
@@ -68,16 +76,37 @@ def effect_u_num(
     meshes = _ordered(records, mesh)
     if not settings or meshes is None or any(len(s) != len(meshes) for s, _ in settings):
         return largest
+    if not set(meshes) <= set(table[mesh].astype(str)):  # a mesh was left out, for want of answers
+        return largest
     from study.analysis.matrix import term_name, terms_of
     from study.analysis.mesh_series import mesh_series
 
-    found = mesh_series(
-        table, response, factors, mesh, meshes, block=block, model=model, transform=transform
-    )
+    def followed(rows: pd.DataFrame, of: Sequence[str], terms: Any) -> dict[str, MeshSeries]:
+        return mesh_series(
+            rows, response, of, mesh, meshes, block=block, model=terms, transform=transform
+        )
+
+    terms = terms_of(factors, model)
+    found = followed(table, factors, model)
+    own = {term: u_of_series(series, settings) for term, series in found.items()}
+    best = {f: level for f, level in _BEST_ELEMENTS.items() if f in factors}
+    rows, theirs = _at(table, best), _settings(design, numerical, response, mesh, best)
+    if best and theirs and len(rows):
+        inner = [term for term in terms if not best.keys() & set(term)]
+        for term, series in followed(rows, [f for f in factors if f not in best], inner).items():
+            if term in found and series.by_mesh.shape == found[term].by_mesh.shape:
+                own[term] = u_of_series(replace(series, analyzed=found[term].analyzed), theirs)
     scale = _geometric_mean(records, response) if transform == "log" else 1.0
-    own = {term: u_of_series(series, settings) * scale for term, series in found.items()}
-    names = [term_name(term) for term in terms_of(factors, model) if mesh not in term]
-    return {name: own.get(name, largest) for name in names}
+    names = [term_name(term) for term in terms if mesh not in term]
+    return {name: own[name] * scale if name in own else largest for name in names}
+
+
+def _at(table: pd.DataFrame, levels: Mapping[str, str]) -> pd.DataFrame:
+    """Rows at these levels."""
+    kept = table
+    for factor, level in levels.items():
+        kept = kept[kept[factor].astype(str) == level]
+    return kept
 
 
 def mesh_factor(design: Design) -> str | None:
@@ -105,9 +134,13 @@ def u_of_series(series: MeshSeries, settings: Sequence[Setting]) -> float:
 
 
 def _settings(
-    design: Design, numerical: Sequence[Numerical], response: str, mesh: str
+    design: Design,
+    numerical: Sequence[Numerical],
+    response: str,
+    mesh: str,
+    only: Mapping[str, str] | None = None,
 ) -> list[Setting]:
-    """Mesh sizes and formal order of the study's own columns, equal ones once.
+    """Mesh sizes and formal order of the study's own columns (at some levels), equal ones once.
 
     Sizes count by their ratios alone, which three digits tell well enough.
     """
@@ -115,6 +148,7 @@ def _settings(
     found: dict[Setting, None] = {}
     for row in numerical:
         own = row.response == response and set(row.levels) == others
+        own = own and (only or {}).items() <= dict(row.levels).items()
         if own and len(row.series) >= _NEEDED and min(row.mesh_size, default=0.0) > 0:
             ratios = tuple(float(f"{size / row.mesh_size[-1]:.3g}") for size in row.mesh_size)
             found[ratios, row.formal_order] = None

@@ -119,6 +119,37 @@ def test_an_error_of_one_material_is_covered_but_not_tenfold(design: Design) -> 
     assert error < u_of(result, "material") < 4 * error
 
 
+def test_what_poor_elements_do_to_an_effect_counts_by_its_distance_to_the_good_ones(
+    design: Design,
+) -> None:
+    """Linear elements with an error of slow, crooked decay; quadratic ones have almost none."""
+    crooked = {"coarse": 2.0, "medium": 1.5, "fine": -0.5}
+
+    def records(own: float) -> list[Record]:
+        found = records_of(design, lambda levels: 0.0)
+        for record in found:
+            levels = record.levels
+            if (levels["material"], levels["model.element_order"]) == ("neo-hookean", "linear"):
+                record.responses[NAME]["value"] += own * crooked[levels["model.mesh"]]
+        return found
+
+    result, _ = analyzed(design, records(1.0))
+    effect = result.effect("material")
+    error = (2.0 + 1.5 - 0.5) / 3 / 2  # over the meshes, and over both kinds of elements
+    assert effect.range == pytest.approx(4.0 + error, abs=0.01)
+    assert error < u_of(result, "material") < 1.1 * error
+    assert effect.resolved == "resolved"
+    # what the elements themselves differ by is followed with both of them
+    assert u_of(result, "material:model.element_order") > 1.0
+    # the finest mesh left out of the analysis, for want of half its answers
+    lost = ("quadratic", "fine")
+    some = [
+        r for r in records(1.0) if (r.levels["model.element_order"], r.levels["model.mesh"]) != lost
+    ]
+    poor, numerical = analyzed(design, some)
+    assert poor.effect("material").u_num == largest_u_num(numerical, some, NAME, "none")
+
+
 def test_an_error_of_one_space_counts_for_the_space_alone(design: Design) -> None:
     records = records_of(design, lambda levels: 1.0 * (levels["model.space"] == "3d"))
     result, _ = analyzed(design, records)
