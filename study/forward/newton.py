@@ -51,7 +51,7 @@ class NewtonSettings:
     max_iterations: int = 25
     max_switching: int = 40
     j_filter: float = 0.1
-    passing_tolerance: float = 1e-3
+    passing_tolerance: float = 1e-5
     passing_gap: float = 2e-6
 
     def passing(self) -> NewtonSettings:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
-from study.reporting.text import clean, listing, name_of
+from study.reporting.text import clean, count, listing, name_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +62,9 @@ def describe(group: Group, data: ReportData) -> str:
     if total != len(group):
         first = ", ".join(clean(level) for level in group.members[0].values())
         block = clean(data.block) or "block"
-        return f"{first} (and {len(group) - 1} cells that agree with it in every {block})"
+        others = len(group) - 1
+        agree = f"{count(others, 'cell')} that agree{'s' * (others == 1)} with it in every {block}"
+        return f"{first} (and {agree})"
     return ", ".join(_words(name, levels, data) for name, levels in chosen.items())
 
 

@@ -202,6 +202,8 @@ def test_copies_are_one_computation_and_named_together(data: ReportData):
     assert describe(four, data) == "mooney-rivlin, frictionless, any space, any element order"
     odd = Group(1.0, (*four.members[:2], {**four.members[3], "material": "neo-hookean"}))
     assert describe(odd, data).endswith("(and 2 cells that agree with it in every phantom)")
+    pair = Group(1.0, (four.members[0], {**four.members[3], "material": "neo-hookean"}))
+    assert describe(pair, data).endswith("(and 1 cell that agrees with it in every phantom)")
 
 
 def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data: ReportData):
