@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import BAND, INK, MARKERS, MUTED, RULE, WIDTH_IN, canvas, color_of
-from study.reporting.text import clean
+from study.reporting.text import clean, percent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -220,7 +220,7 @@ def value_caption(cells: Sequence[Document]) -> str:
     shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
     text = f"{len(good)} of {len(cells)} series have an interval"
     if shares:
-        text += f"; the widest is {100 * max(shares):.2g} % of its value"
+        text += f"; the widest is {percent(max(shares), 2)} of its value"
     left = len(cells) - MOST_PANELS
     more = f" {left} more series stand in the table." if left > 0 else ""
     return (

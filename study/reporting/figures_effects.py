@@ -297,7 +297,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
         _at_right(ax, significant(float(mean)), float(place))
     names = [wrap(label, 56, 130) for label in means["label"]]
-    ax.set_yticks(means["rank"], names, fontsize=7.5)
+    ax.set_yticks(means["rank"], names, fontsize=7.5, multialignment="right")
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
     ax.set_xlabel(axis_label(facts))

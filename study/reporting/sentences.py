@@ -279,8 +279,10 @@ _BY_TERM = (
     "u_num is the numerical uncertainty of the difference itself: the same difference was taken "
     "on each of the study's meshes alone, and counts the uncertainty of its value on the finest "
     "(grid convergence index, or thrice the range without an order) plus the distance from there "
-    "to the mean over all meshes, at the worst pair of levels. The mesh itself and its "
-    "interactions have none, for their differences are the error of the discretization."
+    "to the mean over all meshes, at the worst pair of levels. Where kinds of elements are a "
+    "factor, any other effect is followed with the better kind alone, for both have one limit. "
+    "The mesh itself and its interactions have none, for their differences are the error of the "
+    "discretization."
 )
 _BY_COLUMN = (
     "u_num is the largest numerical uncertainty of the response in any cell that was refined, "
