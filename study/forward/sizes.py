@@ -176,7 +176,8 @@ def reference_field(
     size, reach = zone, 1.3 * a
     if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
         size = min(zone, indenter.tip_radius_mm / _PER_TIP)
-        feature = _TIP_ZONE * indenter.tip_radius_mm
+        # pressed in but a little, a tip touches a small part of its own radius
+        feature = min(_TIP_ZONE * indenter.tip_radius_mm, reach)
     elif isinstance(indenter, Flat):
         edge = indenter.edge_radius_mm
         size = min(edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE, zone)

@@ -41,7 +41,7 @@ def deep(material: Material, shape: str, order: str, mesh: str) -> Problem:
 
 
 def in_block(material: Material, depth: float, order: str, mesh: str, space: str = "3d") -> Problem:
-    steps = round(depth / 0.4)
+    steps = max(1, round(depth / 0.4))
     test = Test("indentation", depth, "frictionless", "bonded", steps, Cone(30, 1, 3))
     model = Model(space, order, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
     return Problem(Block(60, 60, 40), test, material, model)
@@ -89,6 +89,16 @@ def test_quadratic_tetrahedra_of_a_softening_energy_reach_their_depth(mesh: str)
     assert solution.converged, solution.message
     assert "snapped" not in solution.message
     assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.02)
+
+
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
+    """Elements of the size of the contact all over the tip took 6 GB at a fiftieth of 2 mm."""
+    deep, shallow = (
+        build_mesh(in_block(NEO_HOOKEAN, depth, order, "coarse")).cells.shape[0]
+        for depth in (4.0, 0.04)
+    )
+    assert shallow < 2 * deep
 
 
 def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -> None:
