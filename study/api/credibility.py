@@ -87,7 +87,7 @@ class _Watch:
 
         costs = Costs()
         self._key, self._side_by_side = task_key, costs.side_by_side
-        self._left = {task_key(task): costs.solve_seconds(task["config"], None) for task in tasks}
+        self._left = {task_key(task): costs.solve_seconds(task["config"]) for task in tasks}
         self._total, self._workers, self._progress = len(self._left), workers, progress
         self._began = time.monotonic()
         if tasks:

@@ -72,7 +72,7 @@ def effect_u_num(
     every = {f.name for f in design.factors if len(f.levels) > 1}
     if largest is None or mesh is None or set(factors) != every:
         return largest
-    settings = _settings(design, numerical, response, mesh)
+    settings = _settings(design, numerical, response, mesh, {})
     meshes = _ordered(records, mesh)
     if not settings or meshes is None or any(len(s) != len(meshes) for s, _ in settings):
         return largest
@@ -138,9 +138,9 @@ def _settings(
     numerical: Sequence[Numerical],
     response: str,
     mesh: str,
-    only: Mapping[str, str] | None = None,
+    only: Mapping[str, str],
 ) -> list[Setting]:
-    """Mesh sizes and formal order of the study's own columns (at some levels), equal ones once.
+    """Mesh sizes and formal order of the study's own columns at some levels, equal ones once.
 
     Sizes count by their ratios alone, which three digits tell well enough.
     """
@@ -148,7 +148,7 @@ def _settings(
     found: dict[Setting, None] = {}
     for row in numerical:
         own = row.response == response and set(row.levels) == others
-        own = own and (only or {}).items() <= dict(row.levels).items()
+        own = own and only.items() <= dict(row.levels).items()
         if own and len(row.series) >= _NEEDED and min(row.mesh_size, default=0.0) > 0:
             ratios = tuple(float(f"{size / row.mesh_size[-1]:.3g}") for size in row.mesh_size)
             found[ratios, row.formal_order] = None

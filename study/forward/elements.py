@@ -101,8 +101,8 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     axisymmetric = model.space == "axisymmetric"
     fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
     element = _displacement_element(model, axisymmetric)
-    kind = (model.space, model.element_order, model.element_shape)
-    rule = _STRETCHED_RULES.get(kind, _RULES[kind]) if stretched else _RULES[kind]
+    rules = _RULES | _STRETCHED_RULES if stretched else _RULES
+    rule = rules[(model.space, model.element_order, model.element_shape)]
     basis = Basis(fem_mesh, element, intorder=rule)
     ne, nq = basis.dx.shape
     gradients = np.stack(

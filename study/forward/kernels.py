@@ -120,6 +120,19 @@ def _add_coupling(rates: Array, w: float, N: Array, K: Array) -> None:
 
 
 @kernel()
+def _add_volume(
+    N: Array, excess: float, w: float, compliance: float, want_tangent: bool, R: Array, K: Array
+) -> None:
+    """Add N_b (J - 1 - p / K), the equation of each pressure, and its derivative by pressures."""
+    nu = R.size - N.size
+    for b in range(N.size):
+        R[nu + b] += w * excess * N[b]
+        if want_tangent:
+            for c in range(b, N.size):
+                K[nu + b, nu + c] -= w * N[b] * N[c] * compliance
+
+
+@kernel()
 def _pack(K: Array, nu: int, packed: Array) -> None:
     """Upper triangle of a symmetric tangent, row by row; its pressure rows hold the coupling."""
     m, s = K.shape[0], 0
@@ -269,11 +282,7 @@ def element_residuals(
                 if n_p > 0:
                     along_nodes(dN, H, g, rates)
                     _add_coupling(rates, w * growth, N, Kl)
-            for b in range(n_p):
-                Rl[nu + b] += w * (J - 1.0 - held * compliance) * N[b]
-                if want_tangent:
-                    for c in range(b, n_p):
-                        Kl[nu + b, nu + c] -= w * N[b] * N[c] * compliance
+            _add_volume(N, J - 1.0 - held * compliance, w, compliance, want_tangent, Rl, Kl)
         R[e] = Rl
         if want_tangent:
             _pack(Kl, nu, K[e])

@@ -169,9 +169,8 @@ def _add_second_invariant(
     for i in range(3):
         for j in range(3):
             n = 3 * i + j
-            # dI2/dF without its volumetric part: d2 / s2 + 4/3 I2 G
-            own = d2[n] / s2 + 4.0 / 3.0 * I2 * g[n]
-            along_g = slope * (16.0 / 9.0 * I2 * g[n] - 4.0 / 3.0 * (own + 4.0 / 3.0 * I2 * g[n]))
+            # dI2/dF is d2 / s2 + 4/3 I2 G
+            along_g = -4.0 / 3.0 * (w[1] * d2[n] + 4.0 / 3.0 * slope * I2 * g[n])
             along_d1 = w[3] * d2[n]
             along_d2 = w[4] * d2[n] + w[3] * d1[n] - 4.0 / 3.0 * w[1] * g[n]
             along_f = 4.0 * slope * f[n]

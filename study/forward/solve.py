@@ -144,6 +144,7 @@ class _Run:
         self.warm_steps: list[WarmStep] = []
         self.min_j, self.pinned, self.reason = 1.0, 0.0, ""
         self.snaps: list[float] = []
+        self._reach_of: tuple[State, str] | None = None
 
     def to_the_end(self) -> None:
         test = self.problem.test
@@ -201,12 +202,18 @@ class _Run:
     def _smallest_mm(self) -> float:
         """Step that is the last to be tried: a long one where the energy's reach has ended."""
         smallest = self.rule.smallest_mm()
-        lost = self.step_mm < _BEYOND * smallest and lost_ellipticity(self.system, self.state)
+        lost = self.step_mm < _BEYOND * smallest and self._lost()
         return _BEYOND * smallest if lost else smallest
 
     def _may_snap(self) -> bool:
         """Whether to look beyond a limit point: not for an energy that has lost its ellipticity."""
-        return self.options.snaps and not lost_ellipticity(self.system, self.state)
+        return self.options.snaps and not self._lost()
+
+    def _lost(self) -> str:
+        """Where the energy has lost its ellipticity at the last state, looked at once for each."""
+        if self._reach_of is None or self._reach_of[0] is not self.state:
+            self._reach_of = self.state, lost_ellipticity(self.system, self.state)
+        return self._reach_of[1]
 
     def _through(self, target: float) -> NewtonResult | None:
         """Go past a limit point, in a step long enough to leave it behind; None if none does."""
@@ -315,7 +322,7 @@ class _Run:
         )
         vertices = system.mesh.points.shape[0]
         reached = self.state.displacement_mm
-        lost = lost_ellipticity(system, self.state)
+        lost = self._lost()
         return Solution(
             status="converged" if done else "unstable" if lost else "not-converged",
             message=self._message(done, lost),

@@ -7,7 +7,7 @@ from study.record.measurements import read_measurements
 from study.record.record import STATUSES, Record
 from study.record.selection import MeasuredTest, Measurements
 from study.record.store import Store, Survey
-from study.record.table import answered_often, is_repeat, table, write_csv
+from study.record.table import answered_often, cell_names, is_repeat, table, write_csv
 
 __all__ = [
     "SORTED",
@@ -18,6 +18,7 @@ __all__ = [
     "Store",
     "Survey",
     "answered_often",
+    "cell_names",
     "is_repeat",
     "read_measurements",
     "table",

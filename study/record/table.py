@@ -78,6 +78,11 @@ def table(records: Sequence[Record]) -> DataFrame:
     return frame
 
 
+def cell_names(frame: DataFrame, factors: Sequence[str]) -> Series[str]:
+    """Name the cell of every row: its levels joined by ``:``."""
+    return frame[list(factors)].astype(str).agg(":".join, axis=1)
+
+
 def answered_often(
     known: DataFrame, factors: Sequence[str], block: str, blocks: int
 ) -> Series[bool]:
@@ -88,7 +93,7 @@ def answered_often(
     known : DataFrame
         The rows with an answer.
     """
-    cell = known[list(factors)].astype(str).agg(":".join, axis=1)
+    cell = cell_names(known, factors)
     return 2 * known[block].groupby(cell).transform("nunique") > blocks
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, Any
 
-from study.record import answered_often
+from study.record import answered_often, cell_names
 from study.reporting.data import ReportData, ResponseAnalysis
 from study.reporting.text import clean, name_of
 
@@ -235,7 +235,7 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
         return known
     factors = list(data.factors)
     known = known[answered_often(known, factors, "block", known["block"].nunique())]
-    cell = known[factors].astype(str).agg(":".join, axis=1)
+    cell = cell_names(known, factors)
     per_block = cell.groupby(known["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
     if len(whole) in (0, len(per_block)):
@@ -263,6 +263,6 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
     grouped = known.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
     if log:
         grouped["mean"] = np.exp(grouped["mean"])
-    grouped["cell"] = grouped[factors].agg(":".join, axis=1)
+    grouped["cell"] = cell_names(grouped, factors)
     renamed = grouped.rename(columns={"count": "n"})
     return renamed.sort_values("mean", kind="stable").reset_index(drop=True)

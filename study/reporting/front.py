@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from study.record import cell_names
 from study.reporting.data import ReportData
 from study.reporting.facts import MATTERS, NO_DIFFERENCE, Effect, Facts, cells
 from study.reporting.text import (
@@ -48,7 +49,7 @@ def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
         return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
     frame = cells(data, facts.name)
     known = data.table[data.table[facts.name].notna()]
-    keys = known[factors].astype(str).agg(":".join, axis=1)
+    keys = cell_names(known, factors)
     seconds = known["seconds"].astype(float).groupby(keys).mean()
     frame["seconds"] = frame["cell"].map(seconds)
     frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
