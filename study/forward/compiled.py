@@ -30,7 +30,7 @@ def cache_folder() -> str:
     digest = hashlib.sha256()
     for path in sorted(_HERE.glob("*.py")):
         content = path.read_bytes()
-        if b"@kernel(" in content:
+        if b"@kernel(" in content or b"@part(" in content:
             digest.update(path.name.encode() + content)
     base = Path(_CONFIG.CACHE_DIR or _HERE / "__pycache__")
     return str(base / f"kernels-{digest.hexdigest()[:16]}")
@@ -49,3 +49,12 @@ def kernel(**options: Any) -> Callable[[_Function], _Function]:
             _CONFIG.CACHE_DIR = usual
 
     return decorate
+
+
+def part(**options: Any) -> Callable[[_Function], _Function]:
+    """Decorate a function that kernels alone call: each of them gets a copy of its own.
+
+    Shared machine code is taken from whoever brought it first, and that differs between the
+    process that compiles and those that find the kernels on disk; so would the last digits.
+    """
+    return kernel(forceinline=True, **options)

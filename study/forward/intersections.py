@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import kernel, part
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -84,7 +84,7 @@ def _sweep(
     return first, second, count
 
 
-@kernel()
+@part()
 def _meet(
     corners: Array, sides: Array, normals: Array, i: int, j: int, axis: Array, tolerance: float
 ) -> bool:
@@ -108,7 +108,7 @@ def _meet(
     return True
 
 
-@kernel()
+@part()
 def _extent(a: Array, b: Array, axis: Array, tolerance: float) -> int:
     """How two triangles lie along an axis: 0 apart or only touching, 1 overlapping, 2 level.
 
@@ -133,7 +133,7 @@ def _extent(a: Array, b: Array, axis: Array, tolerance: float) -> int:
     return 1 if min(high_a - low_b, high_b - low_a) > limit else 0
 
 
-@kernel()
+@part()
 def _cross(u: Array, v: Array, out: Array) -> None:
     out[0] = u[1] * v[2] - u[2] * v[1]
     out[1] = u[2] * v[0] - u[0] * v[2]

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import kernel, part
 from study.forward.law import add_pressure, cofactor, linear_stress, polynomial_stress
 from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress
 
@@ -34,7 +34,7 @@ _FAST = {"contract", "reassoc", "arcp", "nsz"}
 POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = gradients.shape[1]
@@ -52,7 +52,7 @@ def deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> N
             f[8] += u[a, 0] * hoop[a]
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
     """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out so that it vectorizes."""
     na = dN.shape[0]
@@ -76,7 +76,7 @@ def add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
                 K[row, 3 * b + 2] += t6 * p + t7 * q + t8 * r
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
     """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
     na = dN.shape[0]
@@ -95,7 +95,7 @@ def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array
                 K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def along_nodes(dN: Array, H: Array, T: Array, out: Array) -> None:
     """T : dF/du at one quadrature point, node by node: forces of a stress, dJ/du of dJ/dF."""
     na, dim = dN.shape
@@ -109,7 +109,7 @@ def along_nodes(dN: Array, H: Array, T: Array, out: Array) -> None:
             out[dim * a + i] = total
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def _add_coupling(rates: Array, w: float, N: Array, K: Array) -> None:
     """K_b,ai += w N_b dJ/du_ai: below the diagonal, where the unknowns of a row are neighbors."""
     nu = rates.size
@@ -119,7 +119,7 @@ def _add_coupling(rates: Array, w: float, N: Array, K: Array) -> None:
             K[nu + b, r] += share * rates[r]
 
 
-@kernel()
+@part()
 def _add_volume(
     N: Array, excess: float, w: float, compliance: float, want_tangent: bool, R: Array, K: Array
 ) -> None:
@@ -132,7 +132,7 @@ def _add_volume(
                 K[nu + b, nu + c] -= w * N[b] * N[c] * compliance
 
 
-@kernel()
+@part()
 def _pack(K: Array, nu: int, packed: Array) -> None:
     """Upper triangle of a symmetric tangent, row by row; its pressure rows hold the coupling."""
     m, s = K.shape[0], 0
@@ -142,7 +142,7 @@ def _pack(K: Array, nu: int, packed: Array) -> None:
             s += 1
 
 
-@kernel(inline="always")
+@part()
 def isochoric(
     family: int,
     f: Array,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import part
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 
-@kernel(inline="always")
+@part()
 def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
     """x^n and its first two derivatives, exact at x = 0."""
     value = x**n if n > 0 else 1.0
@@ -26,7 +26,7 @@ def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
     return value, first, second
 
 
-@kernel()
+@part()
 def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
     """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
 
@@ -46,7 +46,7 @@ def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None
                 out[4] += c * ai * bj2
 
 
-@kernel()
+@part()
 def cofactor(f: Array, g: Array) -> float:
     """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
     g[0] = f[4] * f[8] - f[5] * f[7]
@@ -61,7 +61,7 @@ def cofactor(f: Array, g: Array) -> float:
     return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def polynomial_stress(
     f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
 ) -> float:
@@ -128,7 +128,7 @@ def polynomial_stress(
     return J
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def _polynomial_tangent(
     f: Array,
     I1: float,
@@ -159,7 +159,7 @@ def _polynomial_tangent(
         _add_second_invariant(f, I1, I2, s2, work, tangent)
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def _add_second_invariant(
     f: Array, I1: float, I2: float, s2: float, work: Array, tangent: Array
 ) -> None:
@@ -185,7 +185,7 @@ def _add_second_invariant(
             tangent[n, n] += 2.0 * slope * I1
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def linear_stress(
     f: Array, mu: float, work: Array, stress: Array, tangent: Array, want_tangent: bool
 ) -> float:
@@ -215,7 +215,7 @@ def linear_stress(
     return float(J)
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def add_pressure(
     J: float,
     g: Array,

@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import part
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ STRESS, BY_EXPONENT = 0, 1
 WORK_ROWS = 27
 
 
-@kernel()
+@part()
 def sinh_ratio(z: float) -> float:
     """sinh(z) / z, 1 at zero."""
     if abs(z) > 0.5:
@@ -45,13 +45,13 @@ def sinh_ratio(z: float) -> float:
     return 1.0 + y / 6.0 * (1.0 + y / 20.0 * (1.0 + y / 42.0 * tail))
 
 
-@kernel()
+@part()
 def exponential_ratio(z: float) -> float:
     """(exp(z) - 1) / z, 1 at zero."""
     return math.expm1(z) / z if abs(z) > 1e-8 else 1.0 + 0.5 * z
 
 
-@kernel()
+@part()
 def exponential_ratio_slope(z: float) -> float:
     """Differentiate :func:`exponential_ratio`; 1/2 at zero."""
     if abs(z) > 0.5:
@@ -63,7 +63,7 @@ def exponential_ratio_slope(z: float) -> float:
     return total
 
 
-@kernel()
+@part()
 def principal_axes(c: Array, axes: Array) -> None:
     """Diagonalize a symmetric 3 x 3 matrix by Jacobi rotations (Golub, Van Loan, sec. 8.5).
 
@@ -86,7 +86,7 @@ def principal_axes(c: Array, axes: Array) -> None:
                 _rotate(c, axes, p, q)
 
 
-@kernel()
+@part()
 def _rotate(c: Array, axes: Array, p: int, q: int) -> None:
     a = c[3 * p + q]
     if a * a <= 1e-35 * abs(c[4 * p] * c[4 * q]):
@@ -110,7 +110,7 @@ def _rotate(c: Array, axes: Array, p: int, q: int) -> None:
         axes[3 * q + k] = sin * x + cos * y
 
 
-@kernel()
+@part()
 def _stretches(f: Array, work: Array, lam: Array, x: Array) -> None:
     """Principal stretches, logarithmic isochoric ones, and their axes N_a in row 5."""
     c, axes = work[4], work[5]
@@ -128,7 +128,7 @@ def _stretches(f: Array, work: Array, lam: Array, x: Array) -> None:
         x[a] -= mean
 
 
-@kernel()
+@part()
 def _sources(x: Array, terms: Array, what: int, s: Array) -> None:
     """Principal Kirchhoff stresses: deviator of s_a, or of ds_a/dalpha."""
     s[:] = 0.0
@@ -144,7 +144,7 @@ def _sources(x: Array, terms: Array, what: int, s: Array) -> None:
         s[a] -= mean
 
 
-@kernel()
+@part()
 def ogden_stress(
     f: Array,
     terms: Array,
@@ -191,7 +191,7 @@ def ogden_stress(
         _tangent(terms, work, tangent)
 
 
-@kernel()
+@part()
 def _tangent(terms: Array, work: Array, tangent: Array) -> None:
     """Sum of dyad times image over the nine dyads n_a x N_b."""
     dyads, images = work[9:18], work[18:27]
@@ -205,7 +205,7 @@ def _tangent(terms: Array, work: Array, tangent: Array) -> None:
     _product(dyads, images, tangent)
 
 
-@kernel(fastmath=_FAST)
+@part(fastmath=_FAST)
 def _product(D: Array, Q: Array, A: Array) -> None:
     """Write D' Q into A, 9 x 9 arrays, in scalars so that it vectorizes."""
     for n in range(9):
@@ -226,7 +226,7 @@ def _product(D: Array, Q: Array, A: Array) -> None:
         A[n, 6], A[n, 7], A[n, 8] = t6, t7, t8
 
 
-@kernel()
+@part()
 def _images(terms: Array, work: Array, dyads: Array, images: Array) -> None:
     """Write what the tangent makes of each dyad: a block of stretches, and three pairs."""
     lam, x, tau = work[6, 0:3], work[6, 3:6], work[6, 6:9]
@@ -256,7 +256,7 @@ def _images(terms: Array, work: Array, dyads: Array, images: Array) -> None:
                 images[3 * b + a, n] = other * first + same * second
 
 
-@kernel()
+@part()
 def _slopes(x: Array, terms: Array, slope: Array, pair: Array) -> None:
     """ds_a/dx_a, and (s_a - s_b) / (x_a - x_b) of the pairs 01, 02, 12."""
     slope[:] = 0.0

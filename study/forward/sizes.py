@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import kernel, part
 from study.forward.problem import Cone, Flat, Indenter, Model, Sphere, mesh_level
 
 Array = NDArray[np.float64]
@@ -103,7 +103,7 @@ class SizeField:
         )
 
 
-@kernel()
+@part()
 def _size(
     rho: float, z: float, top: float, finest: float, largest: float, feature: float, ring: float,
     zone: float, contact: float, growth: float, even: float, halvings: float,

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel
+from study.forward.compiled import kernel, part
 from study.forward.kernels import (
     add_stiffness_3d,
     add_stiffness_axisymmetric,
@@ -29,7 +29,7 @@ from study.forward.law import add_pressure, cofactor
 Array = NDArray[np.float64]
 
 
-@kernel()
+@part()
 def _means(J: Array, w: Array, kappa: float) -> tuple[float, float, float, float]:
     """Volume, mean J, mean of kappa d^3, and integral of 3 kappa d^2 over one element."""
     volume, swollen = 0.0, 0.0
@@ -45,7 +45,7 @@ def _means(J: Array, w: Array, kappa: float) -> tuple[float, float, float, float
     return volume, mean, even, stiff
 
 
-@kernel()
+@part()
 def _add_packed(Kl: Array, cross: Array, mean_rate: Array, stiff: float, m: int, K: Array) -> None:
     """Add the upper triangle of one element to its packed rows of ``m`` unknowns."""
     nu, s = mean_rate.size, 0

@@ -25,6 +25,19 @@ def ask():
     return 1 * answer()
 print(ask(), ask.stats.cache_hits.get((), 0))
 """
+#: the elements' forces and stiffness in an uneven state
+DIGITS = """
+import hashlib
+import numpy as np
+from tests.forward.homogeneous import system_of
+from tests.forward.problems import MOONEY
+from study.forward.kernels import element_residuals
+system = system_of(MOONEY, element_order="quadratic")
+x = system.start().x + 1e-3 * np.sin(np.arange(system.space.n))
+system.internal.evaluate(MOONEY, x, tangent=True)
+print(hashlib.sha256(system.internal.tangents.tobytes()).hexdigest())
+print(sum(element_residuals.stats.cache_hits.values()))
+"""
 
 
 def ask(folder: Path) -> tuple[int, int]:
@@ -52,3 +65,22 @@ def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
 
 def test_the_folder_is_named_after_the_kernels() -> None:
     assert Path(cache_folder()).name.startswith("kernels-")
+
+
+def digits(cache: Path) -> tuple[str, int]:
+    """Hash of the elements' stiffness, and how many kernels came from the cache."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    run = subprocess.run(
+        [sys.executable, "-c", DIGITS], cwd=Path(__file__).parents[2], env=environment,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    found, hits = run.stdout.split()
+    return found, int(hits)
+
+
+def test_the_process_that_compiles_gets_the_same_digits(tmp_path: Path) -> None:
+    """A study stopped in its first minute and resumed holds cases of both processes."""
+    compiled, none = digits(tmp_path)
+    found, hits = digits(tmp_path)
+    assert (none, hits) == (0, 1)
+    assert found == compiled
