@@ -18,8 +18,9 @@ Array = NDArray[np.float64]
 
 #: iterations after which a residual that was never below the next figure is given up
 _HOPELESS, _FAR = 9, 0.1
-#: relative residual below which contact may be decided point by point
-_CALM = 0.01
+#: relative residual below which contact may be decided point by point, and below which the
+#: tangent changes little from one iteration to the next
+_CALM, _STEADY = 0.01, 0.1
 #: relative residual of a linear solve by an older factorization: far below what one Newton
 #: iteration gains
 _LINEAR = 1e-4
@@ -113,8 +114,8 @@ class FullSteps:
     def solve(
         self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
     ) -> Array:
-        """Take the tangent as it is; a calm one differs little from one already factorized."""
-        if residuals and residuals[-1] < _CALM:
+        """Take the tangent as it is; a steady one differs little from one already factorized."""
+        if residuals and residuals[-1] < _STEADY:
             return system.solve(right, _scale(system, *at), _LINEAR)
         system.factorize()
         return system.back_substitute(right)

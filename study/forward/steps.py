@@ -27,7 +27,7 @@ class StepSettings:
         Smallest step over the largest one.
     """
 
-    largest: float = 0.03
+    largest: float = 0.06
     first_touch: float = 0.1
     largest_touch: float = 0.25
     deeper: float = 0.08

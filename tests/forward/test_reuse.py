@@ -132,8 +132,8 @@ def test_the_curve_does_not_depend_on_reuse(monkeypatch: pytest.MonkeyPatch) -> 
         whole(self, shift)
 
     monkeypatch.setattr(System, "factorize", counted)
-    for calm in (newton._CALM, 0.0):
-        monkeypatch.setattr(newton, "_CALM", calm)
+    for steady in (newton._STEADY, 0.0):
+        monkeypatch.setattr(newton, "_STEADY", steady)
         made.append(0)
         curves.append(solve(problem, options=Options(linear_solver="superlu")).curve)
     np.testing.assert_allclose(curves[0].force_N, curves[1].force_N, rtol=1e-8)
