@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
 from study.forward.elements import Discretization
+from study.forward.glue import ties
 from study.forward.indenters import Press, profile
 from study.forward.mesh import Mesh
 from study.forward.problem import Flat, Problem, Surface
@@ -121,7 +122,7 @@ def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
 def touch_radius(problem: Problem) -> float:
     """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
     pressed = problem.test.indenter
-    if problem.test.kind == "compression" or pressed is None or problem.test.interface == "bonded":
+    if problem.test.kind == "compression" or pressed is None or _held_from_the_start(problem):
         return 0.0
     height = problem.specimen.height_mm
     return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
@@ -150,12 +151,18 @@ def _under_indenter(
     problem: Problem, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
     test = problem.test
-    if test.indenter is None or test.interface == "bonded":
+    if test.indenter is None or _held_from_the_start(problem):
         return ()
     press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     if sharp_edge(test.indenter):
         return _under_sharp_edge(problem, space, mesh, press)
-    return (_on_top(problem, space, mesh, press),)
+    top = _on_top(problem, space, mesh, press)
+    return (top, *ties(top, space.dim)) if test.interface == "bonded" else (top,)
+
+
+def _held_from_the_start(problem: Problem) -> bool:
+    """Whether the indenter is a flat one that sticks: it touches all that it holds at once."""
+    return problem.test.interface == "bonded" and isinstance(problem.test.indenter, Flat)
 
 
 def _on_top(

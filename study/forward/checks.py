@@ -62,9 +62,6 @@ def _indenter(problem: Problem) -> Iterator[Fault]:
     if isinstance(pressed, Flat) and not 0 <= pressed.edge_radius_mm <= pressed.radius_mm:
         rule = f"{pressed.edge_radius_mm:g} mm is not between 0 and the radius"
         yield Fault("test.indenter.edge_radius", rule, "")
-    if problem.test.interface == "bonded" and not isinstance(pressed, Flat):
-        mend = "use interface = 'frictionless', or a flat indenter"
-        yield Fault("test.interface", "only a flat indenter can be bonded", mend)
     reach, half = _reach(problem), _half_width(specimen)
     if reach > half:
         rule = f"the indenter touches up to {reach:g} mm from the axis, beyond {half:g} mm"

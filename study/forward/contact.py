@@ -9,7 +9,8 @@ solve the multiplier takes up what the spring carried, so forces do not depend o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -36,6 +37,29 @@ class RigidSurface(Protocol):
 
     def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
         """Gap (n,) and normal (n, dim) of small-strain contact, from reference positions ``x``."""
+
+
+@dataclass(frozen=True)
+class Glue:
+    """Points that an indenter has taken hold of.
+
+    Parameters
+    ----------
+    held : ndarray of bool, shape (n_points,)
+        Which they are.
+    anchor : ndarray, shape (n_points, dim)
+        Where each is held, in a frame that moves with the indenter, mm.
+    rates : mapping of str to ndarray, shape (n_points, dim)
+        Derivative of ``anchor`` by every constant of the material.
+    """
+
+    held: Flags
+    anchor: Array
+    rates: Mapping[str, Array] = field(default_factory=dict)
+
+    def rate(self, name: str) -> Array:
+        """Return d(anchor)/d(constant); zero where nothing has been held yet."""
+        return self.rates.get(name, np.zeros_like(self.anchor))
 
 
 @dataclass(frozen=True)
@@ -119,12 +143,14 @@ class ContactPoints:
         displacement_mm: float,
         multiplier: Array,
         closed: Flags | None = None,
+        glue: Glue | None = None,
     ) -> ContactState:
         """Gap, active set and pressure at displacements ``u`` (n_nodes, dim).
 
-        ``closed`` imposes the active set; without it every point decides for itself.
+        ``closed`` imposes the active set; without it every point decides for itself, but for
+        those that ``glue`` holds by other means.
         """
-        place, moved = self._interpolated(nodes), self._interpolated(u)
+        place, moved = self.interpolated(nodes), self.interpolated(u)
         if self.small_strain:
             gap, normal = self.surface.reference_gap(place, moved, displacement_mm)
             hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
@@ -132,7 +158,9 @@ class ContactPoints:
             gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
         gap = gap + self.allowance_mm
         urge = multiplier - self.c * gap
-        wanted, led = self._decided(urge > 0)
+        held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
+        wanted, led = self._decided((urge > 0) | held)
+        wanted &= ~held
         active = wanted if closed is None else closed
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
@@ -159,7 +187,15 @@ class ContactPoints:
             own |= np.diff(self.middles.indptr) > 0
         return np.where(own, multiplier, 0.0)
 
-    def _interpolated(self, nodal: Array) -> Array:
+    def normal(self, nodes: Array, u: Array, displacement_mm: float) -> Array:
+        """Outward normal of the surface where each point meets it, shape (n_points, dim)."""
+        place, moved = self.interpolated(nodes), self.interpolated(u)
+        if self.small_strain:
+            return self.surface.reference_gap(place, moved, displacement_mm)[1]
+        return self.surface.gap(place + moved, displacement_mm)[1]
+
+    def interpolated(self, nodal: Array) -> Array:
+        """Values at the points of a nodal field (n_nodes, m), shape (n_points, m)."""
         return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
 
     def rotation_forces(self, state: ContactState) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from study.forward.glue import TiedPoints
 from study.forward.system import Assembly, State, System
 
 Array = NDArray[np.float64]
@@ -51,13 +52,15 @@ def step_gradients(
     for column, name in enumerate(wanted, start=1):
         right[:, column] = -system.constant_derivative(state, name)
     right[:, 0] = _rotations(system, assembly)
-    x, carried = linear_rates(system, assembly, start, right, _targets(system, assembly, k))
+    targets = _targets(system, state, assembly, wanted)
+    x, carried = linear_rates(system, assembly, start, right, targets)
     along = x[:, 0]
     curvature = along @ system.tangent_product(along, contact=False)
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         curvature += points.rotation_stiffness(touch, along[points.dofs(system.space.dim)])
     gradient = {
-        name: -system.force_scale * float(right[:, column] @ along)
+        name: system.force_scale
+        * (_owed_to_ties(system, targets, carried, column) - float(right[:, column] @ along))
         for column, name in enumerate(wanted, start=1)
     }
     rates = [Rate(x[:, j].copy(), tuple(c[:, j].copy() for c in carried)) for j in range(k)]
@@ -79,15 +82,32 @@ def _rotations(system: System, assembly: Assembly) -> Array:
     return out
 
 
-def _targets(system: System, assembly: Assembly, k: int) -> list[Array]:
-    """Rate of n . x that keeps active contact closed: only the loading moves the surface."""
+def _targets(
+    system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]
+) -> list[Array]:
+    """Rate of n . x that keeps active contact closed.
+
+    The loading moves the surface; constants move the places where ties hold their points.
+    """
     targets = []
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         axial = touch.direction.reshape(points.size, -1, system.space.dim)[:, :, -1].sum(axis=1)
-        target = np.zeros((points.size, k))
+        target = np.zeros((points.size, 1 + len(wanted)))
         target[:, 0] = -axial * points.surface.speed
+        if state.glue is not None and isinstance(points, TiedPoints):
+            for column, name in enumerate(wanted, start=1):
+                target[:, column] = state.glue.rate(name)[:, points.axis]
         targets.append(target)
     return targets
+
+
+def _owed_to_ties(system: System, targets: list[Array], carried: list[Array], column: int) -> float:
+    """Force that a constant owes to the places where ties hold: sum of w dp/dd d(place)."""
+    return sum(
+        float(points.weights @ (pressure[:, 0] * target[:, column]))
+        for points, target, pressure in zip(system.contact, targets, carried, strict=True)
+        if isinstance(points, TiedPoints)
+    )
 
 
 def linear_rates(
@@ -95,9 +115,11 @@ def linear_rates(
 ) -> tuple[Array, list[Array]]:
     """Solve K v = right with v prescribed as in ``start`` and n . v = target on active contact.
 
-    The factorization is that of the last Newton iterate; corrections with the tangent of
-    the converged state remove the difference, and an augmented-Lagrange update that of the
-    contact springs. All right-hand sides, shape (n, k), share each back-substitution.
+    The factorization is that of a late Newton iterate; corrections with the tangent of the
+    converged state remove the difference, and an augmented-Lagrange update that of the
+    contact springs. All right-hand sides, shape (n, k), share each back-substitution. The
+    tangent itself is factorized only where contact has changed since, or where corrections
+    cost more.
 
     Returns
     -------
@@ -108,22 +130,20 @@ def linear_rates(
     """
     free, v = system.pattern.free, start.copy()
     carried = [np.zeros_like(target) for target in targets]
-    scale = np.zeros(right.shape[1])
-    for correction in range(_CORRECTIONS):
-        residual = right - np.column_stack([system.tangent_product(c) for c in v.T])
-        for points, touch, target, extra in zip(
-            system.contact, assembly.contact, targets, carried, strict=True
-        ):
-            push = np.where(touch.active[:, None], points.eps * target + extra, 0.0)
-            forces = (points.weights[:, None] * push)[:, None, :] * touch.direction[:, :, None]
-            dofs = points.dofs(system.space.dim)
-            np.add.at(residual, dofs.ravel(), forces.reshape(dofs.size, -1))
+    older = system.factors_serve()
+    if not older:
+        system.factorize()
+    scale, sizes = np.zeros(right.shape[1]), list[Array]()
+    for _ in range(_CORRECTIONS):
+        residual = right + _imbalance(system, assembly, v, targets, carried)
         size = np.linalg.norm(residual[free], axis=0)
         scale = np.maximum(scale, size)
         if (size <= _TOLERANCE * scale).all():
             break
-        if correction == _CORRECTIONS // 2:
+        sizes.append(size / np.where(scale > 0, scale, 1.0))
+        if older and _cost_ahead(sizes) > system.solver.worth():
             system.factorize()
+            older = False
         v[free] += system.back_substitute(residual[free])
         for points, touch, target, extra in zip(
             system.contact, assembly.contact, targets, carried, strict=True
@@ -131,3 +151,28 @@ def linear_rates(
             moved = np.einsum("cd,cdk->ck", touch.direction, v[points.dofs(system.space.dim)])
             extra += np.where(touch.active[:, None], points.eps * (target - moved), 0.0)
     return v, carried
+
+
+def _imbalance(
+    system: System, assembly: Assembly, v: Array, targets: list[Array], carried: list[Array]
+) -> Array:
+    """Return what the rates ``v`` leave of -K v and of the targets, shape (n, k)."""
+    left = -np.column_stack([system.tangent_product(column) for column in v.T])
+    for points, touch, target, extra in zip(
+        system.contact, assembly.contact, targets, carried, strict=True
+    ):
+        push = np.where(touch.active[:, None], points.eps * target + extra, 0.0)
+        forces = (points.weights[:, None] * push)[:, None, :] * touch.direction[:, :, None]
+        dofs = points.dofs(system.space.dim)
+        np.add.at(left, dofs.ravel(), forces.reshape(dofs.size, -1))
+    return left
+
+
+def _cost_ahead(sizes: list[Array]) -> float:
+    """Back-substitutions that the corrections still cost at the rate of the last one."""
+    if len(sizes) < 2:
+        return 0.0
+    left = np.maximum(sizes[-1], 1e-300)
+    rate = np.minimum(left / np.maximum(sizes[-2], 1e-300), 1.0 - 1e-9)
+    many = np.log(np.minimum(_TOLERANCE / left, 1.0)) / np.log(rate)
+    return float(left.size * many.max())

@@ -51,6 +51,10 @@ class KeptFactors:
         """Factorize first: what another run left behind must not change a digit of this one."""
         self._touching = None
 
+    def serves(self, touching: NDArray[np.bool_]) -> bool:
+        """Whether the factors are of a tangent with these contact points closed."""
+        return self._touching is not None and np.array_equal(touching, self._touching)
+
     def solve(
         self,
         data: Array,

@@ -145,6 +145,7 @@ class _Run:
         self.min_j, self.pinned, self.reason = 1.0, 0.0, ""
         self.snaps: list[float] = []
         self._reach_of: tuple[State, str] | None = None
+        self._latest: tuple[NewtonResult, StepGradients] | None = None
 
     def to_the_end(self) -> None:
         test = self.problem.test
@@ -163,7 +164,9 @@ class _Run:
         while result is None or not self._at(target):
             remaining = target - self.state.displacement_mm
             pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))
-            newton = self.options.newton if pieces == 1 else self.options.newton.passing()
+            newton = self.options.newton
+            if pieces > 1 and not self.system.sticks:  # what sticks remembers every state
+                newton = newton.passing()
             result = self._attempt(self.state.displacement_mm + remaining / pieces, newton)
             spent += result.iterations
             if result.converged:
@@ -245,7 +248,7 @@ class _Run:
 
     def _from_warm(self, target: float, number: int) -> NewtonResult | None:
         """Start from the same step of an earlier solve, moved along its sensitivities."""
-        if self.warm is None or number >= len(self.warm.steps):
+        if self.warm is None or self.system.sticks or number >= len(self.warm.steps):
             return None
         step = self.warm.steps[number]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
@@ -277,12 +280,22 @@ class _Run:
         self.previous, self.state = self.state, result.state
         if result.assembly is not None:
             self.min_j = result.assembly.min_j
+            if self.system.sticks:
+                rates = self._row(result).constants if self.wanted else {}
+                along = {name: rate.x for name, rate in rates.items()}
+                self.state = self.system.held(result.state, result.assembly, along)
 
-    def _record(self, result: NewtonResult) -> None:
+    def _row(self, result: NewtonResult) -> StepGradients:
+        """Force and derivatives of a converged state, computed once."""
         if result.assembly is None:
             raise RuntimeError("a converged step has an assembly")
-        self.system.factorize()
-        row = step_gradients(self.system, self.state, result.assembly, wanted=self.wanted)
+        if self._latest is None or self._latest[0] is not result:
+            row = step_gradients(self.system, result.state, result.assembly, wanted=self.wanted)
+            self._latest = result, row
+        return self._latest[1]
+
+    def _record(self, result: NewtonResult) -> None:
+        row = self._row(result)
         self.rows.append(row)
         self.reached.append(self.state.displacement_mm)
         self.reactions.append(self._base_reaction(result))

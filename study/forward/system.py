@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
-from study.forward.contact import ContactPoints, ContactState
+from study.forward.contact import ContactPoints, ContactState, Glue
 from study.forward.elements import Discretization, discretize
+from study.forward.glue import TiedPoints, hold, nothing_held
 from study.forward.internal import EVENNESS, POINTWISE, Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
@@ -38,12 +40,15 @@ class State:
         Contact pressures, one array for each set of contact points.
     closed : tuple of ndarray of bool
         Imposed active sets; empty where every contact point decides for itself.
+    glue : Glue, optional
+        What a bonded indenter has taken hold of.
     """
 
     displacement_mm: float
     x: Array
     multipliers: tuple[Array, ...] = ()
     closed: tuple[NDArray[np.bool_], ...] = ()
+    glue: Glue | None = None
 
 
 @dataclass
@@ -141,6 +146,11 @@ class System:
         """Number of free unknowns."""
         return int(self.pattern.free.size)
 
+    @property
+    def sticks(self) -> bool:
+        """Whether points that touch are tied to what they touch."""
+        return any(isinstance(points, TiedPoints) for points in self.contact)
+
     def force_floor(self, displacement_mm: float) -> float:
         """Force that residuals are compared with where there is none yet (first touch), N."""
         strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
@@ -150,7 +160,8 @@ class System:
     def start(self) -> State:
         """Return the unloaded state."""
         zeros = tuple(np.zeros(c.size) for c in self.contact)
-        return State(0.0, np.zeros(self.space.n), zeros)
+        glue = nothing_held(self.contact[0], self.space.dim) if self.sticks else None
+        return State(0.0, np.zeros(self.space.n), zeros, glue=glue)
 
     def prescribed(self, displacement_mm: float) -> Array:
         """Values of the constrained unknowns."""
@@ -177,7 +188,7 @@ class System:
             self.contact, state.multipliers, sides, self._contact_blocks, strict=True
         ):
             depth = state.displacement_mm
-            touch = points.evaluate(self.space.nodes, u, depth, multiplier, closed)
+            touch = points.evaluate(self.space.nodes, u, depth, multiplier, closed, state.glue)
             contacts.append(touch)
             np.add.at(residual, dofs.ravel(), points.forces(touch).ravel())
             if tangent:
@@ -192,9 +203,27 @@ class System:
         """Contact at a state as every point itself decides it."""
         u = self.displacements(state.x)
         return [
-            points.evaluate(self.space.nodes, u, state.displacement_mm, multiplier)
+            points.evaluate(self.space.nodes, u, state.displacement_mm, multiplier, glue=state.glue)
             for points, multiplier in zip(self.contact, state.multipliers, strict=True)
         ]
+
+    def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
+        """Return a converged state with all that touches held by the indenter.
+
+        ``rates`` are the derivatives of the unknowns by every constant.
+        """
+        if state.glue is None:
+            return state
+        glue, multipliers = hold(
+            state.glue,
+            self.contact,
+            assembly.contact,
+            self.space.nodes,
+            self.displacements(state.x),
+            state.displacement_mm,
+            {name: self.displacements(rate) for name, rate in rates.items()},
+        )
+        return replace(state, glue=glue, multipliers=multipliers)
 
     def factorize(self, shift: float = 0.0) -> None:
         """Factorize the last assembled tangent.
@@ -231,6 +260,10 @@ class System:
             return found
         self.factorize()
         return self.back_substitute(right)
+
+    def factors_serve(self) -> bool:
+        """Whether the last factorization is of a tangent near the last assembled one."""
+        return self.kept.serves(self._touching)
 
     def lift_product(self, lift: Array) -> Array:
         """Force of prescribed increments on the free unknowns, contact left out."""

@@ -250,7 +250,6 @@ def test_3d_agrees_with_axisymmetric(
         (indentation(NEEDLE, 50), "not smaller than the specimen's height"),
         (indentation(Flat(30), 1), "beyond 25 mm"),
         (indentation(Flat(3, 4), 1), "edge_radius"),
-        (indentation(NEEDLE, 1, interface="bonded"), "only a flat indenter"),
     ],
 )
 def test_impossible_indentations_are_refused(problem: Problem, words: str) -> None:
