@@ -16,6 +16,8 @@ import study
 
 #: rooms whose code decides a number; reports and statistics may change without a new run
 _NUMERIC_ROOMS = ("curve.py", "units.py", "material", "forward", "calibration")
+#: files of theirs that foretell what a computation costs, and decide none of its numbers
+_FORETELLING = ("estimate.py", "expected.py")
 _NUMERIC_RUNNER = (
     "anchors.py",
     "build.py",
@@ -89,7 +91,7 @@ def _numeric_files(root: Path) -> Sequence[Path]:
     for room in _NUMERIC_ROOMS:
         path = root / room
         files += sorted(path.rglob("*.py")) if path.is_dir() else [path]
-    return [path for path in files if path.exists()]
+    return [path for path in files if path.exists() and path.name not in _FORETELLING]
 
 
 def _code_only(source: str) -> str:
