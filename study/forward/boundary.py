@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from study.forward.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
 from study.forward.elements import Discretization
-from study.forward.glue import ties
+from study.forward.glue import gripping
 from study.forward.indenters import Press, profile
 from study.forward.mesh import Mesh
 from study.forward.problem import Flat, Problem, Surface
@@ -156,8 +156,7 @@ def _under_indenter(
     press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     if sharp_edge(test.indenter):
         return _under_sharp_edge(problem, space, mesh, press)
-    top = _on_top(problem, space, mesh, press)
-    return (top, *ties(top, space.dim)) if test.interface == "bonded" else (top,)
+    return gripping(_on_top(problem, space, mesh, press), test.interface, space.dim)
 
 
 def _held_from_the_start(problem: Problem) -> bool:

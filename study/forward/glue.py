@@ -85,17 +85,18 @@ def in_its_frame(x: Array, displacement_mm: float) -> Array:
     return seen
 
 
-def ties(points: ContactPoints, dim: int) -> tuple[TiedPoints, ...]:
-    """One set of ties for every axis, at the points of a contact."""
-    common = {
-        "nodes": points.nodes,
-        "shape": points.shape,
-        "weights": points.weights,
-        "eps": points.eps,
-        "c": points.c,
-        "small_strain": points.small_strain,
-    }
-    return tuple(TiedPoints(Tie(axis), axis=axis, **common) for axis in range(dim))  # type: ignore[arg-type]
+def gripping(points: ContactPoints, interface: str, dim: int) -> tuple[ContactPoints, ...]:
+    """Points that meet an indenter, with a set of ties for every axis where it is bonded."""
+    if interface != "bonded":
+        return (points,)
+    ties = (
+        TiedPoints(
+            surface=Tie(axis), nodes=points.nodes, shape=points.shape, weights=points.weights,
+            eps=points.eps, c=points.c, small_strain=points.small_strain, axis=axis,
+        )
+        for axis in range(dim)
+    )  # fmt: skip
+    return (points, *ties)
 
 
 def nothing_held(points: ContactPoints, dim: int) -> Glue:

@@ -22,6 +22,7 @@ from study.forward.boundary import (
 )
 from study.forward.contact import ContactPoints, Plate
 from study.forward.elements import Discretization
+from study.forward.glue import gripping
 from study.forward.indenters import Press, profile, profile_height
 from study.forward.mesh import Mesh
 from study.forward.pins import pins
@@ -83,7 +84,8 @@ def whole_contact(
         corners = mesh.points[space.facets[~held][:, :3]]
         touch = touch_mm(test.indenter, corners, mesh.height_mm)
         press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), touch)
-        return (meeting(problem, space, mesh, press, ~held),)
+        points = meeting(problem, space, mesh, press, ~held)
+        return gripping(points, test.interface, space.dim)
     axial = np.array(sorted(_rates(problem, space, mesh)), dtype=np.int64)
     nodes = np.unique(axial[axial % space.dim == space.dim - 1] // space.dim)
     plates = [Plate(mesh.height_mm, -1, 1.0)]

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.data import ReportData
-from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import RULE, WIDTH_IN, canvas, color_of
 from study.reporting.tables_fits import fit_name, fit_rank
 from study.reporting.text import clean
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ def draw_constants(frame: pd.DataFrame) -> Canvas:
         _panel(ax, some, color_of(index))
         unit = str(some["unit"].iloc[0])
         ax.set_xlabel(f"{clean(name, 16)} ({unit})" if unit else clean(name, 16))
-    axes[0].set_yticks(rows["place"], [wrap(row, 46, 90) for row in rows["row"]], fontsize=7.5)
+    name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
     axes[0].set_ylim(len(rows) - 0.4, -0.6)
     return figure
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import BAND, INK, MARKERS, MUTED, RULE, WIDTH_IN, canvas, color_of
 from study.reporting.text import clean, percent
+from study.reporting.ticks import plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,9 +9,10 @@ import numpy as np
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
-from study.reporting.figures_effects import axis_label, plain_ticks, wrap
+from study.reporting.figures_effects import axis_label
 from study.reporting.style import MARKERS, MUTED, WIDTH_IN, canvas, color_of
 from study.reporting.text import clean, duration, name_of
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -180,7 +181,7 @@ def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
             label=clean(status, 24),
         )
     ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
-    ax.set_yticks(range(len(rows)), [wrap(r, 80, 70) for r in rows], fontsize=7.5)
+    name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set_xlim(-0.5, len(columns) - 0.5)
     ax.tick_params(length=0)

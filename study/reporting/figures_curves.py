@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.reporting.data import CurvePair, ReportData
-from study.reporting.figures_effects import plain_ticks
 from study.reporting.style import (
     DASHES,
     INK,
@@ -19,6 +18,7 @@ from study.reporting.style import (
     color_of,
 )
 from study.reporting.text import clean
+from study.reporting.ticks import plain_ticks
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,6 @@ frame is the figure's CSV.
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +31,7 @@ from study.reporting.text import (
     significant,
     term_name,
 )
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 from study.reporting.verdicts import size, size_interval
 
 if TYPE_CHECKING:
@@ -40,15 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
-
-
-def wrap(label: object, width: int = 14, longest: int = 60) -> str:
-    """Label of user text over several lines, broken at spaces and hyphens."""
-    text = clean(label, longest)
-    # a word a little too long is better read whole than cut
-    widest = max(map(len, text.replace("-", "- ").split()), default=0)
-    lines = textwrap.wrap(text, width, break_long_words=widest > 1.7 * width)
-    return "\n".join(lines) or text
 
 
 def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
@@ -109,7 +100,7 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
             fontsize=8,
             annotation_clip=False,
         )
-    ax.set_yticks(range(len(frame)), [wrap(name, 34) for name in frame["name"]])
+    name_rows(ax, range(len(frame)), [wrap(name, 34) for name in frame["name"]], 8)
     ax.set_ylim(len(frame) - 0.5, -0.6)
     plain_ticks(ax, "x")
     what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
@@ -296,8 +287,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
         _at_right(ax, significant(float(mean)), float(place))
-    names = [wrap(label, 56, 130) for label in means["label"]]
-    ax.set_yticks(means["rank"], names, fontsize=7.5, multialignment="right")
+    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
     ax.set_xlabel(axis_label(facts))
@@ -309,14 +299,3 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
 def _clean_left(ax: Axes) -> None:
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="y", length=0)
-
-
-def plain_ticks(ax: Axes, axis: str) -> None:
-    """Few ticks, the same decimals on each, no offset and no exponent."""
-    from matplotlib.ticker import MaxNLocator, ScalarFormatter
-
-    target = ax.xaxis if axis == "x" else ax.yaxis
-    formatter = ScalarFormatter(useOffset=False, useMathText=False)
-    formatter.set_scientific(False)
-    target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-    target.set_major_formatter(formatter)

@@ -9,7 +9,7 @@ import numpy as np
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts, cells
-from study.reporting.figures_effects import axis_label, plain_ticks, wrap
+from study.reporting.figures_effects import axis_label
 from study.reporting.style import (
     DASHES,
     MARKERS,
@@ -23,6 +23,7 @@ from study.reporting.text import (
     name_of,
     significant,
 )
+from study.reporting.ticks import plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,9 +8,9 @@ import numpy as np
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
-from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import BAND, MUTED, RULE, WIDTH_IN, canvas, color_of, word_color_of
 from study.reporting.text import clean, name_of, p_value
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -186,7 +186,7 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
     ax.plot(frame["sd"], places, "o", color=color_of(0), markersize=5)
-    ax.set_yticks(places, [wrap(cell, 70, 70) for cell in frame["cell"]], fontsize=7.5)
+    name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
     ax.grid(axis="y", color=RULE, linewidth=0.4)

@@ -13,9 +13,9 @@ import numpy as np
 
 from study.reporting.data import ReportData
 from study.reporting.facts import Facts
-from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import BAND, INK, MUTED, WIDTH_IN, canvas
 from study.reporting.text import term_name
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -104,7 +104,7 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
             fontsize=7.5,
             color=MUTED,
         )
-    ax.set_yticks(places, [wrap(name, 30) for name in frame["name"]], fontsize=7.5)
+    name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="y", length=0)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.reporting.figures_effects import plain_ticks, wrap
 from study.reporting.style import BAND, MUTED, WIDTH_IN, canvas, color_of
 from study.reporting.tables import Table
 from study.reporting.text import MISSING, clean, significant
+from study.reporting.ticks import plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
