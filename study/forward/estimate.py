@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from study.forward.boundary import constraints
 from study.forward.expected import expected_unknowns, memory_MB
 from study.forward.mesh import Mesh, build_mesh
-from study.forward.problem import Problem
+from study.forward.problem import Flat, Problem
 from study.forward.steps import StepRule, StepSettings
 
 #: Newton iterations of a load step: between plates, and where contact has to be found
 _ITERATIONS, _CONTACT_ITERATIONS = 4, 10
 #: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
 #: that is graded around an indenter: their matrices hold a third of the entries
-_LINEAR = 0.4
+_LINEAR = 0.5
 #: larger meshes are not made to count their unknowns
 _COUNTED = 1e6
 #: edges and faces of a cell by its number of corners, as pairs and fours of its corners
@@ -68,16 +68,16 @@ def _iteration(problem: Problem, dofs: float) -> float:
     """Seconds of a Newton iteration.
 
     Between plates 0.05 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
-    1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 20 ms at
-    2.4k axisymmetric, and 0.2 s at 8k, 0.5 s at 15k, 1.4 s at 26k quadratic solid unknowns.
+    1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 9 ms at
+    2.4k axisymmetric, and 0.11 s at 8k, 0.3 s at 15k, 0.7 s at 26k quadratic solid unknowns.
     """
     solid, indented = problem.model.space == "3d", problem.test.kind == "indentation"
     if not solid:
-        return float(0.002 + (8e-6 * dofs if indented else 0.05 * (dofs / 21e3) ** 1.2))
+        return float(0.001 + (3.5e-6 * dofs if indented else 0.05 * (dofs / 21e3) ** 1.2))
     if not indented:
         return float(0.5 * (dofs / 28e3) ** 1.95)
     share = 1.0 if problem.model.element_order == "quadratic" else _LINEAR
-    return float(0.2 * share * (dofs / 8.2e3) ** 1.7)
+    return float(0.11 * share * (dofs / 8.2e3) ** 1.65)
 
 
 def unknowns(problem: Problem, mesh: Mesh) -> int:
@@ -122,5 +122,6 @@ def _load_steps(problem: Problem, height_mm: float) -> float:
     targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
     length = test.displacement_mm / test.steps
     pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)
-    touching = test.kind == "indentation" and test.interface == "frictionless"
+    held = test.interface == "bonded" and isinstance(test.indenter, Flat)
+    touching = test.kind == "indentation" and not held
     return float(pieces * (_CONTACT_ITERATIONS if touching else _ITERATIONS))
