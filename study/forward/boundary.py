@@ -122,7 +122,7 @@ def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
 def touch_radius(problem: Problem) -> float:
     """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
     pressed = problem.test.indenter
-    if problem.test.kind == "compression" or pressed is None or _held_from_the_start(problem):
+    if problem.test.kind == "compression" or pressed is None or problem.test.holds_face:
         return 0.0
     height = problem.specimen.height_mm
     return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
@@ -151,17 +151,12 @@ def _under_indenter(
     problem: Problem, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
     test = problem.test
-    if test.indenter is None or _held_from_the_start(problem):
+    if test.indenter is None or test.holds_face:
         return ()
     press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     if sharp_edge(test.indenter):
         return _under_sharp_edge(problem, space, mesh, press)
     return gripping(_on_top(problem, space, mesh, press), test.interface, space.dim)
-
-
-def _held_from_the_start(problem: Problem) -> bool:
-    """Whether the indenter is a flat one that sticks: it touches all that it holds at once."""
-    return problem.test.interface == "bonded" and isinstance(problem.test.indenter, Flat)
 
 
 def _on_top(

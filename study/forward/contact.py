@@ -187,13 +187,6 @@ class ContactPoints:
             own |= np.diff(self.middles.indptr) > 0
         return np.where(own, multiplier, 0.0)
 
-    def normal(self, nodes: Array, u: Array, displacement_mm: float) -> Array:
-        """Outward normal of the surface where each point meets it, shape (n_points, dim)."""
-        place, moved = self.interpolated(nodes), self.interpolated(u)
-        if self.small_strain:
-            return self.surface.reference_gap(place, moved, displacement_mm)[1]
-        return self.surface.gap(place + moved, displacement_mm)[1]
-
     def interpolated(self, nodal: Array) -> Array:
         """Values at the points of a nodal field (n_nodes, m), shape (n_points, m)."""
         return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
@@ -245,6 +238,11 @@ class ContactState:
     wanted: Flags
     urge: Array
     led: Flags
+
+    def normal(self) -> Array:
+        """Return the surface's normals, shape (n_points, dim): shape functions sum to 1."""
+        parts = self.direction.reshape(len(self.gap), -1, self.hessian.shape[1])
+        return np.asarray(parts.sum(axis=1))
 
     def new_multiplier(self, contact: ContactPoints, increment: Array) -> Array:
         """Multiplier after a solve that moved the points' unknowns by ``increment``."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from study.forward.boundary import constraints
 from study.forward.expected import expected_unknowns, memory_MB
 from study.forward.mesh import Mesh, build_mesh
-from study.forward.problem import Flat, Problem
+from study.forward.problem import Problem
 from study.forward.steps import StepRule, StepSettings
 
 #: Newton iterations of a load step: between plates, and where contact has to be found
@@ -122,6 +122,5 @@ def _load_steps(problem: Problem, height_mm: float) -> float:
     targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
     length = test.displacement_mm / test.steps
     pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)
-    held = test.interface == "bonded" and isinstance(test.indenter, Flat)
-    touching = test.kind == "indentation" and not held
+    touching = test.kind == "indentation" and not test.holds_face
     return float(pieces * (_CONTACT_ITERATIONS if touching else _ITERATIONS))

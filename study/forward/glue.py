@@ -50,7 +50,7 @@ class Tie:
 class TiedPoints(ContactPoints):
     """Contact points along one axis of the indenter's frame, where they are held."""
 
-    axis: int = 0
+    surface: Tie
 
     def evaluate(
         self,
@@ -65,7 +65,7 @@ class TiedPoints(ContactPoints):
         if glue is None:
             raise ValueError("ties need to know which points are held")
         free = super().evaluate(nodes, u, displacement_mm, multiplier, glue.held)
-        gap = np.where(glue.held, free.gap - glue.anchor[:, self.axis], 0.0)
+        gap = np.where(glue.held, free.gap - glue.anchor[:, self.surface.axis], 0.0)
         pressure = np.where(glue.held, multiplier - self.eps * gap, 0.0)
         calm = np.zeros_like(gap)
         everywhere = np.ones(gap.shape, dtype=bool)
@@ -92,7 +92,7 @@ def gripping(points: ContactPoints, interface: str, dim: int) -> tuple[ContactPo
     ties = (
         TiedPoints(
             surface=Tie(axis), nodes=points.nodes, shape=points.shape, weights=points.weights,
-            eps=points.eps, c=points.c, small_strain=points.small_strain, axis=axis,
+            eps=points.eps, c=points.c, small_strain=points.small_strain,
         )
         for axis in range(dim)
     )  # fmt: skip
@@ -140,7 +140,7 @@ def hold(
         name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))
         for name, rate in rates.items()
     }
-    normal = points.normal(nodes, u, displacement_mm)
+    normal = touching[0].normal()
     pushed = [
         np.where(new, pressure * normal[:, axis], touch.pressure)
         for axis, touch in enumerate(touching[1:])

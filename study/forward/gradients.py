@@ -91,12 +91,11 @@ def _targets(
     """
     targets = []
     for points, touch in zip(system.contact, assembly.contact, strict=True):
-        axial = touch.direction.reshape(points.size, -1, system.space.dim)[:, :, -1].sum(axis=1)
         target = np.zeros((points.size, 1 + len(wanted)))
-        target[:, 0] = -axial * points.surface.speed
+        target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
         if state.glue is not None and isinstance(points, TiedPoints):
             for column, name in enumerate(wanted, start=1):
-                target[:, column] = state.glue.rate(name)[:, points.axis]
+                target[:, column] = state.glue.rate(name)[:, points.surface.axis]
         targets.append(target)
     return targets
 

@@ -120,6 +120,11 @@ class Test:
     steps: int = 10
     indenter: Indenter | None = None
 
+    @property
+    def holds_face(self) -> bool:
+        """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
+        return self.interface == "bonded" and isinstance(self.indenter, Flat)
+
 
 @dataclass(frozen=True)
 class Model:

@@ -23,7 +23,7 @@ from study.reporting.text import (
     name_of,
     significant,
 )
-from study.reporting.ticks import plain_ticks, wrap
+from study.reporting.ticks import name_rows, plain_ticks, wrap
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,7 +160,7 @@ def _numbers(
             )
             size = 7.5 if len(column[1]) < 5 else 6.5
             ax.text(a, b, significant(mean), ha="center", va="center", fontsize=size)
-    ax.set_yticks(range(len(row[1])), [wrap(v, 12, 24) for v in row[1]], fontsize=7)
+    name_rows(ax, range(len(row[1])), [wrap(v, 12, 24) for v in row[1]], 7)
     ax.tick_params(length=0, pad=2)
 
 

@@ -84,8 +84,7 @@ def _limits(problem: Problem) -> list[tuple[float, str]]:
 def _under_indenter(problem: Problem) -> tuple[float, str]:
     """Limit that an indenter sets: a sharp edge, or the rim of a smooth contact."""
     pressed = problem.test.indenter
-    bonded = problem.test.interface == "bonded"
-    if sharp_edge(pressed) or (isinstance(pressed, Flat) and bonded):
+    if sharp_edge(pressed) or problem.test.holds_face:
         return 1.0, _sharp(problem)
     if not isinstance(pressed, Flat):
         return 2.0, _RIM
