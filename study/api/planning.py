@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.api import remaining
 from study.api.places import RESULTS, data_root, results_folder
 from study.design import Design, describe, load
 from study.errors import Fault, InputError, MissingDataError, nearest
 from study.record import Record, Store
 
 if TYPE_CHECKING:
-    from study.runner.expand import CaseJob, Work
+    from study.runner.expand import Work
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,10 @@ def _counted(
     todo = missing(work, store)
     fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
     costs = Costs()
-    controls = _controls(work, store)
+    controls = remaining.controls(work, store)
     seconds = costs.total_seconds(fits, todo, workers)
-    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
-    seconds += costs.side_by_side(own, workers)
+    seconds += remaining.refinement_seconds(work, store, workers)
+    seconds += remaining.control_seconds(work, store, workers)
     memory = workers * max(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )
@@ -135,20 +136,6 @@ def _counted(
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
         len(controls),
     )  # fmt: skip
-
-
-def _controls(work: Work, store: Store) -> list[CaseJob]:
-    """Cells of the spaces' control that have no solution yet."""
-    from study.runner.refine_store import is_kept
-    from study.runner.spaces import in_blocks, upcoming
-
-    plain = work.plain()
-    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    return upcoming(
-        plain,
-        store.by_case(hashes),
-        lambda task: is_kept(task, store.path.parent, store.path.name),
-    )
 
 
 def _idle_replicates(work: Work) -> list[str]:
@@ -169,7 +156,8 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
     Returns
     -------
     dict
-        The document of ``study status --json``, with ``running`` (pid, host, since) or None.
+        The document of ``study status --json``, with ``running`` (pid, host, since, and what its
+        progress line said last) or None; the predicted seconds are those that are left.
     """
     folder = results_folder(path, results)
     warnings: list[str] = []
@@ -182,6 +170,7 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
     counts: dict[str, int] = {}
     for record in failures:
         counts[record.status] = counts.get(record.status, 0) + 1
+    running = store.running()
     return {
         "study": manifest["name"],
         "cases": {
@@ -190,12 +179,12 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
             "failed": len(found.failed),
             "missing": len(found.missing),
         },
-        "predicted_seconds": None,
+        "predicted_seconds": remaining.seconds_left(running),
         "report": None,
         "verdicts": [],
         "warnings": warnings,
         "failures": counts,
-        "running": store.running(),
+        "running": running,
         "timings": manifest.get("timings", {}),
     }
 

@@ -157,7 +157,6 @@ def run(
     InputError
         For a faulty design or faulty data; nothing is written then.
     """
-    from study.runner.batch import run_batch
     from study.runner.expand import expand
 
     clock = _Clock()
@@ -166,24 +165,46 @@ def run(
     clock.mark("reading")
     warnings: list[str] = []
     store = Store(results / loaded.name, warn=warnings.append)
-    _write_manifest(store, work, {}, None)
-    summary = run_batch(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
-    clock.mark("calibration and simulation")
-    if refine:
-        from study.api import credibility
-
-        credibility.refine(work.plain(), store, jobs, progress, timeout_s)
-        credibility.compare_spaces(work.plain(), store, jobs, progress)
-        clock.mark("mesh refinement")
-        if loaded.uncertainty:
-            from study.api.validation import validate
-
-            validate(work.plain(), store, jobs, progress, timeout_s)
-            clock.mark("uncertain inputs")
-    _write_manifest(store, work, clock.parts, summary)
+    with store.lock():
+        _write_manifest(store, work, {}, None)
+        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
+        _write_manifest(store, work, clock.parts, summary)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
+
+
+def _compute(
+    work: Work,
+    store: Store,
+    clock: _Clock,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None,
+    timeout_s: float | None,
+    refine: bool,
+) -> Summary:
+    """Cases, then what says how far they can be trusted; every part knows what comes after it."""
+    from study.api import credibility, remaining
+    from study.runner.batch import default_jobs, run_batch
+
+    workers, plain = jobs or default_jobs(), work.plain()
+    finer = remaining.refinement_seconds(work, store, workers) if refine else 0.0
+    spaces = remaining.control_seconds(work, store, workers) if refine else 0.0
+    noted = remaining.noted(store, progress, finer + spaces)
+    summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
+    clock.mark("calibration and simulation")
+    if not refine:
+        return summary
+    noted = remaining.noted(store, progress, spaces)
+    credibility.refine(plain, store, jobs, noted, timeout_s)
+    credibility.compare_spaces(plain, store, jobs, remaining.noted(store, progress, 0.0))
+    clock.mark("mesh refinement")
+    if work.design.uncertainty:
+        from study.api.validation import validate
+
+        validate(plain, store, jobs, progress, timeout_s)
+        clock.mark("uncertain inputs")
+    return summary
 
 
 def _write_manifest(

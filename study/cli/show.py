@@ -127,7 +127,7 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
 
 def _text(state: Progress) -> str:
     failed = f", {state.failed} failed" if state.failed else ""
-    left = f", {seconds(state.seconds_left)} left" if state.done < state.total else ""
+    left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
     return f"{state.done}/{state.total} computations{failed}{left}: {state.label}"
 
 

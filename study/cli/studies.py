@@ -102,8 +102,7 @@ def status(
     print(f"{found['study']}: {show.counts(found['cases'])}")
     for name, count in sorted(found["failures"].items()):
         print(f"  {count} {name}")
-    runner = found["running"]
-    print(f"running: {_words(runner)}" if runner else "not running")
+    print(_running(found["running"], found["predicted_seconds"]))
 
 
 def report(
@@ -178,8 +177,15 @@ def why(
 VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why)
 
 
-def _words(runner: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in runner.items())
+def _running(runner: dict[str, Any] | None, seconds_left: float | None) -> str:
+    """Who is at work, and for how long."""
+    if runner is None:
+        return "not running"
+    who = ", ".join(f"{name} {runner[name]}" for name in ("pid", "host", "since") if name in runner)
+    if seconds_left is None:
+        return f"running: {who}"
+    done = f"{runner.get('done')}/{runner.get('total')} computations"
+    return f"running: {done}, {show.seconds(seconds_left)} left ({who})"
 
 
 def _finish(study: StudyResult, as_json: bool) -> None:

@@ -163,8 +163,9 @@ class ContactPoints:
         wanted &= ~held
         active = wanted if closed is None else closed
         pressure = np.where(active, multiplier - self.eps * gap, 0.0)
+        carried = np.where(active, multiplier, 0.0)
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
-        return ContactState(gap, active, pressure, direction, hessian, wanted, urge, led)
+        return ContactState(gap, active, pressure, carried, direction, hessian, wanted, urge, led)
 
     def _decided(self, own: Flags) -> tuple[Flags, Flags]:
         """Who is to be closed by the points' own decision, and which corners are led.
@@ -209,6 +210,10 @@ class ContactPoints:
         """Residual contributions, shape (n_points, dim * k)."""
         return -(self.weights * state.pressure)[:, None] * state.direction
 
+    def regularization(self, state: ContactState) -> Array:
+        """Part of :meth:`forces` that stems from gaps, shape (n_points, dim * k)."""
+        return -(self.weights * (state.pressure - state.carried))[:, None] * state.direction
+
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
         rows, columns = np.triu_indices(state.direction.shape[1])
@@ -216,7 +221,9 @@ class ContactPoints:
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
             dim = state.hessian.shape[1]
-            curved = (self.weights * state.pressure)[:, None, None] * state.hessian
+            # with the regularization's share a gap left by the last iteration would bend the
+            # tangent, and Newton's method would take two iterations for one
+            curved = (self.weights * state.carried)[:, None, None] * state.hessian
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
@@ -233,6 +240,7 @@ class ContactState:
     gap: Array
     active: Flags
     pressure: Array
+    carried: Array
     direction: Array
     hessian: Array
     wanted: Flags

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from study.forward import kernels
 from study.forward.elements import Discretization
 from study.forward.swell import add_unevenness
+from study.forward.threads import smallest_in_slices
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -150,7 +151,12 @@ class Internal:
         J = np.ones(self.space.weights.shape)
         if material.family == "linear-elastic":
             return J
-        kernels.volume_ratios(self.space.gradients, self.space.hoop, self._local_u(x), J)
+        space, u = self.space, self._local_u(x)
+
+        def loop(e: slice) -> float:
+            return float(kernels.volume_ratios(space.gradients[e], space.hoop[e], u[e], J[e]))
+
+        smallest_in_slices(J.shape, loop)
         return J
 
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
@@ -201,24 +207,30 @@ class Internal:
         return out + share * (residual(1.0, 0.0) - plain) if share else out
 
     def _elements(self, x: Array, law: Law, tangent: bool, bulk: float, compliance: float) -> float:
-        space = self.space
-        return float(
-            kernels.element_residuals(
-                space.gradients,
-                space.hoop,
-                space.pressure_shape,
-                space.weights,
-                self._local_u(x),
-                x[space.dofs[:, space.dim * space.element_nodes.shape[1] :]],
-                law.family,
-                law.constants,
-                bulk,
-                compliance,
-                tangent,
-                self.residuals,
-                self.tangents,
+        space, u = self.space, self._local_u(x)
+        p = x[space.dofs[:, u.shape[1] * u.shape[2] :]]
+        shared = space.pressure_shape.shape[0] == 1
+
+        def loop(e: slice) -> float:
+            return float(
+                kernels.element_residuals(
+                    space.gradients[e],
+                    space.hoop[e],
+                    space.pressure_shape if shared else space.pressure_shape[e],
+                    space.weights[e],
+                    u[e],
+                    p[e],
+                    law.family,
+                    law.constants,
+                    bulk,
+                    compliance,
+                    tangent,
+                    self.residuals[e],
+                    self.tangents[e],
+                )
             )
-        )
+
+        return smallest_in_slices(space.weights.shape, loop)
 
     def _local_u(self, x: Array) -> Array:
         u = x[: self.space.n_displacement].reshape(-1, self.space.dim)

@@ -169,7 +169,7 @@ def isochoric(
     return float(J)
 
 
-@kernel()
+@kernel(nogil=True)
 def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     """J = det F at every quadrature point; returns the smallest.
 
@@ -191,7 +191,7 @@ def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
     return smallest
 
 
-@kernel()
+@kernel(nogil=True)
 def element_residuals(
     gradients: Array,
     hoop: Array,

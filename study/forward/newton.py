@@ -21,9 +21,9 @@ _HOPELESS, _FAR = 9, 0.1
 #: relative residual below which contact may be decided point by point, and below which the
 #: tangent changes little from one iteration to the next
 _CALM, _STEADY = 0.01, 0.1
-#: relative residual of a linear solve by an older factorization: far below what one Newton
-#: iteration gains
-_LINEAR = 1e-4
+#: linear solves by an older factorization end at a share of what the Newton iteration itself
+#: leaves, its residual squared, or at a share of the tolerance; and below the last in any case
+_LINEAR, _AT_LAST, _LOOSEST = 0.03, 0.1, 0.01
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,11 @@ class Course(Protocol):
         """Part of a step that is taken, before any J is looked at."""
 
 
+@dataclass(frozen=True)
 class FullSteps:
-    """Newton's method itself."""
+    """Newton's method itself, down to a residual of ``tolerance``."""
+
+    tolerance: float
 
     def switches(self, system: System) -> Switches:
         """Together at first, then one by one."""
@@ -114,9 +117,15 @@ class FullSteps:
     def solve(
         self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
     ) -> Array:
-        """Take the tangent as it is; a steady one differs little from one already factorized."""
+        """Take the tangent as it is; a steady one differs little from one already factorized.
+
+        A linear solve may leave what the iteration itself leaves (Eisenstat and Walker 1996).
+        """
         if residuals and residuals[-1] < _STEADY:
-            return system.solve(right, _scale(system, *at), _LINEAR)
+            scale = _scale(system, *at)
+            left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * self.tolerance)
+            size = float(np.linalg.norm(scale * right))  # gaps included
+            return system.solve(right, scale, min(_LOOSEST, left / size))
         system.factorize()
         return system.back_substitute(right)
 
@@ -129,7 +138,7 @@ def solve_step(
     system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm`` by full steps; see :func:`iterate`."""
-    return iterate(system, guess, settings, FullSteps(), lifted_from=lifted_from)
+    return iterate(system, guess, settings, FullSteps(settings.tolerance), lifted_from=lifted_from)
 
 
 def iterate(
@@ -236,6 +245,9 @@ def _relative(system: System, state: State, assembly: Assembly) -> float:
     """Force residual over the reaction, or volume residual over the volume: the larger one."""
     n_u = system.space.n_displacement
     out_of_balance = assembly.residual.copy()
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim).ravel()
+        np.subtract.at(out_of_balance, dofs, points.regularization(touch).ravel())
     out_of_balance[system.constraints.dofs] = 0.0
     reaction, volume = _measures(system, state, assembly)
     force = float(np.linalg.norm(out_of_balance[:n_u])) / reaction

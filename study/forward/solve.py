@@ -21,6 +21,7 @@ from study.forward.snap import solve_through
 from study.forward.solution import Solution, Warm, WarmStep, without_answer
 from study.forward.steps import StepRule, StepSettings
 from study.forward.system import State, System
+from study.forward.threads import vectors_alone
 
 Array = NDArray[np.float64]
 
@@ -94,9 +95,14 @@ def solve(
     if unstable:
         return without_answer(problem, "unstable", unstable, time.perf_counter() - began)
     try:
-        system = _system(problem, warm, options, mesh)
-        run = _Run(system, problem, options, gradients, warm, progress)
-        run.to_the_end()
+        with vectors_alone():
+            system = _system(problem, warm, options, mesh)
+            run = _Run(system, problem, options, gradients, warm, progress)
+            run.to_the_end()
+            if warm is not None and run.may_do_better():
+                system.kept.forget()
+                run = _Run(system, problem, options, gradients, None, progress)
+                run.to_the_end()
     except MemoryError as error:
         message = f"{error}: use a larger mesh_size, or axisymmetric space"
         return without_answer(problem, "out-of-memory", message, time.perf_counter() - began)
@@ -154,6 +160,13 @@ class _Run:
             if not self._reach(float(target), number):
                 return
             self.progress(float(target) / test.displacement_mm)
+
+    def may_do_better(self) -> bool:
+        """Whether a run that stopped short is to be tried from the unloaded state.
+
+        Where a surface is about to snap, the way that led there decides whether it is passed.
+        """
+        return len(self.rows) < self.problem.test.steps and not self._lost()
 
     def _reach(self, target: float, number: int) -> bool:
         """Advance to a requested step, in sub-steps where needed, and take its gradients."""

@@ -20,6 +20,9 @@ class StepSettings:
         Largest step of a compression over the specimen's height.
     first_touch, largest_touch : float
         First and largest step of an indentation over the indenter's own length.
+    sticking : float
+        Largest step of an indenter that holds what it touches: where a point is held depends on
+        the step in which it was met.
     deeper : float
         Largest step over the depth reached, where that is more: a cone looks the same at
         every depth.
@@ -30,6 +33,7 @@ class StepSettings:
     largest: float = 0.06
     first_touch: float = 0.1
     largest_touch: float = 0.25
+    sticking: float = 0.125
     deeper: float = 0.08
     smallest: float = 0.03
     growth: float = 1.6
@@ -52,7 +56,7 @@ class StepRule:
         if problem.test.kind == "compression" or problem.test.interface == "bonded":
             largest = settings.largest * height_mm
             if problem.test.kind == "indentation":
-                largest = min(largest, settings.largest_touch * _length(problem))
+                largest = min(largest, settings.sticking * _length(problem))
             return cls(settings, largest, largest, 0.0)
         own = _length(problem)
         first, largest = settings.first_touch * own, settings.largest_touch * own

@@ -109,7 +109,7 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
         sector = 1.0 if whole else 4.0
-        direct = make_solver(pattern, solver)
+        direct = make_solver(pattern, solver, plane=space.dim == 2)
         height = mesh.height_mm
         bottom = height / 2 if mesh.half_height else 0.0
         system = cls(

@@ -11,13 +11,15 @@ import fcntl
 import json
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from study.errors import StoreError
 
 LOCK_NAME = ".lock"
+#: what the lock file says of its owner, and the bytes that this and its progress take
+_OWNER, _LENGTH = ("pid", "host", "since"), 512
 
 
 @contextmanager
@@ -51,7 +53,7 @@ def exclusive(folder: Path) -> Iterator[None]:
 
 
 def holder(folder: Path) -> dict[str, object]:
-    """Owner that the lock file names (pid, host, since); empty if unreadable or never locked."""
+    """Read what the lock file says of its owner; empty if unreadable or never locked."""
     try:
         found = json.loads((folder / LOCK_NAME).read_bytes()[:4096])
     except (OSError, ValueError, RecursionError):
@@ -76,12 +78,30 @@ def is_locked(folder: Path) -> bool:
     return False
 
 
+def sign(folder: Path, progress: Mapping[str, object]) -> None:
+    """Add ``progress`` to what the owner of the lock says of itself."""
+    owner = {name: value for name, value in holder(folder).items() if name in _OWNER}
+    try:
+        handle = os.open(folder / LOCK_NAME, os.O_WRONLY | os.O_NOFOLLOW)
+    except OSError:
+        return  # nobody depends on it
+    try:
+        _write(handle, owner | dict(progress))
+    finally:
+        os.close(handle)
+
+
 def _sign(handle: int) -> None:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": now})
+    _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
+
+
+def _write(handle: int, facts: Mapping[str, object]) -> None:
+    """Replace what the file says in one write: blanks cover what was there before."""
+    text = json.dumps(facts).encode().ljust(_LENGTH)
     try:
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, text.encode(), 0)
+        os.pwrite(handle, text, 0)
+        os.ftruncate(handle, len(text))
     except OSError:
         return  # a full disk: the lock holds all the same, it only cannot name its owner
 

@@ -92,6 +92,9 @@ class Store:
         StoreError
             If another runner holds it (the message names it) or the folder is read-only.
         """
+        if self._locked:  # the whole of a run holds it, and its parts as well
+            yield self
+            return
         self._make(self.path)
         with locks.exclusive(self.path):
             self._locked = True
@@ -101,8 +104,13 @@ class Store:
             finally:
                 self._locked = False
 
+    def note(self, progress: Mapping[str, object]) -> None:
+        """Say to other processes how far the runner is, while this one holds the folder."""
+        if self._locked:
+            locks.sign(self.path, progress)
+
     def running(self) -> dict[str, object] | None:
-        """Pid, host and start of the runner at work in this folder; None if there is none."""
+        """Pid, host, start and progress of the runner in this folder; None if there is none."""
         return locks.holder(self.path) if locks.is_locked(self.path) else None
 
     def write(self, record: Record, fields: Mapping[str, NDArray[Any]] | None = None) -> Record:

@@ -153,6 +153,22 @@ def test_warnings_are_handed_on_once(tmp_path):
     assert heard == store.warnings
 
 
+def test_what_a_runner_notes_is_read_by_others_while_it_runs(tmp_path):
+    ours, theirs = Store(tmp_path), Store(tmp_path)
+    with ours.lock():
+        ours.note({"done": 1000, "seconds_left": 3.5})
+        ours.note({"done": 7})
+        with ours.lock():  # a part of the run
+            pass
+        found = theirs.running() or {}
+        assert (found["pid"], found["done"]) == (os.getpid(), 7)
+        assert set(found) == {"pid", "host", "since", "done"}
+    assert theirs.running() is None
+    ours.note({"done": 9})
+    with theirs.lock():
+        assert "done" not in (ours.running() or {})
+
+
 HOLD = """
 import sys, time
 from study.record import Store

@@ -14,6 +14,7 @@ from study.record import Record, Store
 from study.runner.batch import Progress
 from study.runner.costs import Costs
 from study.runner.expand import Work, expand
+from study.runner.refine import refinement_work
 from study.runner.refine_store import in_process, kept
 from study.runner.spaces import compared, pairs, upcoming
 from study.runner.virtual import usual_generator, write_virtual
@@ -156,6 +157,8 @@ def test_a_plan_counts_what_is_still_to_be_solved(
     seconds = [costs.solve_seconds(job.case.config, job.depth_mm) for job in both]
     assert seconds[1] > seconds[0]
     cases = Costs().total_seconds(work.fits.values(), work.jobs, 2)
+    finer = refinement_work(work.plain())
+    cases += Costs().total_seconds(finer.fits.values(), finer.jobs, 2)
     assert before.predicted_seconds == pytest.approx(cases + max(seconds[1], sum(seconds) / 2))
 
     assert plan(work.design, data=home, results=results).controls == 2

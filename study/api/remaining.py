@@ -1,0 +1,85 @@
+"""What is left of a run: for its progress line, for the plan and for another shell."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from study.record import Store
+
+if TYPE_CHECKING:
+    from study.runner.batch import Progress
+    from study.runner.expand import CaseJob, Work
+
+
+def controls(work: Work, store: Store) -> list[CaseJob]:
+    """Cells of the spaces' control that have no solution yet."""
+    from study.runner.refine_store import is_kept
+    from study.runner.spaces import in_blocks, upcoming
+
+    plain = work.plain()
+    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
+    return upcoming(
+        plain,
+        store.by_case(hashes),
+        lambda task: is_kept(task, store.path.parent, store.path.name),
+    )
+
+
+def control_seconds(work: Work, store: Store, workers: int) -> float:
+    """Wall time of the spaces' control."""
+    from study.runner.costs import Costs
+
+    costs = Costs()
+    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls(work, store)]
+    return costs.side_by_side(own, workers)
+
+
+def refinement_seconds(work: Work, store: Store, workers: int) -> float:
+    """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
+    from study.runner.batch import missing, needed_fits
+    from study.runner.costs import Costs
+    from study.runner.refine import refinement_work
+    from study.runner.refine_columns import columns
+
+    plain = work.plain()
+    if columns(plain):
+        return 0.0
+    finer = refinement_work(plain)
+    todo = missing(finer, store)
+    fits = [job for job in needed_fits(finer, todo) if store.read_fit(job.key) is None]
+    return Costs().total_seconds(fits, todo, workers)
+
+
+def noted(
+    store: Store, progress: Callable[[Progress], None] | None, later: float
+) -> Callable[[Progress], None]:
+    """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+
+    def note(state: Progress) -> None:
+        whole = replace(state, seconds_left=state.seconds_left + later)
+        store.note(
+            {
+                "done": whole.done,
+                "total": whole.total,
+                "seconds_left": round(whole.seconds_left, 1),
+                "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            }
+        )
+        if progress is not None:
+            progress(whole)
+
+    return note
+
+
+def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
+    """Seconds that a runner still needs, from what it noted; None where it noted nothing."""
+    try:
+        noted_at = datetime.datetime.fromisoformat(str((runner or {})["at"]))
+        left = float((runner or {})["seconds_left"])
+    except (KeyError, TypeError, ValueError):
+        return None
+    since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()
+    return max(0.0, left - max(0.0, since))
