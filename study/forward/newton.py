@@ -125,7 +125,7 @@ class FullSteps:
             scale = _scale(system, *at)
             left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * self.tolerance)
             size = float(np.linalg.norm(scale * right))  # gaps included
-            return system.solve(right, scale, min(_LOOSEST, left / size))
+            return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
         system.factorize()
         return system.back_substitute(right)
 

@@ -23,6 +23,10 @@ Operator = Callable[[Array], Array]
 
 #: iterations worth less than this are no gain over factorizing: small systems never reuse
 _WORTH = 6.0
+#: of what slowed the last solve down, the part that is believed after one that was not tried
+_FADES = 0.8
+#: residual of a Newton step that tells as little of the next as a smaller one
+_LEAST = 1e-3
 #: contact points that may have changed sides, each of them a direction more to search
 _SWITCHED = 0.25
 
@@ -42,14 +46,15 @@ class KeptFactors:
         self._solver, self._pattern = solver, pattern
         self._spent: list[int] = []
         self._touching: NDArray[np.bool_] | None = None
+        self._change = self._sensitivity = 0.0
 
     def renewed(self, touching: NDArray[np.bool_]) -> None:
         """Say that the solver has just factorized, with these contact points closed."""
-        self._spent, self._touching = [], touching
+        self._spent, self._touching, self._change = [], touching, 0.0
 
     def forget(self) -> None:
         """Factorize first: what another run left behind must not change a digit of this one."""
-        self._touching = None
+        self._touching, self._sensitivity = None, 0.0
 
     def serves(self, touching: NDArray[np.bool_]) -> bool:
         """Whether the factors are of a tangent with these contact points closed."""
@@ -62,17 +67,31 @@ class KeptFactors:
         scale: Array,
         tolerance: float,
         touching: NDArray[np.bool_],
+        change: float,
     ) -> Array | None:
         """Solve to a relative residual of ``tolerance``, rows weighted by ``scale``.
 
-        None where a new factorization is cheaper.
+        None where a new factorization is cheaper. ``change`` is the size of Newton's next step,
+        by its residual.
         """
+        self._change += max(change, _LEAST)
         budget = self._budget(touching)
         if budget < 1:
             return None
-        found, count = self._krylov(data, right, scale, tolerance, budget)
+        if self._expected(tolerance) > budget:
+            self._sensitivity *= _FADES
+            return None
+        found, count, left = self._krylov(data, right, scale, tolerance, budget)
         self._spent.append(count)
+        self._sensitivity = min(left ** (1 / count), 1.0) / self._change
         return found
+
+    def _expected(self, tolerance: float) -> float:
+        """Foresee the iterations: each leaves a share that grows with the tangent's change."""
+        share = self._sensitivity * self._change
+        if share == 0:
+            return 0.0
+        return float(np.log(tolerance) / np.log(share)) if share < 1 else np.inf
 
     def _budget(self, touching: NDArray[np.bool_]) -> int:
         """Back-substitutions that may be spent on the next solve.
@@ -92,7 +111,7 @@ class KeptFactors:
 
     def _krylov(
         self, data: Array, right: Array, scale: Array, tolerance: float, most: int
-    ) -> tuple[Array | None, int]:
+    ) -> tuple[Array | None, int, float]:
         indptr, indices = self._pattern.indptr, self._pattern.indices
 
         def product(v: Array) -> Array:
@@ -106,7 +125,7 @@ class KeptFactors:
 
 def fgmres(
     product: Operator, precondition: Operator, b: Array, tolerance: float, most: int
-) -> tuple[Array | None, int]:
+) -> tuple[Array | None, int, float]:
     """Solve ``product(x) = b`` in at most ``most`` iterations; None where they do not suffice.
 
     Saad (1993), SIAM J. Sci. Comput. 14, 461, algorithm 2.2, without restarts.
@@ -115,14 +134,16 @@ def fgmres(
     -------
     x : ndarray or None
     iterations : int
+    left : float
+        Residual over that of zero.
     """
     size = float(np.linalg.norm(b))
     if size == 0:
-        return np.zeros_like(b), 0
+        return np.zeros_like(b), 1, 0.0
     basis, directions = [b / size], []
     hessenberg = np.zeros((most + 1, most))
     right = np.zeros(most + 1)
-    right[0] = size
+    right[0], left = size, size
     for j in range(most):
         directions.append(precondition(basis[j]))
         w = product(directions[j])
@@ -136,11 +157,11 @@ def fgmres(
         y, *_ = np.linalg.lstsq(hessenberg[: j + 2, : j + 1], right[: j + 2], rcond=None)
         left = float(np.linalg.norm(right[: j + 2] - hessenberg[: j + 2, : j + 1] @ y))
         if left <= tolerance * size:
-            return np.asarray(np.column_stack(directions) @ y), j + 1
+            return np.asarray(np.column_stack(directions) @ y), j + 1, left / size
         if not np.isfinite(norm) or norm <= 1e-14 * size:
-            return None, j + 1
+            return None, j + 1, left / size
         # too slow at the rate so far: the rest of the budget would be lost as well
         if j >= 1 and np.log(tolerance) * (j + 1) < np.log(left / size) * most:
-            return None, j + 1
+            return None, j + 1, left / size
         basis.append(w / norm)
-    return None, most
+    return None, most, left / size

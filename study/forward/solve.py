@@ -9,16 +9,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.curve import Curve
 from study.errors import MeshError
 from study.forward.checks import check, instability
 from study.forward.gradients import StepGradients, step_gradients
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
-from study.forward.problem import Problem, Surface
+from study.forward.problem import Problem
+from study.forward.protocol import Protocol
 from study.forward.reach import lost_ellipticity
 from study.forward.snap import solve_through
-from study.forward.solution import Solution, Warm, WarmStep, without_answer
+from study.forward.solution import Solution, without_answer
 from study.forward.steps import StepRule, StepSettings
 from study.forward.system import State, System
 from study.forward.threads import vectors_alone
@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 _LEAPS = (0.5, 0.1)
 #: smallest step of an energy that has lost its ellipticity over that of any other
 _BEYOND = 8.0
-#: what a user can do about an energy that is stretched too far
-_OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
-#: force of a pin over that of the test above which a specimen is not balanced
-_UNBALANCED = 1e-3
 
 
 @dataclass(frozen=True)
@@ -143,13 +139,8 @@ class _Run:
         self.state, self.previous = system.start(), None  # type: State, State | None
         self.rule = StepRule.of(problem, system.height_mm, options.steps)
         self.step_mm = self.rule.first_mm
-        self.iterations: list[int] = []
-        self.rows: list[StepGradients] = []
-        self.reactions: list[float] = []
-        self.reached: list[float] = []
-        self.warm_steps: list[WarmStep] = []
-        self.min_j, self.pinned, self.reason = 1.0, 0.0, ""
-        self.snaps: list[float] = []
+        self.protocol = Protocol(system, problem, self.wanted)
+        self.min_j, self.reason = 1.0, ""
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
 
@@ -166,7 +157,7 @@ class _Run:
 
         Where a surface is about to snap, the way that led there decides whether it is passed.
         """
-        return len(self.rows) < self.problem.test.steps and not self._lost()
+        return not self.protocol.complete and not self._lost()
 
     def _reach(self, target: float, number: int) -> bool:
         """Advance to a requested step, in sub-steps where needed, and take its gradients."""
@@ -194,8 +185,7 @@ class _Run:
                     return False
                 result, spent = through, spent + through.iterations
                 self._accept(result)
-        self.iterations.append(spent)
-        self._record(result)
+        self._record(result, spent)
         return True
 
     def _at(self, target: float) -> bool:
@@ -242,7 +232,7 @@ class _Run:
             spent += result.iterations
             if result.converged:
                 self.step_mm, self.previous = 0.5 * step, None
-                self.snaps.append(here)
+                self.protocol.snaps.append(here)
                 return replace(result, iterations=spent)
         return None
 
@@ -307,86 +297,10 @@ class _Run:
             self._latest = result, row
         return self._latest[1]
 
-    def _record(self, result: NewtonResult) -> None:
-        row = self._row(result)
-        self.rows.append(row)
-        self.reached.append(self.state.displacement_mm)
-        self.reactions.append(self._base_reaction(result))
-        self.pinned = max(self.pinned, self._pinned(result, row.force_N))
-        self.warm_steps.append(WarmStep(self.state, row.constants))
-
-    def _base_reaction(self, result: NewtonResult) -> float:
-        """Axial reaction below: equal to the force at equilibrium."""
-        system, assembly = self.system, result.assembly
-        if assembly is None:
+    def _record(self, result: NewtonResult, iterations: int) -> None:
+        if result.assembly is None:
             raise RuntimeError("a converged step has an assembly")
-        sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
-        held, dim = system.constraints, system.space.dim
-        still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
-        carried = float(assembly.residual[np.setdiff1d(still, held.pins)].sum())
-        for points, touch in zip(system.contact, assembly.contact, strict=True):
-            if points.surface.speed == 0:  # the plate that stands still
-                axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
-                carried -= float(axial.sum())
-        return sector * carried
-
-    def _pinned(self, result: NewtonResult, force: float) -> float:
-        """Largest force of a pin over that of the test: zero where the loads balance."""
-        pins = self.system.constraints.pins
-        if result.assembly is None or not pins.size or not force:
-            return 0.0
-        return float(np.abs(result.assembly.residual[pins]).max()) / abs(force)
+        self.protocol.add(self.state, result.assembly, self._row(result), iterations)
 
     def solution(self, seconds: float) -> Solution:
-        system, names = self.system, self.wanted
-        done = len(self.rows) == self.problem.test.steps
-        curve = Curve(
-            np.array(self.reached),
-            np.array([row.force_N for row in self.rows]),
-            np.array([row.stiffness_N_per_mm for row in self.rows]),
-            {n: np.array([row.force_gradient[n] for row in self.rows]) for n in names},
-        )
-        vertices = system.mesh.points.shape[0]
-        reached = self.state.displacement_mm
-        lost = self._lost()
-        return Solution(
-            status="converged" if done else "unstable" if lost else "not-converged",
-            message=self._message(done, lost),
-            curve=curve,
-            reached_mm=reached,
-            min_j=self.min_j,
-            base_reaction_N=np.array(self.reactions),
-            newton_iterations=tuple(self.iterations),
-            dofs=system.dofs,
-            elements=system.space.n_elements,
-            mesh_hash=system.mesh.digest(),
-            mesh_size_mm=system.mesh.size_mm,
-            solver=system.solver.name,
-            seconds={**system.seconds, "total": seconds},
-            points=system.mesh.points,
-            cells=system.mesh.cells,
-            displacement=system.displacements(self.state.x)[:vertices],
-            warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
-        )
-
-    def _message(self, done: bool, lost: str) -> str:
-        """Say how the run ended, and what was mended or is not as it should be."""
-        said = ["every step converged"]
-        if self.snaps:
-            places = ", ".join(f"{d:.3g}" for d in self.snaps)
-            said.append(f"past {places} mm the surface snapped to another equilibrium")
-        if self.pinned > _UNBALANCED:
-            said.append(
-                "what only keeps the specimen from sliding or turning carries up to "
-                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
-            )
-        if not done:
-            reached, asked = self.state.displacement_mm, self.problem.test.displacement_mm
-            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or self.reason}"]
-            if lost:
-                said.append(_OUT_OF_REACH)
-        elif lost:
-            said.append(f"{lost}: there the answer depends on the mesh")
-        if isinstance(self.problem.specimen, Surface):
-            said += self.problem.specimen.notes
-        return "; ".join(said)
+        return self.protocol.solution(self.state, self.min_j, self._lost(), self.reason, seconds)

@@ -251,10 +251,13 @@ class System:
         pressures = int((self.pattern.free >= self.space.n_displacement).sum())
         return None if negative is None else negative - pressures
 
-    def solve(self, right: Array, scale: Array, tolerance: float) -> Array:
-        """Solve with the last assembled tangent, by an older factorization where that pays."""
+    def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
+        """Solve with the last assembled tangent, by an older factorization where that pays.
+
+        ``change`` is the residual that the iteration has come down to.
+        """
         began = time.perf_counter()
-        found = self.kept.solve(self.data, right, scale, tolerance, self._touching)
+        found = self.kept.solve(self.data, right, scale, tolerance, self._touching, change)
         self._count("solve", began)
         if found is not None:
             return found

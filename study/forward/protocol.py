@@ -1,0 +1,138 @@
+"""What a run writes down at every requested step, and the solution that is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from study.curve import Curve
+from study.forward.gradients import StepGradients
+from study.forward.problem import Problem, Surface
+from study.forward.solution import Solution, Warm, WarmStep
+from study.forward.system import Assembly, State, System
+
+#: what a user can do about an energy that is stretched too far
+_OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
+#: force of a pin over that of the test above which a specimen is not balanced
+_UNBALANCED = 1e-3
+
+
+@dataclass
+class Protocol:
+    """The requested steps of one run, as far as it came.
+
+    Parameters
+    ----------
+    wanted : tuple of str
+        Constants by which the force is differentiated.
+    snaps : list of float
+        Displacements at which the surface snapped to another equilibrium, mm.
+    """
+
+    system: System
+    problem: Problem
+    wanted: tuple[str, ...]
+    rows: list[StepGradients] = field(default_factory=list)
+    reached: list[float] = field(default_factory=list)
+    reactions: list[float] = field(default_factory=list)
+    iterations: list[int] = field(default_factory=list)
+    warm_steps: list[WarmStep] = field(default_factory=list)
+    snaps: list[float] = field(default_factory=list)
+    pinned: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every requested step is there."""
+        return len(self.rows) == self.problem.test.steps
+
+    def add(self, state: State, assembly: Assembly, row: StepGradients, iterations: int) -> None:
+        """Write down a requested step that converged."""
+        self.rows.append(row)
+        self.reached.append(state.displacement_mm)
+        self.reactions.append(_base_reaction(self.system, assembly))
+        self.iterations.append(iterations)
+        self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
+        self.warm_steps.append(WarmStep(state, row.constants))
+
+    def curve(self) -> Curve:
+        """Force-displacement curve with its gradients."""
+        return Curve(
+            np.array(self.reached),
+            np.array([row.force_N for row in self.rows]),
+            np.array([row.stiffness_N_per_mm for row in self.rows]),
+            {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
+        )
+
+    def solution(
+        self, state: State, min_j: float, lost: str, reason: str, seconds: float
+    ) -> Solution:
+        """Solution of a run that ended at ``state``.
+
+        ``lost`` says where the energy has lost its ellipticity there, ``reason`` why the run
+        went no further.
+        """
+        system = self.system
+        vertices = system.mesh.points.shape[0]
+        return Solution(
+            status="converged" if self.complete else "unstable" if lost else "not-converged",
+            message=self._message(state, lost, reason),
+            curve=self.curve(),
+            reached_mm=state.displacement_mm,
+            min_j=min_j,
+            base_reaction_N=np.array(self.reactions),
+            newton_iterations=tuple(self.iterations),
+            dofs=system.dofs,
+            elements=system.space.n_elements,
+            mesh_hash=system.mesh.digest(),
+            mesh_size_mm=system.mesh.size_mm,
+            solver=system.solver.name,
+            seconds={**system.seconds, "total": seconds},
+            points=system.mesh.points,
+            cells=system.mesh.cells,
+            displacement=system.displacements(state.x)[:vertices],
+            warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
+        )
+
+    def _message(self, state: State, lost: str, reason: str) -> str:
+        """Say how the run ended, and what was mended or is not as it should be."""
+        said = ["every step converged"]
+        if self.snaps:
+            places = ", ".join(f"{d:.3g}" for d in self.snaps)
+            said.append(f"past {places} mm the surface snapped to another equilibrium")
+        if self.pinned > _UNBALANCED:
+            said.append(
+                "what only keeps the specimen from sliding or turning carries up to "
+                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
+            )
+        if not self.complete:
+            reached, asked = state.displacement_mm, self.problem.test.displacement_mm
+            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or reason}"]
+            if lost:
+                said.append(_OUT_OF_REACH)
+        elif lost:
+            said.append(f"{lost}: there the answer depends on the mesh")
+        if isinstance(self.problem.specimen, Surface):
+            said += self.problem.specimen.notes
+        return "; ".join(said)
+
+
+def _base_reaction(system: System, assembly: Assembly) -> float:
+    """Axial reaction below: equal to the force at equilibrium."""
+    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
+    held, dim = system.constraints, system.space.dim
+    still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
+    carried = float(assembly.residual[np.setdiff1d(still, held.pins)].sum())
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        if points.surface.speed == 0:  # the plate that stands still
+            axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
+            carried -= float(axial.sum())
+    return sector * carried
+
+
+def _pinned(system: System, assembly: Assembly, force: float) -> float:
+    """Largest force of a pin over that of the test: zero where the loads balance."""
+    pins = system.constraints.pins
+    if not pins.size or not force:
+        return 0.0
+    return float(np.abs(assembly.residual[pins]).max()) / abs(force)
