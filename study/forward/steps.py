@@ -37,7 +37,7 @@ class StepSettings:
     deeper: float = 0.08
     smallest: float = 0.03
     growth: float = 1.6
-    easy: int = 7
+    easy: int = 4
     hard: int = 14
 
 
