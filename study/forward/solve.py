@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it
 _LEAPS = (0.5, 0.1)
+#: longest extrapolation over the last step: a step may grow and still be extrapolated
+_FARTHEST = 1.7
 #: smallest step of an energy that has lost its ellipticity over that of any other
 _BEYOND = 8.0
 
@@ -244,7 +246,7 @@ class _Run:
         ratio = (displacement - last.displacement_mm) / (
             last.displacement_mm - before.displacement_mm
         )
-        if ratio > 1.5:
+        if ratio > _FARTHEST:
             return None
         x = last.x + ratio * (last.x - before.x)
         return self._sound(replace(last, displacement_mm=displacement, x=x), last.x, 0.3)
