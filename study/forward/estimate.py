@@ -15,7 +15,7 @@ from study.forward.problem import Problem
 from study.forward.steps import StepRule, StepSettings
 
 #: Newton iterations of a load step: between plates, and where contact has to be found
-_ITERATIONS, _CONTACT_ITERATIONS = 4, 6
+_ITERATIONS, _CONTACT_ITERATIONS = 4, 8
 #: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
 #: that is graded around an indenter: their matrices hold a third of the entries
 _LINEAR = 0.5
