@@ -52,7 +52,7 @@ def results_folder(path: str | Path, results: Path = RESULTS) -> Path:
     for folder in candidates:
         if (folder / "study.json").is_file():
             return folder
-    looked = ", ".join(str(folder) for folder in candidates)
+    looked = ", ".join(dict.fromkeys(map(str, candidates)))
     raise InputError(
         Fault(str(path), f"no results of a study there (looked in {looked})",
               "name a folder such as results/NAME, or run the design first")

@@ -116,18 +116,18 @@ def plan(
 def _counted(
     work: Work, description: Mapping[str, Any], store: Store, workers: int, warnings: list[str]
 ) -> Plan:
-    from study.runner.batch import missing, needed_fits
+    from study.runner.batch import missing, open_fits
     from study.runner.costs import Costs
 
     warnings += [*work.cautions, *_idle_replicates(work)]
     found = store.survey(work.input_hashes)
     todo = missing(work, store)
-    fits = [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
+    fits = open_fits(work, todo, store)
     costs = Costs()
     controls = remaining.controls(work, store)
     seconds = costs.total_seconds(fits, todo, workers)
     seconds += remaining.refinement_seconds(work, store, workers)
-    seconds += remaining.control_seconds(work, store, workers)
+    seconds += remaining.control_seconds(controls, workers)
     memory = workers * max(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )

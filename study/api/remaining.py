@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,18 +28,18 @@ def controls(work: Work, store: Store) -> list[CaseJob]:
     )
 
 
-def control_seconds(work: Work, store: Store, workers: int) -> float:
-    """Wall time of the spaces' control."""
+def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
+    """Wall time of the cells of the spaces' control."""
     from study.runner.costs import Costs
 
     costs = Costs()
-    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls(work, store)]
+    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
     return costs.side_by_side(own, workers)
 
 
 def refinement_seconds(work: Work, store: Store, workers: int) -> float:
     """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
-    from study.runner.batch import missing, needed_fits
+    from study.runner.batch import missing, open_fits
     from study.runner.costs import Costs
     from study.runner.refine import refinement_work
     from study.runner.refine_columns import columns
@@ -49,8 +49,7 @@ def refinement_seconds(work: Work, store: Store, workers: int) -> float:
         return 0.0
     finer = refinement_work(plain)
     todo = missing(finer, store)
-    fits = [job for job in needed_fits(finer, todo) if store.read_fit(job.key) is None]
-    return Costs().total_seconds(fits, todo, workers)
+    return Costs().total_seconds(open_fits(finer, todo, store), todo, workers)
 
 
 def noted(
@@ -76,9 +75,10 @@ def noted(
 
 def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
     """Seconds that a runner still needs, from what it noted; None where it noted nothing."""
+    said = runner or {}
     try:
-        noted_at = datetime.datetime.fromisoformat(str((runner or {})["at"]))
-        left = float((runner or {})["seconds_left"])
+        noted_at = datetime.datetime.fromisoformat(str(said["at"]))
+        left = float(said["seconds_left"])
     except (KeyError, TypeError, ValueError):
         return None
     since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()

@@ -189,7 +189,7 @@ def _compute(
 
     workers, plain = jobs or default_jobs(), work.plain()
     finer = remaining.refinement_seconds(work, store, workers) if refine else 0.0
-    spaces = remaining.control_seconds(work, store, workers) if refine else 0.0
+    spaces = remaining.control_seconds(remaining.controls(work, store) if refine else (), workers)
     noted = remaining.noted(store, progress, finer + spaces)
     summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
     clock.mark("calibration and simulation")

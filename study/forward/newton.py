@@ -75,6 +75,12 @@ class NewtonResult:
     residuals: tuple[float, ...]
     assembly: Assembly | None = None
 
+    def equilibrium(self) -> Assembly:
+        """Return what was assembled at the converged state."""
+        if self.assembly is None:
+            raise RuntimeError(f"there is no equilibrium: {self.reason}")
+        return self.assembly
+
 
 class Course(Protocol):
     """How the iteration goes on from a state that is no equilibrium yet."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,10 @@ from numpy.typing import NDArray
 from study.errors import MeshError
 from study.forward.checks import check, instability
 from study.forward.gradients import StepGradients, step_gradients
+from study.forward.logbook import Logbook
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
 from study.forward.problem import Problem
-from study.forward.protocol import Protocol
 from study.forward.reach import lost_ellipticity
 from study.forward.snap import solve_through
 from study.forward.solution import Solution, without_answer
@@ -95,12 +96,11 @@ def solve(
     try:
         with vectors_alone():
             system = _system(problem, warm, options, mesh)
-            run = _Run(system, problem, options, gradients, warm, progress)
-            run.to_the_end()
+            start_from = partial(_Run, system, problem, options, gradients, progress)
+            run = start_from(warm).to_the_end()
             if warm is not None and run.may_do_better():
                 system.kept.forget()
-                run = _Run(system, problem, options, gradients, None, progress)
-                run.to_the_end()
+                run = start_from(None).to_the_end()
     except MemoryError as error:
         message = f"{error}: use a larger mesh_size, or axisymmetric space"
         return without_answer(problem, "out-of-memory", message, time.perf_counter() - began)
@@ -131,8 +131,8 @@ class _Run:
         problem: Problem,
         options: Options,
         gradients: bool,
-        warm: Solution | None,
         progress: Callable[[float], None] | None,
+        warm: Solution | None,
     ) -> None:
         self.system, self.problem, self.options = system, problem, options
         self.wanted = problem.material.names if gradients else ()
@@ -141,25 +141,27 @@ class _Run:
         self.state, self.previous = system.start(), None  # type: State, State | None
         self.rule = StepRule.of(problem, system.height_mm, options.steps)
         self.step_mm = self.rule.first_mm
-        self.protocol = Protocol(system, problem, self.wanted)
+        self.logbook = Logbook(system, problem, self.wanted)
         self.min_j, self.reason = 1.0, ""
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
 
-    def to_the_end(self) -> None:
+    def to_the_end(self) -> _Run:
+        """Go through the requested steps for as long as they converge."""
         test = self.problem.test
         targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
         for number, target in enumerate(targets):
             if not self._reach(float(target), number):
-                return
+                break
             self.progress(float(target) / test.displacement_mm)
+        return self
 
     def may_do_better(self) -> bool:
         """Whether a run that stopped short is to be tried from the unloaded state.
 
         Where a surface is about to snap, the way that led there decides whether it is passed.
         """
-        return not self.protocol.complete and not self._lost()
+        return not self.logbook.complete and not self._lost()
 
     def _reach(self, target: float, number: int) -> bool:
         """Advance to a requested step, in sub-steps where needed, and take its gradients."""
@@ -234,7 +236,7 @@ class _Run:
             spent += result.iterations
             if result.converged:
                 self.step_mm, self.previous = 0.5 * step, None
-                self.protocol.snaps.append(here)
+                self.logbook.snaps.append(here)
                 return replace(result, iterations=spent)
         return None
 
@@ -282,27 +284,23 @@ class _Run:
         self.step_mm = self.rule.next_mm(self.step_mm, step, iterations, depth)
 
     def _accept(self, result: NewtonResult) -> None:
-        self.previous, self.state = self.state, result.state
-        if result.assembly is not None:
-            self.min_j = result.assembly.min_j
-            if self.system.sticks:
-                rates = self._row(result).constants if self.wanted else {}
-                along = {name: rate.x for name, rate in rates.items()}
-                self.state = self.system.held(result.state, result.assembly, along)
+        assembly = result.equilibrium()
+        self.previous, self.state, self.min_j = self.state, result.state, assembly.min_j
+        if self.system.sticks:
+            rates = self._row(result).constants if self.wanted else {}
+            along = {name: rate.x for name, rate in rates.items()}
+            self.state = self.system.held(result.state, assembly, along)
 
     def _row(self, result: NewtonResult) -> StepGradients:
         """Force and derivatives of a converged state, computed once."""
-        if result.assembly is None:
-            raise RuntimeError("a converged step has an assembly")
         if self._latest is None or self._latest[0] is not result:
-            row = step_gradients(self.system, result.state, result.assembly, wanted=self.wanted)
+            assembly = result.equilibrium()
+            row = step_gradients(self.system, result.state, assembly, wanted=self.wanted)
             self._latest = result, row
         return self._latest[1]
 
     def _record(self, result: NewtonResult, iterations: int) -> None:
-        if result.assembly is None:
-            raise RuntimeError("a converged step has an assembly")
-        self.protocol.add(self.state, result.assembly, self._row(result), iterations)
+        self.logbook.add(self.state, result.equilibrium(), self._row(result), iterations)
 
     def solution(self, seconds: float) -> Solution:
-        return self.protocol.solution(self.state, self.min_j, self._lost(), self.reason, seconds)
+        return self.logbook.solution(self.state, self.min_j, self._lost(), self.reason, seconds)

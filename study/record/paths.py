@@ -133,5 +133,7 @@ def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
     mend = "point to the folder that holds it with --data DIR"
     if citation:
         mend += f"; the data come from: {citation}"
+    elif where.startswith("measurements"):
+        mend += ", or let 'study virtual measurements --help' make curves of virtual specimens"
     state = "" if root.is_dir() else " (there is no such folder)"
     return Fault(where, f"{what} below {str(root)!r}{state}", mend)

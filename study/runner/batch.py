@@ -129,6 +129,11 @@ def needed_fits(work: Work, todo: Sequence[CaseJob]) -> list[FitJob]:
     return sorted(found.values(), key=lambda job: job.key not in starts)
 
 
+def open_fits(work: Work, todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
+    """Fits that the cases need and that are not stored yet."""
+    return [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
+
+
 class _Batch:
     def __init__(
         self,

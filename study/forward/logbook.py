@@ -19,7 +19,7 @@ _UNBALANCED = 1e-3
 
 
 @dataclass
-class Protocol:
+class Logbook:
     """The requested steps of one run, as far as it came.
 
     Parameters
