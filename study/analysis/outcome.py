@@ -173,9 +173,7 @@ def _spread_tests(
     if groups is None:
         return None, None
     # residuals of a blocked fit are correlated: their own design is simulated
-    design = None
-    if groups.basis is not None and out.exact:
-        design = ResidualDesign(groups.basis, groups.index)
+    design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
     count = _MONTE_CARLO if out.exact else 0
     options: dict[str, Any] = {
         "approximate": groups.approximate,

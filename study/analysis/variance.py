@@ -71,10 +71,12 @@ def _named(groups: Groups) -> dict[str, Array]:
     return {key: np.asarray(value, dtype=float) for key, value in items}
 
 
-def _fault(named: Mapping[str, Array], least: int) -> str:
+def _fault(named: Mapping[str, Array], least: int, design: ResidualDesign | None) -> str:
     """Why the groups cannot be compared; empty when they can."""
     if len(named) < 2:
         return "fewer than two groups"
+    if design is not None and design.mirrored():
+        return "the residuals of one group mirror those of the other"
     largest = max((float(np.abs(v).max()) for v in named.values() if v.size), default=0.0)
     floor = 16 * float(np.spacing(largest))
     for name, values in named.items():
@@ -113,6 +115,12 @@ class ResidualDesign:
             z -= (z @ self.basis) @ self.basis.T
             yield [z[:, self.group == g] for g in groups]
 
+    def mirrored(self) -> bool:
+        """Whether every group spreads alike whatever the data, as two cells in blocks do."""
+        drawn = next(self.draws(1, seed=0))
+        spread = np.array([values.var() for values in drawn])
+        return bool(np.ptp(spread) < 1e-9 * spread.max())
+
 
 def bartlett(
     groups: Groups,
@@ -141,7 +149,7 @@ def bartlett(
     'group 2 has zero variance'
     """
     named = _named(groups)
-    reason = _fault(named, 2)
+    reason = _fault(named, 2, design)
     if reason:
         return BartlettResult(None, None, None, False, reason, approximate=approximate)
     from scipy.special import chdtrc
@@ -210,7 +218,7 @@ def levene(
         As for :func:`bartlett`.
     """
     named = _named(groups)
-    reason = _fault(named, 3)
+    reason = _fault(named, 3, design)
     if reason:
         return LeveneResult(None, None, None, False, reason, approximate=approximate)
     smallest = min(v.size for v in named.values())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from study.reporting import assumptions, sentences
 from study.reporting.data import Check, ReportData
@@ -99,14 +100,20 @@ def _normality(facts: Facts, alpha: float) -> Check:
     )
 
 
+def _untested(tests: Mapping[str, Any], alpha: float) -> str:
+    """Why neither test of the spread applies, said once where both have one reason."""
+    reasons = {str(test.get("reason")) for test in tests.values()}
+    if len(tests) == 2 and len(reasons) == 1:
+        return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
+    return " ".join(assumptions.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
+
+
 def _spread(facts: Facts, alpha: float) -> Check:
     name = "Equal spread of the cells"
     tests = {key: test for key, test in facts.variance.items() if test}
     applicable = {k: t for k, t in tests.items() if t.get("statistic") is not None}
     if not applicable:
-        both = ("bartlett", "levene")
-        why = " ".join(assumptions.spread(key, tests.get(key), alpha) for key in both)
-        return Check(name, "not applicable", why, of=facts.title)
+        return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
     against = [k.capitalize() for k, t in applicable.items() if assumptions.rejects(t, alpha)]
     said = listing(
         [f"{k.capitalize()} {p_phrase(assumptions.p_of(t))}" for k, t in applicable.items()]

@@ -245,3 +245,13 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
     assert single.anova.row("a").f == pytest.approx(result.anova.row("a").f, rel=1e-9)
     assert single.nested is None
     assert single.normality is not None
+
+
+def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
+    table = grid({"a": 2}, 6, 9)
+    result = analyze(table, "y", ["a"], block="rep")
+    assert result.bartlett is not None
+    assert result.levene is not None
+    for test in (result.bartlett, result.levene):
+        assert not test.applicable
+        assert "mirror" in test.reason
