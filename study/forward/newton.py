@@ -171,6 +171,7 @@ def iterate(
     if lifted_from is not None:
         state, lift = _lifted(system, guess, lifted_from)
     residuals: list[float] = []
+    J = system.volume_ratios(state.x)
     switches, free = course.switches(system), system.pattern.free
     for iteration in itertools.count():
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
@@ -199,10 +200,12 @@ def iterate(
             state = replace(state, displacement_mm=guess.displacement_mm)
         else:
             increment *= course.share(system, residuals, increment)
-        moved = _filtered(system, state, assembly, increment, settings, whole=bool(lift.size))
-        if moved is None:
+        fraction, J = _filtered(system, state.x, J, increment, settings)
+        if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
-        state, lift = moved, np.zeros(0)
+        multipliers = _multipliers(system, state, assembly, increment, fraction)
+        state = replace(state, x=state.x + fraction * increment, multipliers=multipliers)
+        lift = np.zeros(0)
     reason = f"no equilibrium after {iteration} iterations"
     return NewtonResult(state, False, iteration, reason, tuple(residuals))
 
@@ -214,27 +217,16 @@ def _lifted(system: System, guess: State, before: State) -> tuple[State, Array]:
 
 
 def _filtered(
-    system: System,
-    state: State,
-    assembly: Assembly,
-    increment: Array,
-    settings: NewtonSettings,
-    *,
-    whole: bool,
-) -> State | None:
-    """Take the longest halving of the step that keeps every J; none where 1/1024 fails."""
-    before = system.volume_ratios(state.x)
+    system: System, x: Array, before: Array, increment: Array, settings: NewtonSettings
+) -> tuple[float, Array]:
+    """Longest halving of a step that keeps every J, and what J is there; 0 where 1/1024 fails."""
     fraction = 1.0
     while fraction > 1e-3:
-        x = state.x + fraction * increment
-        if (system.volume_ratios(x) > settings.j_filter * before).all():
-            return replace(
-                state, x=x, multipliers=_multipliers(system, state, assembly, increment, fraction)
-            )
-        if whole:  # a shortened lift would leave the plate on its way
-            return None
+        J = system.volume_ratios(x + fraction * increment)
+        if (settings.j_filter * before < J).all():
+            return fraction, J
         fraction /= 2
-    return None
+    return 0.0, before
 
 
 def _multipliers(
