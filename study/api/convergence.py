@@ -131,7 +131,7 @@ def problem(
     from study.runner.refine_formal import FormalOrder
     from study.runner.refine_formal import formal_order as promised
     from study.runner.refine_series import refine, series_of
-    from study.runner.refine_store import in_process, kept
+    from study.runner.refine_store import in_process, kept, store_of
 
     config = source
     if not isinstance(config, Mapping):
@@ -142,7 +142,7 @@ def problem(
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
     name = "problem" if isinstance(source, Mapping) else Path(source).stem
-    solver = solve or kept(in_process, results, name)
+    solver = solve or kept(in_process, store_of(results, name))
     series = series_of(config, config["converge"])
     budget = budget_of(config["converge"].budget_s, memory_MB)
     refine([series], solver, budget, lambda one: refine_judge.outlook(one, formal.order), progress)

@@ -60,7 +60,7 @@ def problem_cells(
     from study.runner import build, refine_judge, surfaces
     from study.runner.refine_formal import formal_order
     from study.runner.refine_series import refine, series_of
-    from study.runner.refine_store import kept_by_workers
+    from study.runner.refine_store import kept_by_workers, store_of
 
     spec = design.converge
     refine_judge.quantity(spec.qoi)
@@ -70,7 +70,7 @@ def problem_cells(
         for t in treatments(design)
     ]
     formal = {id(one): formal_order(build.problem(one.config)) for one in cells}
-    solver = solve or kept_by_workers(jobs, results, design.name)
+    solver = solve or kept_by_workers(jobs, store_of(results, design.name))
     budget = budget_of(spec.budget_s, memory_MB)
     refine(
         cells,

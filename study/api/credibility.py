@@ -61,11 +61,9 @@ def compare_spaces(
     workers = jobs or default_jobs()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
-    todo = [task for task in tasks if not is_kept(task, store.path.parent, store.path.name)]
+    todo = [task for task in tasks if not is_kept(task, store)]
     watch = _Watch(todo, workers, progress or (lambda state: None))
-    solve = kept_by_workers(
-        workers, store.path.parent, store.path.name, finished=lambda task, _: watch.finished(task)
-    )
+    solve = kept_by_workers(workers, store, finished=lambda task, _: watch.finished(task))
     results = solve(tasks)
     solid, flat = results[: len(pairs)], results[len(pairs) :]
     rows = [spaces.compared(pair, both) for *both, pair in zip(flat, solid, pairs, strict=True)]

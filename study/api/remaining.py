@@ -21,11 +21,7 @@ def controls(work: Work, store: Store) -> list[CaseJob]:
 
     plain = work.plain()
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    return upcoming(
-        plain,
-        store.by_case(hashes),
-        lambda task: is_kept(task, store.path.parent, store.path.name),
-    )
+    return upcoming(plain, store.by_case(hashes), lambda task: is_kept(task, store))
 
 
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:

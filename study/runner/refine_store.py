@@ -52,9 +52,8 @@ def _as_is(task: dict[str, Any]) -> Callable[[Mapping[str, dict[str, Any]]], dic
     return lambda _: task
 
 
-def kept(solve: Solver, results: Path, name: str) -> Solver:
+def kept(solve: Solver, store: Store) -> Solver:
     """Read what is stored of a list of tasks, solve the rest, and store it at once."""
-    store = Store(results / slug(name))
 
     def looked_up(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = []
@@ -68,8 +67,7 @@ def kept(solve: Solver, results: Path, name: str) -> Solver:
 
 def kept_by_workers(
     jobs: int,
-    results: Path,
-    name: str,
+    store: Store,
     command: Sequence[str] | None = None,
     finished: Callable[[Mapping[str, Any], dict[str, Any]], object] = lambda task, result: None,
 ) -> Solver:
@@ -77,7 +75,6 @@ def kept_by_workers(
 
     ``finished`` is called after that with the task and its result.
     """
-    store = Store(results / slug(name))
 
     def stored(task: Mapping[str, Any], result: dict[str, Any]) -> None:
         keep(store, task, result)
@@ -95,9 +92,9 @@ def kept_by_workers(
     return looked_up
 
 
-def is_kept(task: Mapping[str, Any], results: Path, name: str) -> bool:
+def is_kept(task: Mapping[str, Any], store: Store) -> bool:
     """Whether the solution of a task is stored."""
-    return Store(results / slug(name)).read_json(f"solves/{task_key(task)}") is not None
+    return store.read_json(f"solves/{task_key(task)}") is not None
 
 
 def keep(store: Store, task: Mapping[str, Any], result: dict[str, Any]) -> dict[str, Any]:
@@ -106,6 +103,11 @@ def keep(store: Store, task: Mapping[str, Any], result: dict[str, Any]) -> dict[
         with store.lock():
             store.write_json(f"solves/{task_key(task)}", result)
     return result
+
+
+def store_of(results: Path, name: str) -> Store:
+    """Store of a problem or a design by its name."""
+    return Store(results / slug(name))
 
 
 def slug(name: str) -> str:

@@ -14,6 +14,7 @@ from study.api.convergence import problem
 from study.api.convergence_cells import problem_cells
 from study.design import loads, loads_problem
 from study.errors import InputError
+from study.record import Store
 from study.runner import build, refine_store
 from study.runner.refine_formal import clamped_corner, formal_order
 from study.runner.refine_judge import within
@@ -194,13 +195,13 @@ def test_one_table_of_mesh_steps_and_tolerance() -> None:
 def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
     first, second = Fake(), Fake()
     config = loads_problem(PROBLEM, "p.toml")
-    one = problem(config, solve=refine_store.kept(first, tmp_path, "p"))
-    two = problem(config, solve=refine_store.kept(second, tmp_path, "p"))
+    one = problem(config, solve=refine_store.kept(first, Store(tmp_path)))
+    two = problem(config, solve=refine_store.kept(second, Store(tmp_path)))
     assert len(first.sizes) == 3
     assert second.sizes == []
     assert one == two
     finer = loads_problem(PROBLEM + "levels = 4", "p.toml")
-    problem(finer, solve=refine_store.kept(second, tmp_path, "p"))
+    problem(finer, solve=refine_store.kept(second, Store(tmp_path)))
     assert second.sizes == pytest.approx([4 / 1.5**3])
 
 
