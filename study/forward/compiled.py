@@ -30,7 +30,7 @@ def cache_folder() -> str:
     digest = hashlib.sha256()
     for path in sorted(_HERE.glob("*.py")):
         content = path.read_bytes()
-        if b"@kernel(" in content or b"@part(" in content:
+        if any(mark in content for mark in (b"@kernel(", b"@part(", b"@callback(")):
             digest.update(path.name.encode() + content)
     base = Path(_CONFIG.CACHE_DIR or _HERE / "__pycache__")
     return str(base / f"kernels-{digest.hexdigest()[:16]}")
@@ -38,17 +38,27 @@ def cache_folder() -> str:
 
 def kernel(**options: Any) -> Callable[[_Function], _Function]:
     """Decorate a function to be compiled on first use and kept on disk; options are numba's."""
+    return _kept_on_disk(functools.partial(numba.njit, **options))
 
-    def decorate(function: _Function) -> _Function:
+
+def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
+    def decorate(function: _Function) -> Any:
         usual = _CONFIG.CACHE_DIR
         _CONFIG.CACHE_DIR = cache_folder()
         try:
-            compiled: _Function = numba.njit(cache=True, **options)(function)
-            return compiled
+            return compiler(cache=True)(function)
         finally:
             _CONFIG.CACHE_DIR = usual
 
     return decorate
+
+
+def callback(signature: str) -> Callable[[_Function], Any]:
+    """Decorate a function that a C library calls; its ``ctypes`` is what to hand over.
+
+    It is compiled or found on disk at once, so decorate it where it is first needed.
+    """
+    return _kept_on_disk(functools.partial(numba.cfunc, signature))
 
 
 def part(**options: Any) -> Callable[[_Function], _Function]:

@@ -6,8 +6,8 @@ session of one thread and closed before anything else happens.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+import ctypes
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from study.errors import MeshError
 from study.forward.mesh import Mesh
 from study.forward.problem import Block, Cone, Cylinder, Flat, Problem
-from study.forward.sizes import SizeField, size_field
+from study.forward.sizes import SizeField, size_callback, size_field
 from study.forward.structured import (
     equivalent_radius,
     extrude,
@@ -131,7 +131,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
         w, d = specimen.width_mm / 2, specimen.depth_mm / 2
         return np.array([[w, 0.0], [w, d], [0.0, d]])
     radius = specimen.radius_mm
-    size = float(field.at(np.array([radius]), np.array([field.top_mm]))[0])
+    size = float(field.at(radius, field.top_mm))
     segments = max(4, int(np.ceil(np.pi / 2 * radius / size)))
     angle = np.pi / 2 / segments
     theta = np.linspace(0, np.pi / 2, segments + 1)
@@ -142,7 +142,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(size: Callable[[float, float, float], float]) -> Iterator[Any]:
+def gmsh_session(field: SizeField, dim: int) -> Iterator[Any]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -154,7 +154,14 @@ def gmsh_session(size: Callable[[float, float, float], float]) -> Iterator[Any]:
         for off in ("FromPoints", "FromCurvature", "ExtendFromBoundary"):
             gmsh.option.setNumber(f"Mesh.MeshSize{off}", 0)
         gmsh.model.add("specimen")
-        gmsh.model.mesh.setSizeCallback(lambda d, t, x, y, z, lc: size(x, y, z))
+        numbers = np.array(field.numbers())  # gmsh reads them until the session ends
+        address, failed = numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int()
+        # not through gmsh's Python function: its calls back take longer than the mesh
+        gmsh.lib.gmshModelMeshSetSizeCallback(
+            size_callback(dim).ctypes, address, ctypes.byref(failed)
+        )
+        if failed.value:
+            raise MeshError(f"gmsh: {gmsh.logger.getLastError()}")
         yield gmsh
     finally:
         gmsh.finalize()
@@ -201,10 +208,7 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
         corners += [(ring, height)]
     corners += [(0.0, height)]
 
-    def size(r: float, z: float, _: float) -> float:
-        return field.at_point(r, z)
-
-    with gmsh_session(size) as gmsh:
+    with gmsh_session(field, 2) as gmsh:
         tags = [gmsh.model.geo.addPoint(r, z, 0.0) for r, z in corners]
         lines: dict[tuple[int, int], int] = {}
         _face(gmsh, tags, lines)
@@ -254,28 +258,19 @@ def _joined(points: Array, cells: Cells, patch: tuple[Array, Cells, Cells]) -> t
 def _tetrahedra(
     outline: Array, height: float, field: SizeField, ring: float
 ) -> tuple[Array, Cells]:
-    def size(x: float, y: float, z: float) -> float:
-        return field.at_point(math.hypot(x, y), z)
-
-    with gmsh_session(size) as gmsh:
-        _quarter(gmsh, outline, height, ring, size)
+    with gmsh_session(field, 3) as gmsh:
+        _quarter(gmsh, outline, height, ring, field)
         points, cells = generated(gmsh, 3)
     points = snapped(points, [(0, 0.0), (1, 0.0), (2, 0.0), (2, height)])
     return points, turned(points, cells)
 
 
-def _quarter(
-    gmsh: Any,
-    outline: Array,
-    height: float,
-    ring: float,
-    size: Callable[[float, float, float], float],
-) -> None:
+def _quarter(gmsh: Any, outline: Array, height: float, ring: float, field: SizeField) -> None:
     """Quarter prism over an outline; the edge of a flat end is a curve on its top."""
     geo, lines = gmsh.model.geo, {}  # type: Any, dict[tuple[int, int], int]
     low = [geo.addPoint(0, 0, 0), *(geo.addPoint(x, y, 0) for x, y in outline)]
     high = [geo.addPoint(0, 0, height), *(geo.addPoint(x, y, height) for x, y in outline)]
-    arc = _arc(geo, ring, height, size) if 0 < ring < outline[:, 0].max() else []
+    arc = _arc(geo, ring, height, field) if 0 < ring < outline[:, 0].max() else []
     faces = [_face(gmsh, low, lines)]
     n = len(low)
     for i in range(n):
@@ -294,11 +289,9 @@ def _quarter(
     geo.addVolume([geo.addSurfaceLoop(faces)])
 
 
-def _arc(
-    geo: Any, ring: float, height: float, size: Callable[[float, float, float], float]
-) -> list[int]:
+def _arc(geo: Any, ring: float, height: float, field: SizeField) -> list[int]:
     """Points of the polygon that follows a circle about the axis, from x to y."""
-    segments = max(4, int(np.ceil(np.pi / 2 * ring / size(ring, 0.0, height))))
+    segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
     theta = np.linspace(0, np.pi / 2, segments + 1)
     places = ring * np.column_stack([np.cos(theta), np.sin(theta)])
     places[0, 1] = places[-1, 0] = 0.0

@@ -6,13 +6,16 @@ series with one ratio everywhere, as an observed order of convergence presumes.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
+import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from study.forward.compiled import kernel, part
+from study.forward.compiled import callback, kernel, part
 from study.forward.problem import Cone, Flat, Indenter, Model, Sphere, mesh_level
 
 Array = NDArray[np.float64]
@@ -75,17 +78,19 @@ class SizeField:
     even: float = 0.0
     halvings: int = 0
 
-    def at(self, rho: Array, z: Array) -> Array:
-        """Size at radius ``rho`` from the axis and height ``z``, shape (n,)."""
+    def at(self, rho: ArrayLike, z: ArrayLike) -> Array:
+        """Size at radius ``rho`` from the axis and height ``z``, of their common shape."""
         both = np.broadcast_arrays(np.asarray(rho, float), np.asarray(z, float))
-        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self._numbers())
+        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self.numbers())
         return np.asarray(sizes.reshape(both[0].shape))
 
-    def at_point(self, rho: float, z: float) -> float:
-        """Size at one place: mesh generators ask for tens of thousands."""
-        return float(_size(rho, z, *self._numbers()))
+    @classmethod
+    def uniform(cls, size_mm: float) -> SizeField:
+        """Return a field of one size."""
+        return cls(0.0, size_mm, size_mm, size_mm, 0.0, 0.0, size_mm, 0.0, 0.0)
 
-    def _numbers(self) -> tuple[float, ...]:
+    def numbers(self) -> tuple[float, ...]:
+        """All that the size at a place depends on, in the order of the compiled formula."""
         return (
             self.top_mm, self.finest_mm, self.largest_mm, self.feature_mm, self.ring_mm,
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
@@ -136,6 +141,26 @@ def _sizes(
             rho[i], z[i], top, finest, largest, feature, ring, zone, contact, growth, even, halvings
         )
     return out
+
+
+@functools.cache
+def size_callback(dim: int) -> Any:
+    """C function of a mesh generator's size: it asks at tens of thousands of places.
+
+    Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
+    of :meth:`SizeField.numbers`. In a plane x is the radius and y the height.
+    """
+    plane = dim == 2
+
+    @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
+    def size(
+        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: Any
+    ) -> float:
+        n = numba.carray(numbers, (10,), np.float64)  # type: ignore[attr-defined]
+        rho, height = (x, y) if plane else (math.hypot(x, y), z)
+        return float(_size(rho, height, n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9]))
+
+    return size
 
 
 def contact_radius(indenter: Indenter, depth_mm: float) -> float:

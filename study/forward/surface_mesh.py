@@ -7,8 +7,6 @@ again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. M
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -33,8 +31,6 @@ _LOST = 0.05
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
 _PER_CUBE, _UNKNOWNS = 6.0, {"quadratic": 5.0, "linear": 4.0}
 
-Size = Callable[[float, float, float], float]
-
 
 def surface_mesh(problem: Problem) -> Mesh:
     """Tetrahedra in a specimen given as a surface.
@@ -46,24 +42,19 @@ def surface_mesh(problem: Problem) -> Mesh:
     MeshError
         If gmsh fails, or the elements are too large to follow the shape.
     """
-    found, size = _body_of(problem), surface_mesh_size(problem)
-    points, cells = _tetrahedra(found, _size_function(problem, found, size))
+    found = _body_of(problem)
+    field = _field(problem, found)
+    points, cells = _tetrahedra(found, field)
     points = snapped(points, [(2, 0.0), (2, found.height_mm)])
     points = _standing(points, found.height_mm)
-    _check_volume(points, cells, found.volume_mm3, size)
+    _check_volume(points, cells, found.volume_mm3, field.size_mm)
     points, cells = _same_volume(points, cells, found.volume_mm3), turned(points, cells)
-    indented = problem.test.kind == "indentation"
-    return Mesh(points, cells, False, size, _field(problem, found).finest_mm if indented else None)
+    return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
 def surface_mesh_size(problem: Problem) -> float:
     """Element size in mm: everywhere in compression, under the indenter in indentation."""
-    found = _body_of(problem)
-    if problem.test.kind == "indentation":
-        return _field(problem, found).size_mm
-    if problem.model.mesh_size_mm is not None:
-        return problem.model.mesh_size_mm
-    return float(found.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH * mesh_level(problem.model))
+    return _field(problem, _body_of(problem)).size_mm
 
 
 def expected_unknowns(problem: Problem) -> float:
@@ -72,13 +63,14 @@ def expected_unknowns(problem: Problem) -> float:
     Right within a factor of 1.5. In indentation the sizes are integrated over spheres about
     the point of contact.
     """
-    found, size = _body_of(problem), surface_mesh_size(problem)
+    found = _body_of(problem)
+    field = _field(problem, found)
     if problem.test.kind == "compression":
-        cubes = found.volume_mm3 / size**3
+        cubes = found.volume_mm3 / field.size_mm**3
     else:
         reach = (3 * found.volume_mm3 / (2 * np.pi)) ** (1 / 3)  # a half ball of the same volume
         s = np.linspace(0, reach, 2001)
-        h = _field(problem, found).at(s, np.full(s.shape, found.height_mm))
+        h = field.at(s, np.full(s.shape, found.height_mm))
         cubes = float(np.trapezoid(2 * np.pi * s**2 / h**3, s))
     return _PER_CUBE * _UNKNOWNS[problem.model.element_order] * cubes
 
@@ -90,26 +82,16 @@ def _body_of(problem: Problem) -> Body:
 
 
 def _field(problem: Problem, found: Body) -> SizeField:
-    test = problem.test
-    if test.indenter is None:
-        raise MeshError("an indentation mesh needs an indenter")
+    test, model = problem.test, problem.model
+    if test.kind == "compression" or test.indenter is None:
+        usual = found.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH
+        return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
     extent = min(found.height_mm, found.half_width_mm)
-    return size_field(problem.model, test.indenter, test.displacement_mm, found.height_mm, extent)
+    return size_field(model, test.indenter, test.displacement_mm, found.height_mm, extent)
 
 
-def _size_function(problem: Problem, found: Body, size: float) -> Size:
-    if problem.test.kind == "compression":
-        return lambda x, y, z: size
-    field = _field(problem, found)
-
-    def graded(x: float, y: float, z: float) -> float:
-        return field.at_point(math.hypot(x, y), z)
-
-    return graded
-
-
-def _tetrahedra(found: Body, size: Size) -> tuple[Array, Cells]:
-    with gmsh_session(size) as gmsh:
+def _tetrahedra(found: Body, field: SizeField) -> tuple[Array, Cells]:
+    with gmsh_session(field, 3) as gmsh:
         try:
             _enclose(gmsh, found)
         except Exception as error:  # gmsh raises nothing more specific
