@@ -1,0 +1,201 @@
+"""MKL PARDISO: the direct solver of symmetric indefinite systems, where pypardiso is installed."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.linear_solver import SingularMatrixError
+from study.forward.pattern import Pattern, symmetric_product
+from study.forward.threads import threads_sleep_after_work
+
+Array = NDArray[np.float64]
+
+#: PARDISO's number for real, symmetric, indefinite matrices
+_SYMMETRIC = -2
+#: MKL's settings by their numbers from 1; the others are zero
+_IPARM = {
+    1: 1,  # these settings, not MKL's own
+    2: 2,  # nested dissection, and for small systems minimum degree (0)
+    8: 0,  # refine only where pivots were perturbed: Newton corrects itself
+    10: 8,  # perturb pivots below 1e-8 of the norm
+    18: -1,  # count the entries of the factors
+    19: -1,  # and the operations, in millions
+    21: 1,  # Bunch-Kaufman pivoting for an indefinite matrix
+    35: 1,  # rows and columns are counted from zero
+}
+
+#: unknowns of plane and of solid meshes up to which minimum degree orders in half the time of
+#: nested dissection and no worse, and threads wait for each other more than they help
+_PLANE, _SOLID = 30_000, 3_000
+
+#: scaling and weighted matching: for matrices whose diagonal gives no good pivots
+_MATCHING = {11: 1, 13: 1}
+#: residual of a solution, over its right-hand side, above which the factorization is not
+#: trusted; below it Newton corrects what perturbed pivots leave
+_TRUSTED = 0.05
+#: residual over matrix times solution: stays small where only the matrix is nearly singular
+_BACKWARD = 1e-11
+#: operations of a factorization in the time that a back-substitution takes for an entry, and
+#: what a factorization does with an entry besides, in the same time
+_PER_ENTRY, _BESIDES = 38.0, 5.0
+#: parameters of PARDISO: the ordering, entries, operations, and the count of negative eigenvalues
+_ORDERING, _ENTRIES, _MILLIONS, _NEGATIVE = 2, 18, 19, 23
+#: phases: analysis, factorization, solution, release of all memory
+_ANALYZE, _FACTORIZE, _SOLVE, _RELEASE = 11, 22, 33, -1
+#: PARDISO's number for a lack of memory
+_NO_MEMORY = -2
+
+
+@functools.cache
+def _mkl() -> Any:
+    """Find the library once: pypardiso searches the whole environment for each solver."""
+    import pypardiso
+
+    library = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC).libmkl
+    library.MKL_Get_Max_Threads()  # loads the library of its threads
+    threads_sleep_after_work()
+    return library
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = _mkl().MKL_Set_Num_Threads_Local(1)
+    try:
+        yield
+    finally:
+        _mkl().MKL_Set_Num_Threads_Local(before)
+
+
+def _whole(value: int) -> Any:
+    return ctypes.byref(ctypes.c_int32(value))
+
+
+def _integers(values: NDArray[np.int32]) -> Any:
+    return values.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
+
+
+class Pardiso:
+    """Symbolic analysis once, numerical factorization for each matrix.
+
+    A solution that does not solve its system (pivots had to be perturbed, as with the zero
+    diagonal of an incompressible body) makes the solver change over to weighted matching,
+    which looks at the values and is analyzed anew for each matrix.
+
+    MKL is called without pypardiso's own call, which copies the pattern every time.
+    """
+
+    name = "pardiso"
+
+    def __init__(self, pattern: Pattern, *, plane: bool = False) -> None:
+        self._mkl = _mkl()
+        self._handle = np.zeros(64, dtype=np.int64)
+        self._iparm = np.zeros(64, dtype=np.int32)
+        for number, value in _IPARM.items():
+            self._iparm[number - 1] = value
+        self._size = pattern.free.size
+        self._small = self._size <= (_PLANE if plane else _SOLID)
+        if self._small:
+            self._iparm[_ORDERING - 1] = 0
+        self._indptr, self._indices = pattern.indptr, pattern.indices
+        self._data = np.zeros(pattern.indices.size)
+        self._analyzed = self._matching = self._trusted = False
+
+    def factorize(self, data: Array) -> None:
+        """Numerical factorization, after the analysis the first time."""
+        np.copyto(self._data, data)  # the factors outlive the entries they came from
+        self._trusted = False
+        empty = np.zeros(self._size)
+        if not self._analyzed or self._matching:
+            self._call(_ANALYZE, empty)
+            self._analyzed = True
+        self._call(_FACTORIZE, empty)
+
+    def solve(self, right: Array) -> Array:
+        """Back-substitution for one or several right-hand sides."""
+        b = np.asfortranarray(right, dtype=np.float64)
+        x = self._call(_SOLVE, b)
+        if self._matching or self._trusted or self._solved(x, b):
+            self._trusted = True
+            return x
+        self._matching = True
+        for number, value in _MATCHING.items():
+            self._iparm[number - 1] = value
+        self.factorize(self._data)
+        return self._call(_SOLVE, b)
+
+    def _solved(self, x: Array, b: Array) -> bool:
+        """Whether ``x`` solves this system or one next to it (Higham 2002, sec. 7.1)."""
+        product = np.empty_like(x)
+        for column, into in zip(np.atleast_2d(x.T), np.atleast_2d(product.T), strict=True):
+            into[:] = symmetric_product(
+                self._indptr, self._indices, self._data, np.ascontiguousarray(column)
+            )
+        residual, size = float(np.linalg.norm(b - product)), float(np.linalg.norm(b))
+        if residual <= _TRUSTED * size:
+            return True
+        largest = float(np.abs(self._data).max()) * float(np.linalg.norm(x))
+        return residual <= _BACKWARD * (largest + size)
+
+    def negative_eigenvalues(self) -> int | None:
+        """Count the negative eigenvalues of the last factorized matrix."""
+        return int(self._iparm[_NEGATIVE - 1])
+
+    def worth(self) -> float:
+        """By counts: operations of a factorization, entries read in a back-substitution."""
+        if self._matching or not self._analyzed:
+            return 0.0
+        entries, millions = (float(self._iparm[n - 1]) for n in (_ENTRIES, _MILLIONS))
+        read = max(entries + float(self._data.size), 1.0)
+        return _BESIDES + 1e6 * millions / (_PER_ENTRY * read)
+
+    def close(self) -> None:
+        """Release the memory that MKL holds for this factorization."""
+        if self._analyzed:
+            self._call(_RELEASE, np.zeros(self._size))
+            self._analyzed = False
+
+    def _call(self, phase: int, b: Array) -> Array:
+        """One phase, with a right-hand side (n,) or (n, k) in the order of columns."""
+        if self._small:
+            with _one_thread():
+                return self._called(phase, b)
+        return self._called(phase, b)
+
+    def _called(self, phase: int, b: Array) -> Array:
+        x, failed = np.zeros_like(b), ctypes.c_int32(0)
+        self._mkl.pardiso(
+            self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
+            _whole(1),  # one factorization is kept,
+            _whole(1),  # and it is that one
+            _whole(_SYMMETRIC),
+            _whole(phase),
+            _whole(self._size),
+            self._data.ctypes.data_as(ctypes.c_void_p),
+            _integers(self._indptr),
+            _integers(self._indices),
+            _whole(0),  # no ordering of one's own
+            _whole(b.size // max(self._size, 1)),
+            _integers(self._iparm),
+            _whole(0),  # says nothing
+            b.ctypes.data_as(ctypes.c_void_p),
+            x.ctypes.data_as(ctypes.c_void_p),
+            ctypes.byref(failed),
+        )
+        if failed.value == _NO_MEMORY:
+            raise MemoryError("the factorization does not fit into memory")
+        if failed.value:
+            raise SingularMatrixError(f"phase {phase}: PARDISO says {failed.value}")
+        return np.ascontiguousarray(x)
+
+    def __del__(self) -> None:
+        try:
+            self.close()
+        except Exception:  # noqa: BLE001 - interpreter shutdown: MKL may be gone already
+            return
