@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -51,7 +51,7 @@ class NewtonSettings:
     pull: float = 0.05
     max_iterations: int = 25
     max_switching: int = 40
-    j_filter: float = 0.1
+    j_filter: float = 0.5
     passing_tolerance: float = 1e-5
     passing_gap: float = 2e-6
 
@@ -66,7 +66,10 @@ class NewtonSettings:
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """A converged state, or the reason why there is none."""
+    """A converged state, or the reason why there is none.
+
+    ``J`` is that of the quadrature points, shape (n_elements, n_quadrature).
+    """
 
     state: State
     converged: bool
@@ -74,6 +77,7 @@ class NewtonResult:
     reason: str
     residuals: tuple[float, ...]
     assembly: Assembly | None = None
+    J: Array = field(default_factory=lambda: np.ones(0))
 
     def equilibrium(self) -> Assembly:
         """Return what was assembled at the converged state."""
@@ -184,7 +188,8 @@ def iterate(
         else:
             residuals.append(_relative(system, state, assembly))
             if _done(system, residuals[-1], assembly, settings):
-                return NewtonResult(state, True, iteration, "converged", tuple(residuals), assembly)
+                said = "converged", tuple(residuals)
+                return NewtonResult(state, True, iteration, *said, assembly, J)
         if course.ended(iteration, residuals, switches.changing, settings):
             break
         try:

@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 _LEAPS = (0.5, 0.1)
 #: longest extrapolation over the last step: a step may grow and still be extrapolated
 _FARTHEST = 1.7
+#: shares of its last value to which J may fall: in a step (below it, what was found is a folded
+#: surface and not the next state), in an extrapolation, and in a start from an earlier solve
+_LEAPT, _EXTRAPOLATED, _MOVED = 0.25, 0.3, 0.5
 #: smallest step of an energy that has lost its ellipticity over that of any other
 _BEYOND = 8.0
 
@@ -139,6 +142,7 @@ class _Run:
         self.warm = warm.warm if warm is not None else None
         self.progress = progress or (lambda _: None)
         self.state, self.previous = system.start(), None  # type: State, State | None
+        self.J = system.volume_ratios(self.state.x)
         self.rule = StepRule.of(problem, system.height_mm, options.steps)
         self.step_mm = self.rule.first_mm
         self.logbook = Logbook(system, problem, self.wanted)
@@ -177,12 +181,13 @@ class _Run:
                 newton = newton.passing()
             result = self._attempt(self.state.displacement_mm + remaining / pieces, newton)
             spent += result.iterations
-            if result.converged:
+            half = remaining / pieces / 2
+            if result.converged and (_near(result, self.J) or self._too_short(half)):
                 self._adapt(result.iterations, remaining / pieces)
                 self._accept(result)
                 continue
-            self.step_mm = remaining / pieces / 2
-            if self.step_mm < self._smallest_mm():
+            self.step_mm = half
+            if self._too_short(half):
                 through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason
@@ -199,7 +204,7 @@ class _Run:
         guess = self._extrapolated(displacement)
         if guess is not None:
             result = solve_step(self.system, guess, newton)
-            if result.converged:
+            if result.converged and _near(result, self.J):
                 return result
             self.previous = None  # no extrapolation right after a failure
         start = replace(self.state, displacement_mm=displacement)
@@ -209,11 +214,10 @@ class _Run:
         """State that a driven specimen is lifted from; an indenter drives no unknown."""
         return self.state if self.system.constraints.rate.any() else None
 
-    def _smallest_mm(self) -> float:
-        """Step that is the last to be tried: a long one where the energy's reach has ended."""
+    def _too_short(self, step_mm: float) -> bool:
+        """Whether a step is not worth trying: sooner where the energy's reach has ended."""
         smallest = self.rule.smallest_mm()
-        lost = self.step_mm < _BEYOND * smallest and self._lost()
-        return _BEYOND * smallest if lost else smallest
+        return step_mm < smallest or (step_mm < _BEYOND * smallest and bool(self._lost()))
 
     def _may_snap(self) -> bool:
         """Whether to look beyond a limit point: not for an energy that has lost its ellipticity."""
@@ -251,7 +255,7 @@ class _Run:
         if ratio > _FARTHEST:
             return None
         x = last.x + ratio * (last.x - before.x)
-        return self._sound(replace(last, displacement_mm=displacement, x=x), last.x, 0.3)
+        return self._sound(replace(last, displacement_mm=displacement, x=x), self.J, _EXTRAPOLATED)
 
     def _from_warm(self, target: float, number: int) -> NewtonResult | None:
         """Start from the same step of an earlier solve, moved along its sensitivities."""
@@ -267,17 +271,17 @@ class _Run:
             ]
         touching = zip(self.system.contact, multipliers, strict=True)
         pressed = tuple(points.admissible(m) for points, m in touching)
-        guess = self._sound(State(target, x, pressed), step.state.x, 0.5)
+        J = self.system.volume_ratios(step.state.x)
+        guess = self._sound(State(target, x, pressed), J, _MOVED)
         if guess is None:
             return None
         quick = replace(self.options.newton, max_iterations=8, max_switching=8)
         result = solve_step(self.system, guess, quick)
-        return result if result.converged else None
+        return result if result.converged and _near(result, J) else None
 
-    def _sound(self, guess: State, reference: Array, fraction: float) -> State | None:
+    def _sound(self, guess: State, J: Array, share: float) -> State | None:
         guess.x[self.system.constraints.dofs] = self.system.prescribed(guess.displacement_mm)
-        J, old = self.system.volume_ratios(guess.x), self.system.volume_ratios(reference)
-        return guess if (fraction * old < J).all() else None
+        return guess if (share * J < self.system.volume_ratios(guess.x)).all() else None
 
     def _adapt(self, iterations: int, step: float) -> None:
         depth = self.state.displacement_mm
@@ -285,7 +289,8 @@ class _Run:
 
     def _accept(self, result: NewtonResult) -> None:
         assembly = result.equilibrium()
-        self.previous, self.state, self.min_j = self.state, result.state, assembly.min_j
+        self.previous, self.state, self.J = self.state, result.state, result.J
+        self.min_j = assembly.min_j
         if self.system.sticks:
             rates = self._row(result).constants if self.wanted else {}
             along = {name: rate.x for name, rate in rates.items()}
@@ -304,3 +309,8 @@ class _Run:
 
     def solution(self, seconds: float) -> Solution:
         return self.logbook.solution(self.state, self.min_j, self._lost(), self.reason, seconds)
+
+
+def _near(result: NewtonResult, J: Array) -> bool:
+    """Whether a state has still much of the ``J`` of the one that it was reached from."""
+    return bool((_LEAPT * J < result.J).all())
