@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import study
+from study.analysis import AnalysisResult
 from study.api.depths import effects_by_depth
+from study.api.statistics import analyze_records
 from study.api.studies import StudyResult
 from study.curve import Curve
 from study.reporting.page import build
+from study.runner.refine import Numerical
 from tests.cli.small import DESIGN, write_files
 
 
@@ -70,3 +74,20 @@ def test_the_page_draws_it(outcome: StudyResult) -> None:
     assert "f-relative-rms-force-error-depth" in page
     assert "was not drawn" not in page
     assert "A second look" not in build(replace(data, depths=()))
+
+
+def test_verdicts_are_held_against_the_numerical_uncertainty(
+    outcome: StudyResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (response,) = outcome.design.responses
+    rough = Numerical({}, response.name, 10.0, 50.0, "%", "two meshes", "a rough mesh")
+    found: list[float | dict[str, float] | None] = []
+
+    def noted(*given: Any) -> AnalysisResult:
+        result = analyze_records(*given)
+        found.append(result.u_num)
+        return result
+
+    monkeypatch.setattr("study.api.statistics.analyze_records", noted)
+    effects_by_depth(replace(outcome, numerical=(rough,)))
+    assert found == [50.0] * 4

@@ -1,7 +1,9 @@
 """The same analysis over less of the test, to see whether the answer depends on its depth.
 
 Every case keeps its measured and its predicted curve, so that a response over the first part
-of the range costs no simulation. The constants are those of the whole study.
+of the range costs no simulation. The constants are those of the whole study. Verdicts are held
+against numerical uncertainty as the study's own are: where meshes are a factor it is followed
+at each depth, elsewhere it is that of the whole test.
 """
 
 from __future__ import annotations
@@ -86,7 +88,7 @@ def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterato
 
     records = [_rescored(record, response.name, depth_mm) for record in study.records]
     try:
-        found = analyze_records(study.design, records, response).to_json()
+        found = analyze_records(study.design, records, response, study.numerical).to_json()
     except StudyError:
         return  # the study's own analysis says why
     for item in found.get("effects") or ():
