@@ -17,9 +17,10 @@ from typing import Any
 
 from study.record import Record, Store
 from study.runner import fits
-from study.runner.costs import Costs
+from study.runner.costs import Costs, same_model
 from study.runner.execute import blank
 from study.runner.expand import CaseJob, FitJob, Work, for_workers
+from study.runner.pace import Pace
 from study.runner.pool import Outcome, Task, run_tasks
 
 #: a fit with one of these results is worth keeping: the same input gives it again
@@ -161,21 +162,17 @@ class _Batch:
         began = time.monotonic()
         tasks, costs = self._tasks(), Costs()
         prices = {task.key: self._price(costs, task.key) for task in tasks}
-        left, spent_price = sum(prices.values()), 0.0
+        pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
         outcomes = run_tasks(
             tasks, jobs=workers, finished=self.known, timeout_s=timeout_s, command=command
         )
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
-                spent_price += prices[outcome.key]
-                left -= prices[outcome.key]
-                seconds = time.monotonic() - began
-                # before a twentieth is done the prediction is better than the pace
-                pace = seconds / spent_price if spent_price > left / 20 else 1 / workers
-                remaining = pace * max(left, 0.0)
+                pace.finished(outcome.key, outcome.seconds)
+                seconds, left = time.monotonic() - began, pace.seconds_left()
                 label = self._label(outcome.key)
-                state = Progress(count, len(tasks), self.failed, seconds, remaining, label)
+                state = Progress(count, len(tasks), self.failed, seconds, left, label)
                 self.progress(state)
         already = len(self.work.jobs) - len(self.cases)
         seconds = time.monotonic() - began
@@ -199,6 +196,12 @@ class _Batch:
         if key in self.fits:
             return costs.fit_seconds(self.fits[key].problem)
         return costs.case_seconds(self.cases[key])
+
+    def _kind(self, key: str) -> str:
+        """Name what costs alike: computations on one mesh of one test."""
+        if key in self.fits:
+            return f"fit {same_model(self.fits[key].problem.config)}"
+        return same_model(self.cases[key].case.config)
 
     def _label(self, key: str) -> str:
         if key in self.fits:

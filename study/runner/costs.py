@@ -86,10 +86,15 @@ class Costs:
         return self._estimate(config, None)[1]
 
     def _estimate(self, config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
-        key = digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
+        key = same_model(config)
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)
         return self._known[key]
+
+
+def same_model(config: Mapping[str, Any]) -> str:
+    """Name of all that differ in their material alone."""
+    return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
 
 
 def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
