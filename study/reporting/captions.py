@@ -129,8 +129,9 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
     near = frame[frame["within"]]
     dear = float(frame["seconds"].max())
     cheap = float(near["seconds"].min())
+    lie = "lies" if len(near) == 1 else "lie"
     return sentence(
-        f"{count(len(near), 'cell')} of {len(frame)} lie within {limit:.3g}{THIN}"
+        f"{count(len(near), 'cell')} of {len(frame)} {lie} within {limit:.3g}{THIN}"
         f"{facts.difference_unit} of the best; the cheapest of them takes {duration(cheap)} a "
         f"case, the dearest cell of all {duration(dear)}"
     )
