@@ -16,8 +16,9 @@ from study.runner.replicates import constants_only
 _OVERHEAD_S = 0.02
 #: forward solutions of a fit in units of a cold one; the later ones start from the one before
 _SOLVES_LINEAR, _SOLVES_FIRST, _SOLVES_PER_CONSTANT = 1.5, 2.0, 0.7
-#: a prediction that starts from the solution of its cell, in units of a cold one
-_FROM_ANCHOR = 0.25
+#: a prediction that starts from the solution of its cell, in units of a cold one: where forces
+#: scale with the one constant, between plates, and under an indenter, where contact is found anew
+_SCALED, _FROM_ANCHOR, _FROM_ANCHOR_INDENTED = 0.1, 0.25, 0.6
 
 
 class Costs:
@@ -36,9 +37,7 @@ class Costs:
             return _OVERHEAD_S
         names = build.calibrated_names(problem.config["material"])
         solves = (
-            _SOLVES_LINEAR
-            if len(names) == 1 and names[0] in ("C10", "youngs_modulus")
-            else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
+            _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
         return _OVERHEAD_S + solves * self.solve_seconds(problem.config)
 
@@ -56,7 +55,7 @@ class Costs:
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
         if job.group:
-            solves = _FROM_ANCHOR * solves + (job.group not in self._anchored)
+            solves = _from_anchor(config) * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * one
 
@@ -90,6 +89,17 @@ class Costs:
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)
         return self._known[key]
+
+
+def _scales(names: Sequence[str]) -> bool:
+    """Whether forces are in proportion to the only constant."""
+    return len(names) == 1 and names[0] in ("C10", "youngs_modulus")
+
+
+def _from_anchor(config: Mapping[str, Any]) -> float:
+    if _scales(build.calibrated_names(config["material"])):
+        return _SCALED
+    return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
 
 
 def same_model(config: Mapping[str, Any]) -> str:
