@@ -171,9 +171,7 @@ def iterate(
         Start here instead: the first solve puts the prescribed increment on the right-hand
         side, so that the jump at the plate spreads through the specimen at once.
     """
-    state, lift = guess, np.zeros(0)
-    if lifted_from is not None:
-        state, lift = _lifted(system, guess, lifted_from)
+    state, lift = _start(system, guess, lifted_from)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
     switches, free = course.switches(system), system.pattern.free
@@ -188,8 +186,7 @@ def iterate(
         else:
             residuals.append(_relative(system, state, assembly))
             if _done(system, residuals[-1], assembly, settings):
-                said = "converged", tuple(residuals)
-                return NewtonResult(state, True, iteration, *said, assembly, J)
+                return NewtonResult(state, True, iteration, "converged", (*residuals,), assembly, J)
         if course.ended(iteration, residuals, switches.changing, settings):
             break
         try:
@@ -215,8 +212,10 @@ def iterate(
     return NewtonResult(state, False, iteration, reason, tuple(residuals))
 
 
-def _lifted(system: System, guess: State, before: State) -> tuple[State, Array]:
-    """State before a step, and the prescribed increment that its first solve has to spread."""
+def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:
+    """State to begin with, and the prescribed increment that the first solve has to spread."""
+    if before is None:
+        return guess, np.zeros(0)
     after = system.prescribed(guess.displacement_mm)
     return before, after - system.prescribed(before.displacement_mm)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -65,12 +65,12 @@ def _mkl() -> Any:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    before = _mkl().MKL_Set_Num_Threads_Local(1)
+def _one_thread(mkl: Any) -> Iterator[None]:
+    before = mkl.MKL_Set_Num_Threads_Local(1)
     try:
         yield
     finally:
-        _mkl().MKL_Set_Num_Threads_Local(before)
+        mkl.MKL_Set_Num_Threads_Local(before)
 
 
 def _whole(value: int) -> Any:
@@ -163,31 +163,26 @@ class Pardiso:
 
     def _call(self, phase: int, b: Array) -> Array:
         """One phase, with a right-hand side (n,) or (n, k) in the order of columns."""
-        if self._small:
-            with _one_thread():
-                return self._called(phase, b)
-        return self._called(phase, b)
-
-    def _called(self, phase: int, b: Array) -> Array:
         x, failed = np.zeros_like(b), ctypes.c_int32(0)
-        self._mkl.pardiso(
-            self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
-            _whole(1),  # one factorization is kept,
-            _whole(1),  # and it is that one
-            _whole(_SYMMETRIC),
-            _whole(phase),
-            _whole(self._size),
-            self._data.ctypes.data_as(ctypes.c_void_p),
-            _integers(self._indptr),
-            _integers(self._indices),
-            _whole(0),  # no ordering of one's own
-            _whole(b.size // max(self._size, 1)),
-            _integers(self._iparm),
-            _whole(0),  # says nothing
-            b.ctypes.data_as(ctypes.c_void_p),
-            x.ctypes.data_as(ctypes.c_void_p),
-            ctypes.byref(failed),
-        )
+        with _one_thread(self._mkl) if self._small else nullcontext():
+            self._mkl.pardiso(
+                self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
+                _whole(1),  # one factorization is kept,
+                _whole(1),  # and it is that one
+                _whole(_SYMMETRIC),
+                _whole(phase),
+                _whole(self._size),
+                self._data.ctypes.data_as(ctypes.c_void_p),
+                _integers(self._indptr),
+                _integers(self._indices),
+                _whole(0),  # no ordering of one's own
+                _whole(b.size // max(self._size, 1)),
+                _integers(self._iparm),
+                _whole(0),  # says nothing
+                b.ctypes.data_as(ctypes.c_void_p),
+                x.ctypes.data_as(ctypes.c_void_p),
+                ctypes.byref(failed),
+            )
         if failed.value == _NO_MEMORY:
             raise MemoryError("the factorization does not fit into memory")
         if failed.value:

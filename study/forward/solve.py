@@ -176,18 +176,18 @@ class _Run:
         while result is None or not self._at(target):
             remaining = target - self.state.displacement_mm
             pieces = max(1, int(np.ceil(remaining / self.step_mm - 1e-9)))
-            newton = self.options.newton
+            step, newton = remaining / pieces, self.options.newton
             if pieces > 1 and not self.system.sticks:  # what sticks remembers every state
                 newton = newton.passing()
-            result = self._attempt(self.state.displacement_mm + remaining / pieces, newton)
+            result = self._attempt(self.state.displacement_mm + step, newton)
             spent += result.iterations
-            half = remaining / pieces / 2
-            if result.converged and (_near(result, self.J) or self._too_short(half)):
-                self._adapt(result.iterations, remaining / pieces)
+            shortest = self._too_short(step / 2)
+            if result.converged and (shortest or _near(result, self.J)):
+                self._adapt(result.iterations, step)
                 self._accept(result)
                 continue
-            self.step_mm = half
-            if self._too_short(half):
+            self.step_mm = step / 2
+            if shortest:
                 through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason
