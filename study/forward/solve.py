@@ -181,13 +181,12 @@ class _Run:
                 newton = newton.passing()
             result = self._attempt(self.state.displacement_mm + step, newton)
             spent += result.iterations
-            shortest = self._too_short(step / 2)
-            if result.converged and (shortest or _near(result, self.J)):
+            if result.converged and (_near(result, self.J) or self._too_short(step / 2)):
                 self._adapt(result.iterations, step)
                 self._accept(result)
                 continue
             self.step_mm = step / 2
-            if shortest:
+            if self._too_short(self.step_mm):
                 through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason

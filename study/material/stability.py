@@ -54,6 +54,12 @@ class StabilityResult:
     limits: Mapping[str, float]
 
 
+def stable_in(mode: Mode, material: Material, stretches: ArrayLike) -> bool:
+    """Whether Drucker's criterion holds in one mode; parameters as in :func:`stability`."""
+    given = np.append(np.asarray(stretches, float).ravel(), 1.0)
+    return _limit(material, mode, float(given.min()), float(given.max())) is None
+
+
 def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> StabilityResult:
     """Check Drucker's criterion in uniaxial, equibiaxial and planar loading.
 

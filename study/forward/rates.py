@@ -1,0 +1,163 @@
+"""How a converged state moves with the loading and with every constant: one linear solve.
+
+Rates ``v`` of the unknowns and ``c`` of the contact pressures satisfy ``K v - N' W c = right``
+at the free unknowns and ``N v = target`` at the closed contact points, where K holds none of
+the springs by which Newton's method regularizes contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.system import Assembly, System
+
+Array = NDArray[np.float64]
+
+#: how many corrections are tried
+_CORRECTIONS = 12
+#: residuals that are seen before the speed of corrections is judged: the first correction loads
+#: the springs, and the second hands their load over to the pressures
+_UNJUDGED = 3
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What moves a state, a column for each cause.
+
+    Parameters
+    ----------
+    right : ndarray, shape (n, k)
+        Minus the derivative of the residual at fixed unknowns.
+    start : ndarray, shape (n, k)
+        Rates of the constrained unknowns; zero elsewhere.
+    targets : tuple of ndarray, shape (n_points, k)
+        Rates of n . x at the points of each contact while they stay closed.
+    """
+
+    right: Array
+    start: Array
+    targets: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class ClosedPoints:
+    """Closed points of one contact: what they are to do, and the pressures that see to it.
+
+    Parameters
+    ----------
+    among : ndarray of int, shape (m,)
+        Which of the contact's points they are.
+    dofs, normals : ndarray, shape (m, d)
+        Unknowns of each point, and N.
+    weights, eps : ndarray, shape (m,), float
+        Areas and stiffness of the springs.
+    target, pressure : ndarray, shape (m, k)
+        Rates of n . x, and those of the pressures, overwritten as they are found.
+    """
+
+    among: NDArray[np.int64]
+    dofs: NDArray[np.int64]
+    normals: Array
+    weights: Array
+    eps: float
+    target: Array
+    pressure: Array
+
+    def missed(self, x: Array) -> Array:
+        """Rates that n . x lacks where the unknowns move with ``x``, shape (m, k)."""
+        return np.asarray(self.target - np.einsum("cd,cdk->ck", self.normals, x[self.dofs]))
+
+    def take_over(self, x: Array) -> None:
+        """Let the pressures carry what the springs do."""
+        self.pressure[:] += self.eps * self.missed(x)
+
+    def push(self, left: Array, pressure: Array) -> None:
+        """Add N' W pressure to ``left``, shape (n, k)."""
+        forces = (self.weights[:, None] * pressure)[:, None, :] * self.normals[:, :, None]
+        np.add.at(left, self.dofs.ravel(), forces.reshape(self.dofs.size, left.shape[1]))
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rates, and what they leave of their equations.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, k)
+        Of the unknowns.
+    left : ndarray, shape (n, k)
+        ``right - K x + N' W c`` at the free unknowns, zero elsewhere.
+    contact : tuple of ClosedPoints
+        With the rates ``c`` of their pressures.
+    """
+
+    x: Array
+    left: Array
+    contact: tuple[ClosedPoints, ...]
+
+
+def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: float) -> Rates:
+    """Solve for all rates together.
+
+    The factorization is that of a late Newton iterate; corrections with the tangent of the
+    converged state remove the difference, and an augmented-Lagrange update that of the
+    contact springs. The tangent itself is factorized only where contact has changed since, or
+    where corrections cost more.
+
+    Parameters
+    ----------
+    tolerance : float
+        On each residual over its largest so far.
+    """
+    free, x = system.pattern.free, loads.start.copy()
+    closed = _closed_points(system, assembly, loads.targets)
+    older = system.factors_serve()
+    if not older:
+        system.factorize()
+    scale, sizes = np.zeros(x.shape[1]), list[Array]()
+    for corrections in range(_CORRECTIONS + 1):
+        left = loads.right - np.column_stack([system.tangent_product(column) for column in x.T])
+        for each in closed:
+            each.push(left, each.eps * each.target + each.pressure)
+        size = np.linalg.norm(left[free], axis=0)
+        scale = np.maximum(scale, size)
+        if corrections == _CORRECTIONS or (size <= tolerance * scale).all():
+            break
+        sizes.append(size / np.where(scale > 0, scale, 1.0))
+        if older and _cost_ahead(sizes, tolerance) > system.solver.worth():
+            system.factorize()
+            older = False
+        x[free] += system.back_substitute(left[free])
+        for each in closed:
+            each.take_over(x)
+    for each in closed:
+        each.push(left, -each.eps * each.missed(x))  # the springs hold nothing any more
+    left[system.constraints.dofs] = 0.0
+    return Rates(x, left, closed)
+
+
+def _closed_points(
+    system: System, assembly: Assembly, targets: tuple[Array, ...]
+) -> tuple[ClosedPoints, ...]:
+    found = []
+    for points, touch, target in zip(system.contact, assembly.contact, targets, strict=True):
+        at = np.flatnonzero(touch.active)
+        dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
+        wanted, pressure = target[at], np.zeros((at.size, target.shape[1]))
+        found.append(
+            ClosedPoints(at, dofs, normals, points.weights[at], points.eps, wanted, pressure)
+        )
+    return tuple(found)
+
+
+def _cost_ahead(sizes: list[Array], tolerance: float) -> float:
+    """Back-substitutions that the corrections still cost at the rate of the last one."""
+    if len(sizes) < _UNJUDGED:
+        return 0.0
+    left = np.maximum(sizes[-1], 1e-300)
+    rate = np.minimum(left / np.maximum(sizes[-2], 1e-300), 1.0 - 1e-9)
+    many = np.log(np.minimum(tolerance / left, 1.0)) / np.log(rate)
+    return float(left.size * many.max())
