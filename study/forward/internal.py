@@ -151,10 +151,11 @@ class Internal:
         J = np.ones(self.space.weights.shape)
         if material.family == "linear-elastic":
             return J
-        space, u = self.space, self._local_u(x)
+        space = self.space
 
         def loop(e: slice) -> float:
-            return float(kernels.volume_ratios(space.gradients[e], space.hoop[e], u[e], J[e]))
+            found = kernels.volume_ratios(space.gradients[e], space.hoop[e], space.dofs[e], x, J[e])
+            return float(found)
 
         smallest_in_slices(J.shape, loop)
         return J
@@ -184,7 +185,8 @@ class Internal:
             space.gradients,
             space.hoop,
             space.weights,
-            self._local_u(x),
+            space.dofs,
+            x,
             J,
             kappa,
             tangent,
@@ -207,8 +209,7 @@ class Internal:
         return out + share * (residual(1.0, 0.0) - plain) if share else out
 
     def _elements(self, x: Array, law: Law, tangent: bool, bulk: float, compliance: float) -> float:
-        space, u = self.space, self._local_u(x)
-        p = x[space.dofs[:, u.shape[1] * u.shape[2] :]]
+        space = self.space
         shared = space.pressure_shape.shape[0] == 1
 
         def loop(e: slice) -> float:
@@ -218,8 +219,8 @@ class Internal:
                     space.hoop[e],
                     space.pressure_shape if shared else space.pressure_shape[e],
                     space.weights[e],
-                    u[e],
-                    p[e],
+                    space.dofs[e],
+                    x,
                     law.family,
                     law.constants,
                     bulk,
@@ -231,7 +232,3 @@ class Internal:
             )
 
         return smallest_in_slices(space.weights.shape, loop)
-
-    def _local_u(self, x: Array) -> Array:
-        u = x[: self.space.n_displacement].reshape(-1, self.space.dim)
-        return np.ascontiguousarray(u[self.space.element_nodes])

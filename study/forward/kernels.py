@@ -21,169 +21,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward.compiled import kernel, part
-from study.forward.law import add_pressure, cofactor, linear_stress, polynomial_stress
-from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress
+from study.forward.forms import (
+    add_compressibility,
+    add_coupling,
+    add_stiffness,
+    add_volume,
+    along_nodes,
+    deformation_gradient,
+    gather,
+    place_coupling,
+)
+from study.forward.law import (
+    add_pressure_tangent,
+    cofactor,
+    linear_stress,
+    linear_tangent,
+    polynomial_stress,
+    polynomial_tangent,
+)
+from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress, ogden_tangent
 
 Array = NDArray[np.float64]
-
-#: reorder and contract sums, but keep NaN: an inverted element must still be seen
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
+Unknowns = NDArray[np.int32]
 
 #: what the rows of an energy's constants mean: C_ij; (mu, alpha); the same, for the sum of
 #: d(stress)/dalpha; a single shear modulus of small strain
 POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
 
 
-@part(fastmath=_FAST)
-def deformation_gradient(gradients: Array, hoop: Array, u: Array, f: Array) -> None:
-    """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
-    dim = gradients.shape[1]
-    f[:] = 0.0
-    f[0] = 1.0
-    f[4] = 1.0
-    f[8] = 1.0
-    for a in range(gradients.shape[0]):
-        for i in range(dim):
-            f[3 * i] += u[a, i] * gradients[a, 0]
-            f[3 * i + 1] += u[a, i] * gradients[a, 1]
-            if dim == 3:
-                f[3 * i + 2] += u[a, i] * gradients[a, 2]
-        if dim == 2:
-            f[8] += u[a, 0] * hoop[a]
-
-
-@part(fastmath=_FAST)
-def add_stiffness_3d(dN: Array, A: Array, w: float, K: Array) -> None:
-    """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out so that it vectorizes."""
-    na = dN.shape[0]
-    for a in range(na):
-        x, y, z = w * dN[a, 0], w * dN[a, 1], w * dN[a, 2]
-        for i in range(3):
-            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + z * A[3 * i + 2, 0]
-            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + z * A[3 * i + 2, 1]
-            t2 = x * A[3 * i, 2] + y * A[3 * i + 1, 2] + z * A[3 * i + 2, 2]
-            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + z * A[3 * i + 2, 3]
-            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + z * A[3 * i + 2, 4]
-            t5 = x * A[3 * i, 5] + y * A[3 * i + 1, 5] + z * A[3 * i + 2, 5]
-            t6 = x * A[3 * i, 6] + y * A[3 * i + 1, 6] + z * A[3 * i + 2, 6]
-            t7 = x * A[3 * i, 7] + y * A[3 * i + 1, 7] + z * A[3 * i + 2, 7]
-            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + z * A[3 * i + 2, 8]
-            row = 3 * a + i
-            for b in range(a, na):
-                p, q, r = dN[b, 0], dN[b, 1], dN[b, 2]
-                K[row, 3 * b] += t0 * p + t1 * q + t2 * r
-                K[row, 3 * b + 1] += t3 * p + t4 * q + t5 * r
-                K[row, 3 * b + 2] += t6 * p + t7 * q + t8 * r
-
-
-@part(fastmath=_FAST)
-def add_stiffness_axisymmetric(dN: Array, H: Array, A: Array, w: float, K: Array) -> None:
-    """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
-    na = dN.shape[0]
-    for a in range(na):
-        x, y, h = w * dN[a, 0], w * dN[a, 1], w * H[a]
-        for i in range(2):
-            hoop = h if i == 0 else 0.0
-            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + hoop * A[8, 0]
-            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + hoop * A[8, 1]
-            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + hoop * A[8, 3]
-            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + hoop * A[8, 4]
-            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + hoop * A[8, 8]
-            row = 2 * a + i
-            for b in range(a, na):
-                K[row, 2 * b] += t0 * dN[b, 0] + t1 * dN[b, 1] + t8 * H[b]
-                K[row, 2 * b + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
-
-
-@part(fastmath=_FAST)
-def along_nodes(dN: Array, H: Array, T: Array, out: Array) -> None:
-    """T : dF/du at one quadrature point, node by node: forces of a stress, dJ/du of dJ/dF."""
-    na, dim = dN.shape
-    for a in range(na):
-        for i in range(dim):
-            total = dN[a, 0] * T[3 * i] + dN[a, 1] * T[3 * i + 1]
-            if dim == 3:
-                total += dN[a, 2] * T[3 * i + 2]
-            elif i == 0:
-                total += H[a] * T[8]
-            out[dim * a + i] = total
-
-
-@part(fastmath=_FAST)
-def _add_coupling(rates: Array, w: float, N: Array, K: Array) -> None:
-    """K_b,ai += w N_b dJ/du_ai: below the diagonal, where the unknowns of a row are neighbors."""
-    nu = rates.size
-    for b in range(N.size):
-        share = w * N[b]
-        for r in range(nu):
-            K[nu + b, r] += share * rates[r]
-
-
 @part()
-def _add_volume(
-    N: Array, excess: float, w: float, compliance: float, want_tangent: bool, R: Array, K: Array
-) -> None:
-    """Add N_b (J - 1 - p / K), the equation of each pressure, and its derivative by pressures."""
-    nu = R.size - N.size
-    for b in range(N.size):
-        R[nu + b] += w * excess * N[b]
-        if want_tangent:
-            for c in range(b, N.size):
-                K[nu + b, nu + c] -= w * N[b] * N[c] * compliance
-
-
-@part()
-def _pack(K: Array, nu: int, packed: Array) -> None:
-    """Upper triangle of a symmetric tangent, row by row; its pressure rows hold the coupling."""
-    m, s = K.shape[0], 0
-    for i in range(m):
-        for j in range(i, m):
-            packed[s] = K[j, i] if i < nu <= j else K[i, j]
-            s += 1
-
-
-@part()
-def isochoric(
-    family: int,
-    f: Array,
-    constants: Array,
-    work: Array,
-    stress: Array,
-    tangent: Array,
-    want_tangent: bool,
-) -> float:
-    """Isochoric stress and tangent by family; J is returned, row 0 of ``work`` is dJ/dF / J.
+def isochoric(family: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
+    """Isochoric stress by family; J is returned, row 0 of ``work`` is dJ/dF / J.
 
     For small strain J is linear and row 0 is dJ/dF itself.
     """
     if family == POLYNOMIAL:
-        return float(polynomial_stress(f, constants, work, stress, tangent, want_tangent))
+        return float(polynomial_stress(f, constants, work, stress))
     if family == LINEAR:
-        return float(linear_stress(f, constants[0, 0], work, stress, tangent, want_tangent))
+        return float(linear_stress(f, constants[0, 0], work, stress))
     J = cofactor(f, work[0])
     if J > 0.0:
         for i in range(9):
             work[0, i] /= J
         what = BY_EXPONENT if family == OGDEN_BY_EXPONENT else STRESS
-        ogden_stress(f, constants, what, work, stress, tangent, want_tangent)
+        ogden_stress(f, constants, what, work, stress)
     return float(J)
 
 
+@part()
+def full_tangent(
+    family: int,
+    f: Array,
+    constants: Array,
+    plane: bool,
+    bend: float,
+    stiff: float,
+    work: Array,
+    tangent: Array,
+) -> None:
+    """Tangent of :func:`isochoric`, called before, and of a pressure."""
+    if family == POLYNOMIAL:
+        polynomial_tangent(f, constants.shape[1] > 1, plane, bend, stiff, work, tangent)
+        return
+    if family == LINEAR:
+        linear_tangent(constants[0, 0], tangent)
+    else:
+        ogden_tangent(constants, work, tangent)
+    add_pressure_tangent(work[0], bend, stiff, tangent)
+
+
 @kernel(nogil=True)
-def volume_ratios(gradients: Array, hoop: Array, u: Array, J: Array) -> float:
+def volume_ratios(gradients: Array, hoop: Array, dofs: Unknowns, x: Array, J: Array) -> float:
     """J = det F at every quadrature point; returns the smallest.
 
     In axisymmetric space a hoop stretch that is not positive counts as ``J = -1``, since
     two negative stretches would otherwise multiply to a volume that looks sound.
     """
-    f = np.empty(9)
-    g = np.empty(9)
+    ne, nq, na, dim = gradients.shape
+    f, g, u = np.empty(9), np.empty(9), np.empty((na, dim))
     smallest = np.inf
-    for e in range(gradients.shape[0]):
-        for q in range(gradients.shape[1]):
-            deformation_gradient(gradients[e, q], hoop[e, q], u[e], f)
+    for e in range(ne):
+        gather(x, dofs, e, u)
+        for q in range(nq):
+            deformation_gradient(gradients[e, q], hoop[e, q], u, f)
             value = cofactor(f, g)
-            if not f[8] > 0.0 and gradients.shape[3] == 2:
+            if not f[8] > 0.0 and dim == 2:
                 value = -1.0
             J[e, q] = value
             if not value >= smallest:
@@ -197,8 +119,8 @@ def element_residuals(
     hoop: Array,
     pressure_shape: Array,
     weights: Array,
-    u: Array,
-    p: Array,
+    dofs: Unknowns,
+    x: Array,
     family: int,
     constants: Array,
     bulk: float,
@@ -219,10 +141,10 @@ def element_residuals(
         Pressure shape functions.
     weights : ndarray, shape (n_elements, n_quadrature)
         Quadrature weights times volume (2 pi R included in axisymmetric space).
-    u : ndarray, shape (n_elements, n_nodes, dim)
-        Nodal displacements.
-    p : ndarray, shape (n_elements, n_pressure)
-        Pressure unknowns.
+    dofs : ndarray of int32, shape (n_elements, m)
+        Unknowns of each element: displacements node by node, then pressures.
+    x : ndarray, shape (n,)
+        All unknowns.
     family : int
         ``POLYNOMIAL``, ``OGDEN``, ``OGDEN_BY_EXPONENT`` or ``LINEAR``.
     constants : ndarray, shape (n, k)
@@ -233,7 +155,7 @@ def element_residuals(
     want_tangent : bool
         Whether ``K`` is filled.
     R : ndarray, shape (n_elements, m)
-        Residuals, displacements first (node by node), then pressures.
+        Residuals.
     K : ndarray, shape (n_elements, m (m + 1) / 2)
         Upper triangle of each tangent, row by row.
 
@@ -244,53 +166,52 @@ def element_residuals(
         strain, where it is the smallest 1 + tr(eps) and may have any sign.
     """
     ne, nq, na, dim = gradients.shape
-    n_p = pressure_shape.shape[2]
-    nu = dim * na
-    m = nu + n_p
-    f, stress = np.empty(9), np.empty(9)
-    work, tangent = np.zeros((WORK_ROWS, 9)), np.empty((9, 9))
-    Kl, Rl, rates = np.empty((m, m)), np.empty(m), np.empty(nu)
-    shared = pressure_shape.shape[0] == 1
-    curvature = 0.0 if family == LINEAR else 1.0
+    n_p, nu, m = pressure_shape.shape[2], dim * na, dofs.shape[1]
+    u, f, stress = np.empty((na, dim)), np.empty(9), np.empty(9)
+    work, tangent = np.zeros((WORK_ROWS, 9)), np.zeros((9, 9))
+    rates, coupling = np.empty(nu), np.empty((n_p, nu))
+    shared, curved = pressure_shape.shape[0] == 1, family != LINEAR
     smallest = np.inf
     for e in range(ne):
-        Kl[:] = 0.0
-        Rl[:] = 0.0
+        gather(x, dofs, e, u)
+        R[e] = 0.0
+        coupling[:] = 0.0
+        if want_tangent:
+            K[e] = 0.0
         for q in range(nq):
-            dN, H = gradients[e, q], hoop[e, q]
+            dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
             N = pressure_shape[0 if shared else e, q]
-            w = weights[e, q]
-            deformation_gradient(dN, H, u[e], f)
-            J = isochoric(family, f, constants, work, stress, tangent, want_tangent)
-            if curvature > 0.0 and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
+            deformation_gradient(dN, H, u, f)
+            J = isochoric(family, f, constants, work, stress)
+            if curved and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
             smallest = min(smallest, J)
-            g, growth = work[0], J if curvature > 0.0 else 1.0
+            g, growth = work[0], J if curved else 1.0
             held = 0.0
             for b in range(n_p):
-                held += N[b] * p[e, b]
+                held += N[b] * x[dofs[e, nu + b]]
             pressure = held + bulk * (J - 1.0)
-            add_pressure(growth, g, pressure, bulk, curvature, stress, tangent, want_tangent)
+            for i in range(9):
+                stress[i] += pressure * growth * g[i]
             along_nodes(dN, H, stress, rates)
             for r in range(nu):
-                Rl[r] += w * rates[r]
+                R[e, r] += w * rates[r]
+            add_volume(N, J - 1.0 - held * compliance, w, R[e])
             if want_tangent:
-                if dim == 3:
-                    add_stiffness_3d(dN, tangent, w, Kl)
-                else:
-                    add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
+                bend, stiff = pressure * growth if curved else 0.0, bulk * growth * growth
+                full_tangent(family, f, constants, dim == 2, bend, stiff, work, tangent)
+                add_stiffness(dN, H, tangent, w, m, K[e])
                 if n_p > 0:
                     along_nodes(dN, H, g, rates)
-                    _add_coupling(rates, w * growth, N, Kl)
-            _add_volume(N, J - 1.0 - held * compliance, w, compliance, want_tangent, Rl, Kl)
-        R[e] = Rl
+                    add_coupling(rates, w * growth, N, coupling)
+                    add_compressibility(N, w, compliance, m, K[e])
         if want_tangent:
-            _pack(Kl, nu, K[e])
+            place_coupling(coupling, m, K[e])
     return smallest
 
 
 @kernel()
-def packed_product(dofs: NDArray[np.int32], K: Array, v: Array, out: Array) -> None:
+def packed_product(dofs: Unknowns, K: Array, v: Array, out: Array) -> None:
     """Out = K v from packed element tangents, constrained unknowns included."""
     out[:] = 0.0
     ne, m = dofs.shape

@@ -62,10 +62,8 @@ def cofactor(f: Array, g: Array) -> float:
 
 
 @part(fastmath=_FAST)
-def polynomial_stress(
-    f: Array, table: Array, work: Array, stress: Array, tangent: Array, want_tangent: bool
-) -> float:
-    """Isochoric nominal stress and its tangent for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
+def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> float:
+    """Isochoric nominal stress for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
 
     Parameters
     ----------
@@ -73,17 +71,15 @@ def polynomial_stress(
         Deformation gradient.
     table : ndarray, shape (n, m)
         Constants C_ij.
-    work : ndarray, shape (6, 9)
-        Scratch; row 0 receives F^-T on return.
+    work : ndarray, shape (7 or more, 9)
+        Scratch, of which the tangent makes use; row 0 receives F^-T.
     stress : ndarray, shape (9,)
         dW/dF, overwritten.
-    tangent : ndarray, shape (9, 9)
-        d2W/dF2, overwritten where ``want_tangent``.
 
     Returns
     -------
     J : float
-        Determinant of F.
+        Determinant of F; where it is not positive nothing else is valid.
     """
     g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
     J = cofactor(f, g)
@@ -123,75 +119,89 @@ def polynomial_stress(
                 n = 3 * i + j
                 d2[n] = s2 * (2.0 * (I1 * f[n] - fc) - 4.0 / 3.0 * I2 * g[n])
                 stress[n] += w[1] * d2[n]
-    if want_tangent:
-        _polynomial_tangent(f, I1, I2, s1, s2, work, second, tangent)
+    work[6, 0], work[6, 1], work[6, 2], work[6, 3] = I1, I2, s1, s2
     return J
 
 
 @part(fastmath=_FAST)
-def _polynomial_tangent(
-    f: Array,
-    I1: float,
-    I2: float,
-    s1: float,
-    s2: float,
-    work: Array,
-    second: bool,
-    tangent: Array,
+def polynomial_tangent(
+    f: Array, second: bool, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
 ) -> None:
-    """Rows of the tangent: what an invariant owes to each dyad, and what its slope does."""
+    """Tangent of :func:`polynomial_stress`, called before, and of a pressure.
+
+    What an invariant owes to each dyad, and what its slope does. The pressure's part is that
+    of :func:`add_pressure_tangent` and costs nothing here.
+
+    Parameters
+    ----------
+    second : bool
+        Whether the energy depends on the second invariant.
+    plane : bool
+        Whether F has no components between the hoop and the others: those stay unwritten.
+    tangent : ndarray, shape (9, 9)
+        Overwritten.
+    """
     g, d1, w = work[0], work[3], work[5]
+    I1, s1 = work[6, 0], work[6, 2]
     first, curved = w[0] * s1, w[2]
+    turned = 2.0 / 3.0 * first * I1 - bend
     for i in range(3):
         for j in range(3):
-            n = 3 * i + j
-            along_f = -4.0 / 3.0 * first * g[n]
-            along_g = first * (4.0 / 9.0 * I1 * g[n] - 4.0 / 3.0 * f[n])
-            along_d = curved * d1[n]
-            for k in range(3):
-                crossed = 2.0 / 3.0 * first * I1 * g[3 * k + j]
-                for m in range(3):
-                    o = 3 * k + m
-                    value = along_f * f[o] + along_g * g[o] + along_d * d1[o]
-                    tangent[n, o] = value + crossed * g[3 * i + m]
-            tangent[n, n] += 2.0 * first
+            if not plane or (i == 2) == (j == 2):
+                n = 3 * i + j
+                along_f = -4.0 / 3.0 * first * g[n]
+                along_g = (4.0 / 9.0 * first * I1 + bend + stiff) * g[n] - 4.0 / 3.0 * first * f[n]
+                along_d = curved * d1[n]
+                for k in range(i, 3):
+                    crossed = turned * g[3 * k + j]
+                    for m in range(3):
+                        o = 3 * k + m
+                        if o >= n and (not plane or (k == 2) == (m == 2)):
+                            value = along_f * f[o] + along_g * g[o] + along_d * d1[o]
+                            tangent[n, o] = value + crossed * g[3 * i + m]
+                tangent[n, n] += 2.0 * first
     if second:
-        _add_second_invariant(f, I1, I2, s2, work, tangent)
+        _add_second_invariant(f, plane, work, tangent)
+    for n in range(1, 9):
+        for o in range(n):
+            tangent[n, o] = tangent[o, n]
 
 
 @part(fastmath=_FAST)
-def _add_second_invariant(
-    f: Array, I1: float, I2: float, s2: float, work: Array, tangent: Array
-) -> None:
+def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) -> None:
     """Add what W owes to the second invariant, alone and together with the first."""
     g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
+    I1, I2, s2 = work[6, 0], work[6, 1], work[6, 3]
     slope = w[1] * s2
     for i in range(3):
         for j in range(3):
+            if plane and (i == 2) != (j == 2):
+                continue
             n = 3 * i + j
             # dI2/dF is d2 / s2 + 4/3 I2 G
             along_g = -4.0 / 3.0 * (w[1] * d2[n] + 4.0 / 3.0 * slope * I2 * g[n])
             along_d1 = w[3] * d2[n]
             along_d2 = w[4] * d2[n] + w[3] * d1[n] - 4.0 / 3.0 * w[1] * g[n]
             along_f = 4.0 * slope * f[n]
-            for k in range(3):
+            for k in range(i, 3):
                 crossed, turned = 4.0 / 3.0 * slope * I2 * g[3 * k + j], 2.0 * slope * f[3 * k + j]
                 for m in range(3):
                     o = 3 * k + m
-                    value = along_f * f[o] + along_g * g[o] + along_d1 * d1[o] + along_d2 * d2[o]
-                    tangent[n, o] += value + crossed * g[3 * i + m] - turned * f[3 * i + m]
-                tangent[n, 3 * i + k] -= 2.0 * slope * right[3 * k + j]
-                tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
+                    if o >= n and (not plane or (k == 2) == (m == 2)):
+                        value = along_f * f[o] + along_g * g[o] + along_d1 * d1[o]
+                        value += along_d2 * d2[o] + crossed * g[3 * i + m]
+                        tangent[n, o] += value - turned * f[3 * i + m]
+            for k in range(3):
+                if k >= j:
+                    tangent[n, 3 * i + k] -= 2.0 * slope * right[3 * k + j]
+                if k >= i:
+                    tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
             tangent[n, n] += 2.0 * slope * I1
 
 
 @part(fastmath=_FAST)
-def linear_stress(
-    f: Array, mu: float, work: Array, stress: Array, tangent: Array, want_tangent: bool
-) -> float:
-    """Deviatoric small-strain stress ``2 mu dev(eps)`` and its tangent.
-
-    Parameters are those of :func:`polynomial_stress`; row 0 of ``work`` receives dJ/dF = 1.
+def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
+    """Deviatoric small-strain stress ``2 mu dev(eps)``; row 0 of ``work`` receives dJ/dF = 1.
 
     Returns
     -------
@@ -205,41 +215,31 @@ def linear_stress(
         for j in range(3):
             stress[3 * i + j] = mu * (f[3 * i + j] + f[3 * j + i])
         stress[4 * i] -= 2.0 / 3.0 * mu * (J + 2.0)
-    if want_tangent:
-        tangent[:, :] = 0.0
-        for i in range(3):
-            for j in range(3):
-                tangent[3 * i + j, 3 * i + j] += mu
-                tangent[3 * i + j, 3 * j + i] += mu
-                tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
     return float(J)
 
 
 @part(fastmath=_FAST)
-def add_pressure(
-    J: float,
-    g: Array,
-    p: float,
-    stiffening: float,
-    curvature: float,
-    stress: Array,
-    tangent: Array,
-    want_tangent: bool,
-) -> None:
-    """Add p dJ/dF to the stress and its tangent; ``stiffening`` is dp/dJ (displacement form).
+def linear_tangent(mu: float, tangent: Array) -> None:
+    """Tangent of :func:`linear_stress`, shape (9, 9), overwritten."""
+    tangent[:, :] = 0.0
+    for i in range(3):
+        for j in range(3):
+            tangent[3 * i + j, 3 * i + j] += mu
+            tangent[3 * i + j, 3 * j + i] += mu
+            tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
 
-    dJ/dF is ``J g``; its own derivative counts ``curvature`` times: once, or never where J
-    is linear.
+
+@part(fastmath=_FAST)
+def add_pressure_tangent(g: Array, bend: float, stiff: float, tangent: Array) -> None:
+    """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``.
+
+    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
     """
-    for n in range(9):
-        stress[n] += p * J * g[n]
-    bend, stiff = curvature * p * J, stiffening * J * J
-    if want_tangent:
-        for i in range(3):
-            for j in range(3):
-                n = 3 * i + j
-                along = (bend + stiff) * g[n]
-                for k in range(3):
-                    crossed = bend * g[3 * k + j]
-                    for m in range(3):
-                        tangent[n, 3 * k + m] += along * g[3 * k + m] - crossed * g[3 * i + m]
+    for i in range(3):
+        for j in range(3):
+            n = 3 * i + j
+            along = (bend + stiff) * g[n]
+            for k in range(3):
+                crossed = bend * g[3 * k + j]
+                for m in range(3):
+                    tangent[n, 3 * k + m] += along * g[3 * k + m] - crossed * g[3 * i + m]

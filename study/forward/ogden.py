@@ -145,16 +145,8 @@ def _sources(x: Array, terms: Array, what: int, s: Array) -> None:
 
 
 @part()
-def ogden_stress(
-    f: Array,
-    terms: Array,
-    what: int,
-    work: Array,
-    stress: Array,
-    tangent: Array,
-    want_tangent: bool,
-) -> None:
-    """Isochoric nominal stress and its tangent for ``sum 2 mu / alpha^2 (sum l^alpha - 3)``.
+def ogden_stress(f: Array, terms: Array, what: int, work: Array, stress: Array) -> None:
+    """Isochoric nominal stress for ``sum 2 mu / alpha^2 (sum l^alpha - 3)``.
 
     Parameters
     ----------
@@ -163,14 +155,11 @@ def ogden_stress(
     terms : ndarray, shape (n, 2)
         Rows (mu, alpha) in MPa and plain.
     what : int
-        ``STRESS``, or ``BY_EXPONENT`` for the sum of d(stress)/dalpha over the rows
-        (without a tangent).
+        ``STRESS``, or ``BY_EXPONENT`` for the sum of d(stress)/dalpha over the rows.
     work : ndarray, shape (WORK_ROWS, 9)
-        Scratch; row 0 is left alone.
+        Scratch, of which the tangent makes use; row 0 is left alone.
     stress : ndarray, shape (9,)
         Overwritten.
-    tangent : ndarray, shape (9, 9)
-        Overwritten where ``want_tangent``.
     """
     lam, x, tau = work[6, 0:3], work[6, 3:6], work[6, 6:9]
     _stretches(f, work, lam, x)
@@ -187,13 +176,14 @@ def ogden_stress(
             for a in range(3):
                 total += tau[a] / lam[a] * vectors[3 * a + i] * axes[3 * a + j]
             stress[3 * i + j] = total
-    if want_tangent:
-        _tangent(terms, work, tangent)
 
 
 @part()
-def _tangent(terms: Array, work: Array, tangent: Array) -> None:
-    """Sum of dyad times image over the nine dyads n_a x N_b."""
+def ogden_tangent(terms: Array, work: Array, tangent: Array) -> None:
+    """Tangent of :func:`ogden_stress`, called before: sum of dyad times image.
+
+    The nine dyads are n_a x N_b; ``tangent`` has shape (9, 9) and is overwritten.
+    """
     dyads, images = work[9:18], work[18:27]
     vectors, axes = work[7], work[5]
     for a in range(3):

@@ -18,9 +18,6 @@ Array = NDArray[np.float64]
 
 #: how many corrections are tried
 _CORRECTIONS = 12
-#: residuals that are seen before the speed of corrections is judged: the first correction loads
-#: the springs, and the second hands their load over to the pressures
-_UNJUDGED = 3
 
 
 @dataclass(frozen=True)
@@ -114,7 +111,7 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
-    older = system.factors_serve()
+    older, springs = system.factors_serve(), any(each.among.size for each in closed)
     if not older:
         system.factorize()
     scale, sizes = np.zeros(x.shape[1]), list[Array]()
@@ -127,7 +124,7 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
         if corrections == _CORRECTIONS or (size <= tolerance * scale).all():
             break
         sizes.append(size / np.where(scale > 0, scale, 1.0))
-        if older and _cost_ahead(sizes, tolerance) > system.solver.worth():
+        if older and _cost_ahead(sizes, tolerance, springs) > system.solver.worth():
             system.factorize()
             older = False
         x[free] += system.back_substitute(left[free])
@@ -153,11 +150,20 @@ def _closed_points(
     return tuple(found)
 
 
-def _cost_ahead(sizes: list[Array], tolerance: float) -> float:
-    """Back-substitutions that the corrections still cost at the rate of the last one."""
-    if len(sizes) < _UNJUDGED:
+def _cost_ahead(sizes: list[Array], tolerance: float, springs: bool) -> float:
+    """Back-substitutions that the corrections still cost at their speed so far.
+
+    With springs two corrections make one: the first loads them, the second hands their load
+    over to the pressures. Of the very first one only the loading's column tells anything, as
+    its motion is in the springs from the start.
+    """
+    if len(sizes) < 2:
         return 0.0
-    left = np.maximum(sizes[-1], 1e-300)
-    rate = np.minimum(left / np.maximum(sizes[-2], 1e-300), 1.0 - 1e-9)
-    many = np.log(np.minimum(tolerance / left, 1.0)) / np.log(rate)
-    return float(left.size * many.max())
+    each, columns = (2, slice(0, 1)) if springs else (1, slice(None))
+    before, left = sizes[0][columns], sizes[1][columns]
+    if len(sizes) > 2:
+        each, before, left = 2, sizes[-3], sizes[-1]
+    left = np.maximum(left, 1e-300)
+    rate = np.minimum(left / np.maximum(before, 1e-300), 1.0 - 1e-9)
+    many = each * np.log(np.minimum(tolerance / left, 1.0)) / np.log(rate)
+    return float(sizes[0].size * many.max())

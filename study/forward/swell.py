@@ -18,13 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward.compiled import kernel, part
-from study.forward.kernels import (
-    add_stiffness_3d,
-    add_stiffness_axisymmetric,
-    along_nodes,
-    deformation_gradient,
-)
-from study.forward.law import add_pressure, cofactor
+from study.forward.forms import add_stiffness, along_nodes, deformation_gradient, gather
+from study.forward.law import add_pressure_tangent, cofactor
 
 Array = NDArray[np.float64]
 
@@ -46,13 +41,13 @@ def _means(J: Array, w: Array, kappa: float) -> tuple[float, float, float, float
 
 
 @part()
-def _add_packed(Kl: Array, cross: Array, mean_rate: Array, stiff: float, m: int, K: Array) -> None:
-    """Add the upper triangle of one element to its packed rows of ``m`` unknowns."""
+def _add_means(cross: Array, mean_rate: Array, stiff: float, m: int, K: Array) -> None:
+    """Add what the mean owes to the unknowns, to the packed tangent of one element."""
     nu, s = mean_rate.size, 0
     for i in range(nu):
         for j in range(i, nu):
             between = cross[i] * mean_rate[j] + mean_rate[i] * cross[j]
-            K[s] += Kl[i, j] - between + stiff * mean_rate[i] * mean_rate[j]
+            K[s] += stiff * mean_rate[i] * mean_rate[j] - between
             s += 1
         s += m - nu
 
@@ -62,7 +57,8 @@ def add_unevenness(
     gradients: Array,
     hoop: Array,
     weights: Array,
-    u: Array,
+    dofs: NDArray[np.int32],
+    x: Array,
     J: Array,
     kappa: float,
     want_tangent: bool,
@@ -76,38 +72,31 @@ def add_unevenness(
     d^3 does no work, since d sums to zero; the rest acts as a pressure.
     """
     ne, nq, na, dim = gradients.shape
-    nu, m = dim * na, R.shape[1]
-    f, g = np.empty(9), np.empty(9)
-    stress, tangent = np.zeros(9), np.zeros((9, 9))
-    Kl, Rl, rates = np.empty((nu, nu)), np.empty(nu), np.empty(nu)
-    mean_rate, cross = np.empty(nu), np.empty(nu)
+    nu, m = dim * na, dofs.shape[1]
+    u, f, g, tangent = np.empty((na, dim)), np.empty(9), np.empty(9), np.empty((9, 9))
+    rates, mean_rate, cross = np.empty(nu), np.empty(nu), np.empty(nu)
     for e in range(ne):
-        Kl[:] = 0.0
-        Rl[:] = 0.0
+        gather(x, dofs, e, u)
         mean_rate[:] = 0.0
         cross[:] = 0.0
         volume, mean, even, stiff = _means(J[e], weights[e], kappa)
         for q in range(nq):
             dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
-            deformation_gradient(dN, H, u[e], f)
+            deformation_gradient(dN, H, u, f)
             growth = cofactor(f, g)
             d = growth - mean
             pressure, stiffness = kappa * d**3 - even, 3.0 * kappa * d**2
             along_nodes(dN, H, g, rates)
-            Rl += w * pressure * rates
+            for i in range(nu):
+                R[e, i] += w * pressure * rates[i]
             if want_tangent:
                 mean_rate += w / volume * rates
                 cross += w * stiffness * rates
                 for i in range(9):
                     g[i] /= growth
-                stress[:] = 0.0
                 tangent[:] = 0.0
-                add_pressure(growth, g, pressure, stiffness, 1.0, stress, tangent, True)
-                if dim == 3:
-                    add_stiffness_3d(dN, tangent, w, Kl)
-                else:
-                    add_stiffness_axisymmetric(dN, H, tangent, w, Kl)
-        for i in range(nu):
-            R[e, i] += Rl[i]
+                bend = pressure * growth
+                add_pressure_tangent(g, bend, stiffness * growth * growth, tangent)
+                add_stiffness(dN, H, tangent, w, m, K[e])
         if want_tangent:
-            _add_packed(Kl, cross, mean_rate, stiff, m, K[e])
+            _add_means(cross, mean_rate, stiff, m, K[e])

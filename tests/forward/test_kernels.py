@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.forward.law import cofactor, polynomial_derivatives, polynomial_stress
+from study.forward.law import (
+    cofactor,
+    polynomial_derivatives,
+    polynomial_stress,
+    polynomial_tangent,
+)
 from tests.forward.problems import MOONEY, NEO_HOOKEAN, RP2, YEOH
 
 MATERIALS = [NEO_HOOKEAN, MOONEY, RP2, YEOH]
@@ -15,8 +20,10 @@ FULL_TABLE = np.array([[0.0, 0.1, 0.02], [0.4, 0.05, 0.0], [0.03, 0.0, 0.0]])
 
 
 def stress(F: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    P, A = np.zeros(9), np.zeros((9, 9))
-    J = polynomial_stress(F.ravel(), table, np.zeros((6, 9)), P, A, True)
+    P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((7, 9))
+    J = polynomial_stress(F.ravel(), table, work, P)
+    if J > 0:
+        polynomial_tangent(F.ravel(), table.shape[1] > 1, False, 0.0, 0.0, work, A)
     return P.reshape(3, 3), A, J
 
 

@@ -1,0 +1,163 @@
+"""Compiled forms of one element at one quadrature point, in axisymmetric space and in 3D.
+
+Tangents go straight into the packed upper triangle of their element: the entry of row r and
+column c >= r, of m unknowns, is number ``r m - r (r + 1) / 2 + c``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.forward.compiled import part
+
+Array = NDArray[np.float64]
+Unknowns = NDArray[np.int32]
+
+#: reorder and contract sums, but keep NaN: an inverted element must still be seen
+_FAST = {"contract", "reassoc", "arcp", "nsz"}
+
+
+@part()
+def gather(x: Array, dofs: Unknowns, e: int, u: Array) -> None:
+    """Displacements of the nodes of element ``e`` from all unknowns, shape (n_nodes, dim)."""
+    dim = u.shape[1]
+    for a in range(u.shape[0]):
+        for i in range(dim):
+            u[a, i] = x[dofs[e, dim * a + i]]
+
+
+@part(fastmath=_FAST)
+def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
+    """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
+    dim = dN.shape[1]
+    f[:] = 0.0
+    f[0] = 1.0
+    f[4] = 1.0
+    f[8] = 1.0
+    for a in range(dN.shape[0]):
+        for i in range(dim):
+            f[3 * i] += u[a, i] * dN[a, 0]
+            f[3 * i + 1] += u[a, i] * dN[a, 1]
+            if dim == 3:
+                f[3 * i + 2] += u[a, i] * dN[a, 2]
+        if dim == 2:
+            f[8] += u[a, 0] * hoop[a]
+
+
+@part(fastmath=_FAST)
+def along_nodes(dN: Array, hoop: Array, T: Array, out: Array) -> None:
+    """T : dF/du at one quadrature point, node by node: forces of a stress, dJ/du of dJ/dF."""
+    na, dim = dN.shape
+    for a in range(na):
+        for i in range(dim):
+            total = dN[a, 0] * T[3 * i] + dN[a, 1] * T[3 * i + 1]
+            if dim == 3:
+                total += dN[a, 2] * T[3 * i + 2]
+            elif i == 0:
+                total += hoop[a] * T[8]
+            out[dim * a + i] = total
+
+
+@part(fastmath=_FAST)
+def add_stiffness(dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array) -> None:
+    """Add w dF/du : A : dF/du to the packed tangent of an element with ``m`` unknowns."""
+    if dN.shape[1] == 3:
+        _add_stiffness_3d(dN, A, w, m, K)
+    else:
+        _add_stiffness_axisymmetric(dN, hoop, A, w, m, K)
+
+
+@part(fastmath=_FAST)
+def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
+    """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out: loops cost more than sums."""
+    na = dN.shape[0]
+    for a in range(na):
+        x, y, z = w * dN[a, 0], w * dN[a, 1], w * dN[a, 2]
+        p, q, r = dN[a, 0], dN[a, 1], dN[a, 2]
+        for i in range(3):
+            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + z * A[3 * i + 2, 0]
+            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + z * A[3 * i + 2, 1]
+            t2 = x * A[3 * i, 2] + y * A[3 * i + 1, 2] + z * A[3 * i + 2, 2]
+            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + z * A[3 * i + 2, 3]
+            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + z * A[3 * i + 2, 4]
+            t5 = x * A[3 * i, 5] + y * A[3 * i + 1, 5] + z * A[3 * i + 2, 5]
+            t6 = x * A[3 * i, 6] + y * A[3 * i + 1, 6] + z * A[3 * i + 2, 6]
+            t7 = x * A[3 * i, 7] + y * A[3 * i + 1, 7] + z * A[3 * i + 2, 7]
+            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + z * A[3 * i + 2, 8]
+            row = 3 * a + i
+            s = row * m - row * (row + 1) // 2 + 3 * a
+            if i == 0:
+                K[s] += t0 * p + t1 * q + t2 * r
+            if i <= 1:
+                K[s + 1] += t3 * p + t4 * q + t5 * r
+            K[s + 2] += t6 * p + t7 * q + t8 * r
+            for b in range(a + 1, na):
+                s += 3
+                K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t2 * dN[b, 2]
+                K[s + 1] += t3 * dN[b, 0] + t4 * dN[b, 1] + t5 * dN[b, 2]
+                K[s + 2] += t6 * dN[b, 0] + t7 * dN[b, 1] + t8 * dN[b, 2]
+
+
+@part(fastmath=_FAST)
+def _add_stiffness_axisymmetric(
+    dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array
+) -> None:
+    """As in 3D, with the hoop component: radial displacement also moves F_33 by N / R."""
+    na = dN.shape[0]
+    for a in range(na):
+        x, y, h = w * dN[a, 0], w * dN[a, 1], w * hoop[a]
+        for i in range(2):
+            around = h if i == 0 else 0.0
+            t0 = x * A[3 * i, 0] + y * A[3 * i + 1, 0] + around * A[8, 0]
+            t1 = x * A[3 * i, 1] + y * A[3 * i + 1, 1] + around * A[8, 1]
+            t3 = x * A[3 * i, 3] + y * A[3 * i + 1, 3] + around * A[8, 3]
+            t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + around * A[8, 4]
+            t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + around * A[8, 8]
+            row = 2 * a + i
+            s = row * m - row * (row + 1) // 2 + 2 * a
+            if i == 0:
+                K[s] += t0 * dN[a, 0] + t1 * dN[a, 1] + t8 * hoop[a]
+            K[s + 1] += t3 * dN[a, 0] + t4 * dN[a, 1]
+            for b in range(a + 1, na):
+                s += 2
+                K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t8 * hoop[b]
+                K[s + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
+
+
+@part(fastmath=_FAST)
+def add_coupling(rates: Array, w: float, N: Array, C: Array) -> None:
+    """C_b,r += w N_b dJ/du_r, shape (n_pressure, n_displacement)."""
+    for b in range(N.size):
+        share = w * N[b]
+        for r in range(rates.size):
+            C[b, r] += share * rates[r]
+
+
+@part()
+def place_coupling(C: Array, m: int, K: Array) -> None:
+    """Put what pressures do to displacements into the packed tangent."""
+    n_p, nu = C.shape
+    for r in range(nu):
+        s = r * m - r * (r + 1) // 2 + nu
+        for b in range(n_p):
+            K[s + b] = C[b, r]
+
+
+@part()
+def add_volume(N: Array, excess: float, w: float, R: Array) -> None:
+    """Add N_b (J - 1 - p / K), the equation of each pressure."""
+    nu = R.size - N.size
+    for b in range(N.size):
+        R[nu + b] += w * excess * N[b]
+
+
+@part()
+def add_compressibility(N: Array, w: float, compliance: float, m: int, K: Array) -> None:
+    """Subtract N_b N_c / K, the derivative of the pressures' equations by pressures."""
+    nu = m - N.size
+    for b in range(N.size):
+        row = nu + b
+        s = row * m - row * (row + 1) // 2 + nu
+        for c in range(b, N.size):
+            K[s + c] -= w * N[b] * N[c] * compliance
