@@ -9,6 +9,7 @@ solve the multiplier takes up what the spring carried, so forces do not depend o
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -136,36 +137,39 @@ class ContactPoints:
         """Displacement unknowns of every point, shape (n_points, dim * k)."""
         return np.asarray((dim * self.nodes[:, :, None] + np.arange(dim)).reshape(self.size, -1))
 
-    def evaluate(
-        self,
-        nodes: Array,
-        u: Array,
-        displacement_mm: float,
-        multiplier: Array,
-        closed: Flags | None = None,
-        glue: Glue | None = None,
-    ) -> ContactState:
-        """Gap, active set and pressure at displacements ``u`` (n_nodes, dim).
-
-        ``closed`` imposes the active set; without it every point decides for itself, but for
-        those that ``glue`` holds by other means.
-        """
+    def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
+        """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
         place, moved = self.interpolated(nodes), self.interpolated(u)
         if self.small_strain:
             gap, normal = self.surface.reference_gap(place, moved, displacement_mm)
             hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
         else:
             gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
-        gap = gap + self.allowance_mm
-        urge = multiplier - self.c * gap
+        direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
+        return Meeting(gap + self.allowance_mm, direction, hessian)
+
+    def evaluate(
+        self,
+        met: Meeting,
+        multiplier: Array,
+        closed: Flags | None = None,
+        glue: Glue | None = None,
+    ) -> ContactState:
+        """Active set and pressure.
+
+        ``closed`` imposes the active set; without it every point decides for itself, but for
+        those that ``glue`` holds by other means.
+        """
+        urge = multiplier - self.c * met.gap
         held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
         wanted, led = self._decided((urge > 0) | held)
         wanted &= ~held
         active = wanted if closed is None else closed
-        pressure = np.where(active, multiplier - self.eps * gap, 0.0)
+        pressure = np.where(active, multiplier - self.eps * met.gap, 0.0)
         carried = np.where(active, multiplier, 0.0)
-        direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
-        return ContactState(gap, active, pressure, carried, direction, hessian, wanted, urge, led)
+        return ContactState(
+            met.gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
+        )
 
     def _decided(self, own: Flags) -> tuple[Flags, Flags]:
         """Who is to be closed by the points' own decision, and which corners are led.
@@ -216,7 +220,7 @@ class ContactPoints:
 
     def stiffness(self, state: ContactState) -> Array:
         """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
-        rows, columns = np.triu_indices(state.direction.shape[1])
+        rows, columns = _upper(state.direction.shape[1])
         spring = self.weights * np.where(state.active, self.eps, 0.0)
         blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
         if state.hessian.any():
@@ -227,6 +231,25 @@ class ContactPoints:
             a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
             blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
         return np.asarray(blocks)
+
+
+@functools.cache
+def _upper(m: int) -> tuple[Ints, Ints]:
+    """Rows and columns of a packed upper triangle."""
+    return np.triu_indices(m)
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where contact points are, one row a point.
+
+    ``gap`` in mm, ``direction`` (n_points, dim * k) the derivative of the gap by the points'
+    unknowns, ``hessian`` (n_points, dim, dim) its second one by their places.
+    """
+
+    gap: Array
+    direction: Array
+    hessian: Array
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Compiled forms of one element at one quadrature point, in axisymmetric space and in 3D.
 
 Tangents go straight into the packed upper triangle of their element: the entry of row r and
-column c >= r, of m unknowns, is number ``r m - r (r + 1) / 2 + c``.
+column c >= r, of m unknowns, is number ``r m - r (r + 1) / 2 + c``. These numbers are unsigned:
+of a signed one Numba asks each time whether it counts from the end, a fifth of all work here.
 """
 
 from __future__ import annotations
@@ -16,6 +17,13 @@ Unknowns = NDArray[np.int32]
 
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 _FAST = {"contract", "reassoc", "arcp", "nsz"}
+ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+
+
+@part()
+def packed(row: int, column: int, m: int) -> np.uint64:
+    """Find the number of an entry in the packed upper triangle of m rows."""
+    return np.uint64(row * m - row * (row + 1) // 2 + column)
 
 
 @part()
@@ -86,17 +94,17 @@ def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
             t7 = x * A[3 * i, 7] + y * A[3 * i + 1, 7] + z * A[3 * i + 2, 7]
             t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + z * A[3 * i + 2, 8]
             row = 3 * a + i
-            s = row * m - row * (row + 1) // 2 + 3 * a
+            s = packed(row, 3 * a, m)
             if i == 0:
                 K[s] += t0 * p + t1 * q + t2 * r
             if i <= 1:
-                K[s + 1] += t3 * p + t4 * q + t5 * r
-            K[s + 2] += t6 * p + t7 * q + t8 * r
+                K[s + ONE] += t3 * p + t4 * q + t5 * r
+            K[s + _TWO] += t6 * p + t7 * q + t8 * r
             for b in range(a + 1, na):
-                s += 3
+                s += _THREE
                 K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t2 * dN[b, 2]
-                K[s + 1] += t3 * dN[b, 0] + t4 * dN[b, 1] + t5 * dN[b, 2]
-                K[s + 2] += t6 * dN[b, 0] + t7 * dN[b, 1] + t8 * dN[b, 2]
+                K[s + ONE] += t3 * dN[b, 0] + t4 * dN[b, 1] + t5 * dN[b, 2]
+                K[s + _TWO] += t6 * dN[b, 0] + t7 * dN[b, 1] + t8 * dN[b, 2]
 
 
 @part(fastmath=_FAST)
@@ -115,14 +123,14 @@ def _add_stiffness_axisymmetric(
             t4 = x * A[3 * i, 4] + y * A[3 * i + 1, 4] + around * A[8, 4]
             t8 = x * A[3 * i, 8] + y * A[3 * i + 1, 8] + around * A[8, 8]
             row = 2 * a + i
-            s = row * m - row * (row + 1) // 2 + 2 * a
+            s = packed(row, 2 * a, m)
             if i == 0:
                 K[s] += t0 * dN[a, 0] + t1 * dN[a, 1] + t8 * hoop[a]
-            K[s + 1] += t3 * dN[a, 0] + t4 * dN[a, 1]
+            K[s + ONE] += t3 * dN[a, 0] + t4 * dN[a, 1]
             for b in range(a + 1, na):
-                s += 2
+                s += _TWO
                 K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t8 * hoop[b]
-                K[s + 1] += t3 * dN[b, 0] + t4 * dN[b, 1]
+                K[s + ONE] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
 @part(fastmath=_FAST)
@@ -139,9 +147,10 @@ def place_coupling(C: Array, m: int, K: Array) -> None:
     """Put what pressures do to displacements into the packed tangent."""
     n_p, nu = C.shape
     for r in range(nu):
-        s = r * m - r * (r + 1) // 2 + nu
+        s = packed(r, nu, m)
         for b in range(n_p):
-            K[s + b] = C[b, r]
+            K[s] = C[b, r]
+            s += ONE
 
 
 @part()
@@ -157,7 +166,7 @@ def add_compressibility(N: Array, w: float, compliance: float, m: int, K: Array)
     """Subtract N_b N_c / K, the derivative of the pressures' equations by pressures."""
     nu = m - N.size
     for b in range(N.size):
-        row = nu + b
-        s = row * m - row * (row + 1) // 2 + nu
+        s = packed(nu + b, nu + b, m)
         for c in range(b, N.size):
-            K[s + c] -= w * N[b] * N[c] * compliance
+            K[s] -= w * N[b] * N[c] * compliance
+            s += ONE

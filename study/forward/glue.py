@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.contact import ContactPoints, ContactState, Glue
+from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,7 @@ class TiedPoints(ContactPoints):
 
     def evaluate(
         self,
-        nodes: Array,
-        u: Array,
-        displacement_mm: float,
+        met: Meeting,
         multiplier: Array,
         closed: NDArray[np.bool_] | None = None,
         glue: Glue | None = None,
@@ -64,7 +62,7 @@ class TiedPoints(ContactPoints):
         """Distance from the place where each point is held, and the force that holds it."""
         if glue is None:
             raise ValueError("ties need to know which points are held")
-        free = super().evaluate(nodes, u, displacement_mm, multiplier, glue.held)
+        free = super().evaluate(met, multiplier, glue.held)
         gap = np.where(glue.held, free.gap - glue.anchor[:, self.surface.axis], 0.0)
         pressure = np.where(glue.held, multiplier - self.eps * gap, 0.0)
         calm = np.zeros_like(gap)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from study.forward.compiled import kernel, part
 from study.forward.forms import (
+    ONE,
     add_compressibility,
     add_coupling,
     add_stiffness,
@@ -29,6 +30,7 @@ from study.forward.forms import (
     along_nodes,
     deformation_gradient,
     gather,
+    packed,
     place_coupling,
 )
 from study.forward.law import (
@@ -215,17 +217,22 @@ def packed_product(dofs: Unknowns, K: Array, v: Array, out: Array) -> None:
     """Out = K v from packed element tangents, constrained unknowns included."""
     out[:] = 0.0
     ne, m = dofs.shape
+    into, own = np.empty(m), np.empty(m)
     for e in range(ne):
-        s = 0
         for i in range(m):
-            a = dofs[e, i]
-            out[a] += K[e, s] * v[a]
-            s += 1
+            own[i] = v[dofs[e, i]]
+            into[i] = 0.0
+        s = packed(0, 0, m)
+        for i in range(m):
+            total = K[e, s] * own[i]
+            s += ONE
             for j in range(i + 1, m):
-                b = dofs[e, j]
-                out[a] += K[e, s] * v[b]
-                out[b] += K[e, s] * v[a]
-                s += 1
+                total += K[e, s] * own[j]
+                into[j] += K[e, s] * own[i]
+                s += ONE
+            into[i] += total
+        for i in range(m):
+            out[dofs[e, i]] += into[i]
 
 
 @kernel()

@@ -52,8 +52,8 @@ class NewtonSettings:
     max_iterations: int = 25
     max_switching: int = 40
     j_filter: float = 0.5
-    passing_tolerance: float = 1e-5
-    passing_gap: float = 2e-6
+    passing_tolerance: float = 1e-3
+    passing_gap: float = 2e-5
 
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""

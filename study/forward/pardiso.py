@@ -45,8 +45,9 @@ _BACKWARD = 1e-11
 #: operations of a factorization in the time that a back-substitution takes for an entry, and
 #: what a factorization does with an entry besides, in the same time
 _PER_ENTRY, _BESIDES = 38.0, 5.0
-#: parameters of PARDISO: the ordering, entries, operations, and the count of negative eigenvalues
-_ORDERING, _ENTRIES, _MILLIONS, _NEGATIVE = 2, 18, 19, 23
+#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations, and the count of
+#: negative eigenvalues
+_ORDERING, _PERTURBED, _ENTRIES, _MILLIONS, _NEGATIVE = 2, 14, 18, 19, 23
 #: phases: analysis, factorization, solution, release of all memory
 _ANALYZE, _FACTORIZE, _SOLVE, _RELEASE = 11, 22, 33, -1
 #: PARDISO's number for a lack of memory
@@ -105,6 +106,9 @@ class Pardiso:
             self._iparm[_ORDERING - 1] = 0
         self._indptr, self._indices = pattern.indptr, pattern.indices
         self._data = np.zeros(pattern.indices.size)
+        self._phase, self._columns = ctypes.c_int32(0), ctypes.c_int32(0)
+        self._failed = ctypes.c_int32(0)
+        self._matrix = self._arguments()
         self._analyzed = self._matching = self._trusted = False
 
     def factorize(self, data: Array) -> None:
@@ -121,7 +125,7 @@ class Pardiso:
         """Back-substitution for one or several right-hand sides."""
         b = np.asfortranarray(right, dtype=np.float64)
         x = self._call(_SOLVE, b)
-        if self._matching or self._trusted or self._solved(x, b):
+        if self._matching or self._trusted or self._unperturbed() or self._solved(x, b):
             self._trusted = True
             return x
         self._matching = True
@@ -129,6 +133,10 @@ class Pardiso:
             self._iparm[number - 1] = value
         self.factorize(self._data)
         return self._call(_SOLVE, b)
+
+    def _unperturbed(self) -> bool:
+        """Whether every pivot was large enough."""
+        return int(self._iparm[_PERTURBED - 1]) == 0
 
     def _solved(self, x: Array, b: Array) -> bool:
         """Whether ``x`` solves this system or one next to it (Higham 2002, sec. 7.1)."""
@@ -163,31 +171,35 @@ class Pardiso:
 
     def _call(self, phase: int, b: Array) -> Array:
         """One phase, with a right-hand side (n,) or (n, k) in the order of columns."""
-        x, failed = np.zeros_like(b), ctypes.c_int32(0)
+        x = np.zeros_like(b)
+        self._phase.value, self._columns.value = phase, b.size // max(self._size, 1)
+        pointers = (ctypes.c_void_p(b.ctypes.data), ctypes.c_void_p(x.ctypes.data))
         with _one_thread(self._mkl) if self._small else nullcontext():
-            self._mkl.pardiso(
-                self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
-                _whole(1),  # one factorization is kept,
-                _whole(1),  # and it is that one
-                _whole(_SYMMETRIC),
-                _whole(phase),
-                _whole(self._size),
-                self._data.ctypes.data_as(ctypes.c_void_p),
-                _integers(self._indptr),
-                _integers(self._indices),
-                _whole(0),  # no ordering of one's own
-                _whole(b.size // max(self._size, 1)),
-                _integers(self._iparm),
-                _whole(0),  # says nothing
-                b.ctypes.data_as(ctypes.c_void_p),
-                x.ctypes.data_as(ctypes.c_void_p),
-                ctypes.byref(failed),
-            )
-        if failed.value == _NO_MEMORY:
+            self._mkl.pardiso(*self._matrix, *pointers, ctypes.byref(self._failed))
+        failed = self._failed.value
+        if failed == _NO_MEMORY:
             raise MemoryError("the factorization does not fit into memory")
-        if failed.value:
-            raise SingularMatrixError(f"phase {phase}: PARDISO says {failed.value}")
+        if failed:
+            raise SingularMatrixError(f"phase {phase}: PARDISO says {failed}")
         return np.ascontiguousarray(x)
+
+    def _arguments(self) -> tuple[Any, ...]:
+        """All but the vectors: they point into this object, which only changes what is there."""
+        return (
+            self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),
+            _whole(1),  # one factorization is kept,
+            _whole(1),  # and it is that one
+            _whole(_SYMMETRIC),
+            ctypes.byref(self._phase),
+            _whole(self._size),
+            self._data.ctypes.data_as(ctypes.c_void_p),
+            _integers(self._indptr),
+            _integers(self._indices),
+            _whole(0),  # no ordering of one's own
+            ctypes.byref(self._columns),
+            _integers(self._iparm),
+            _whole(0),  # says nothing
+        )
 
     def __del__(self) -> None:
         try:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
-from study.forward.contact import ContactPoints, ContactState, Glue
+from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 from study.forward.elements import Discretization, discretize
 from study.forward.glue import TiedPoints, hold, nothing_held
 from study.forward.internal import EVENNESS, POINTWISE, Internal
@@ -95,6 +95,7 @@ class System:
     kept: KeptFactors
     data: Array
     seconds: dict[str, float] = field(default_factory=dict)
+    _met: tuple[Array, float, list[Meeting]] | None = None
     _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
 
@@ -181,15 +182,10 @@ class System:
         internal = self.internal.gathered()
         if tangent and min_j > 0:
             self.internal.scatter(self.pattern.positions, self.data)
-        residual, contacts = internal.copy(), []
-        u = self.displacements(state.x)
-        sides = state.closed or (None,) * len(self.contact)
-        for points, multiplier, closed, (dofs, positions, blocks) in zip(
-            self.contact, state.multipliers, sides, self._contact_blocks, strict=True
+        residual, contacts = internal.copy(), self._touching_as(state, state.closed)
+        for points, touch, (dofs, positions, blocks) in zip(
+            self.contact, contacts, self._contact_blocks, strict=True
         ):
-            depth = state.displacement_mm
-            touch = points.evaluate(self.space.nodes, u, depth, multiplier, closed, state.glue)
-            contacts.append(touch)
             np.add.at(residual, dofs.ravel(), points.forces(touch).ravel())
             if tangent:
                 blocks[:] = points.stiffness(touch)
@@ -201,11 +197,28 @@ class System:
 
     def touching(self, state: State) -> list[ContactState]:
         """Contact at a state as every point itself decides it."""
-        u = self.displacements(state.x)
-        return [
-            points.evaluate(self.space.nodes, u, state.displacement_mm, multiplier, glue=state.glue)
-            for points, multiplier in zip(self.contact, state.multipliers, strict=True)
-        ]
+        return self._touching_as(state, ())
+
+    def _touching_as(
+        self, state: State, sides: tuple[NDArray[np.bool_], ...]
+    ) -> list[ContactState]:
+        each = zip(
+            self.contact,
+            self._meetings(state),
+            state.multipliers,
+            sides or (None,) * len(self.contact),
+            strict=True,
+        )
+        return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
+
+    def _meetings(self, state: State) -> list[Meeting]:
+        """Where the contact points are, found once for the decision and for the forces."""
+        met = self._met
+        if met is None or met[0] is not state.x or met[1] != state.displacement_mm:
+            u = self.displacements(state.x)
+            found = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
+            self._met = met = state.x, state.displacement_mm, found
+        return met[2]
 
     def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
         """Return a converged state with all that touches held by the indenter.

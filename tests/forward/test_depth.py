@@ -193,9 +193,9 @@ def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
 def test_a_corner_goes_with_its_mid_sides(own: list[bool], closed: bool, led: bool) -> None:
     rows = sp.csr_matrix(([True, True], ([0, 0], [1, 2])), (3, 3))
     multipliers = np.where(own, 1.0, -1.0)
-    touch = points_of_three(rows).evaluate(
-        np.array([[0.0, 0.0, 1.0]] * 3), np.zeros((3, 3)), 0.0, multipliers
-    )
+    points = points_of_three(rows)
+    met = points.meet(np.array([[0.0, 0.0, 1.0]] * 3), np.zeros((3, 3)), 0.0)
+    touch = points.evaluate(met, multipliers)
     assert touch.wanted.tolist() == [closed, *own[1:]]
     assert touch.led.tolist() == [led, False, False]
     kept = points_of_three(rows).admissible(multipliers)

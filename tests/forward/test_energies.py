@@ -146,7 +146,7 @@ def test_tangent_of_the_whole_system(material: Material, formulation: str, space
     material = replace(material, bulk_modulus=20.0)
     system = system_of(material, space=space, element_order="linear", formulation=formulation)
     rng = np.random.default_rng(5)
-    x = 0.03 * rng.standard_normal(system.space.n)
+    x = 0.01 * rng.standard_normal(system.space.n)
     direction = rng.standard_normal(system.space.n)
 
     def residual(h: float) -> np.ndarray:
@@ -154,7 +154,7 @@ def test_tangent_of_the_whole_system(material: Material, formulation: str, space
 
     h = 2e-5
     slope = (8 * (residual(h) - residual(-h)) - (residual(2 * h) - residual(-2 * h))) / (12 * h)
-    system.assemble(State(0.1, x))
+    assert system.assemble(State(0.1, x)).min_j > 0.3  # every element takes part
     exact = system.tangent_product(direction)
     np.testing.assert_allclose(exact, slope, rtol=0, atol=1e-8 * np.abs(exact).max())
 
