@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 #: relative residual of the rates: where derivatives of the force are left with its square, and
 #: where places that hold a point inherit it
-_SQUARED, _INHERITED = 2e-6, 1e-10
+_SQUARED, _INHERITED = 1e-5, 1e-10
 
 
 @dataclass(frozen=True)

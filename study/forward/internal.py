@@ -98,9 +98,10 @@ class Internal:
     @classmethod
     def on(cls, space: Discretization, pointwise: float = 0.0, evenness: float = 0.0) -> Internal:
         """Take the memory for a discretization."""
-        m = space.dofs.shape[1]
-        packed = np.zeros((space.n_elements, m * (m + 1) // 2))
-        return cls(space, np.zeros((space.n_elements, m)), packed, pointwise, evenness)
+        n, m = space.n_elements, space.dofs.shape[1]
+        # filled, since zeros alone are memory that is only promised until it is written to
+        residuals, packed = np.full((n, m), 0.0), np.full((n, m * (m + 1) // 2), 0.0)
+        return cls(space, residuals, packed, pointwise, evenness)
 
     def evaluate(self, material: Material, x: Array, *, tangent: bool) -> float:
         """Fill the element arrays at unknowns ``x``, shape (n,); return the smallest J.

@@ -28,6 +28,16 @@ class LinearSolver(Protocol):
 
     name: str
 
+    @property
+    def exact(self) -> bool:
+        """Whether solutions have double precision; otherwise about five digits."""
+
+    def sharpen(self) -> None:
+        """Have double precision from the next factorization on."""
+
+    def forget(self) -> None:
+        """Go back to the precision it began with."""
+
     def factorize(self, data: Array) -> None:
         """Factorize the matrix with these entries of the pattern."""
 
@@ -49,16 +59,19 @@ def pardiso_available() -> bool:
     return importlib.util.find_spec("pypardiso") is not None
 
 
-def make_solver(pattern: Pattern, name: str = "auto", *, plane: bool = False) -> LinearSolver:
+def make_solver(
+    pattern: Pattern, name: str = "auto", *, plane: bool = False, corrected: bool = False
+) -> LinearSolver:
     """Return a solver for a pattern: ``auto``, ``pardiso`` or ``superlu``.
 
     ``plane`` says that it comes from a mesh in two dimensions: another ordering pays there.
+    ``corrected`` says that solutions need not be exact: see :class:`LinearSolver`.
     """
     if name == "superlu" or (name == "auto" and not pardiso_available()):
         return SuperLU(pattern)
     from study.forward.pardiso import Pardiso
 
-    return Pardiso(pattern, plane=plane)
+    return Pardiso(pattern, plane=plane, corrected=corrected)
 
 
 #: back-substitutions that a factorization of SuperLU costs, over the entries of a column
@@ -69,6 +82,7 @@ class SuperLU:
     """SciPy's SuperLU in symmetric mode: always there, many times slower in 3D."""
 
     name = "superlu"
+    exact = True
 
     def __init__(self, pattern: Pattern) -> None:
         n = pattern.free.size
@@ -100,6 +114,12 @@ class SuperLU:
     def solve(self, right: Array) -> Array:
         """Back-substitution for one or several right-hand sides."""
         return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
+
+    def sharpen(self) -> None:
+        """Do nothing: there is only double precision."""
+
+    def forget(self) -> None:
+        """Do nothing: there is only double precision."""
 
     def negative_eigenvalues(self) -> int | None:
         """Unknown: row exchanges hide the signs of the pivots."""

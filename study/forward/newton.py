@@ -24,6 +24,8 @@ _CALM, _STEADY = 0.01, 0.1
 #: linear solves by an older factorization end at a share of what the Newton iteration itself
 #: leaves, its residual squared, or at a share of the tolerance; and below the last in any case
 _LINEAR, _AT_LAST, _LOOSEST = 0.03, 0.1, 0.01
+#: the same where the tangent is no near one of the next state's
+ROUGH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,10 @@ class FullSteps:
             size = float(np.linalg.norm(scale * right))  # gaps included
             return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
         system.factorize()
-        return system.back_substitute(right)
+        # of a linear body the first solve is the last
+        return system.solve_afresh(
+            right, _AT_LAST * self.tolerance if system.small_strain else ROUGH
+        )
 
     def share(self, system: System, residuals: list[float], increment: Array) -> float:
         """Take all of it."""

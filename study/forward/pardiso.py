@@ -32,8 +32,11 @@ _IPARM = {
 }
 
 #: unknowns of plane and of solid meshes up to which minimum degree orders in half the time of
-#: nested dissection and no worse, and threads wait for each other more than they help
-_PLANE, _SOLID = 30_000, 3_000
+#: nested dissection and no worse; up to which threads wait for each other more than they help;
+#: and from which factors in single precision save more than their corrections cost
+_ORDERED = {True: 40_000, False: 3_000}
+_ALONE = {True: 10_000, False: 3_000}
+_SINGLE = {True: 10_000, False: 5_000}
 
 #: scaling and weighted matching: for matrices whose diagonal gives no good pivots
 _MATCHING = {11: 1, 13: 1}
@@ -45,9 +48,11 @@ _BACKWARD = 1e-11
 #: operations of a factorization in the time that a back-substitution takes for an entry, and
 #: what a factorization does with an entry besides, in the same time
 _PER_ENTRY, _BESIDES = 38.0, 5.0
-#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations, and the count of
+#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations, the count of
 #: negative eigenvalues
 _ORDERING, _PERTURBED, _ENTRIES, _MILLIONS, _NEGATIVE = 2, 14, 18, 19, 23
+#: and the one that asks for single precision
+_PRECISION = 28
 #: phases: analysis, factorization, solution, release of all memory
 _ANALYZE, _FACTORIZE, _SOLVE, _RELEASE = 11, 22, 33, -1
 #: PARDISO's number for a lack of memory
@@ -89,49 +94,99 @@ class Pardiso:
     diagonal of an incompressible body) makes the solver change over to weighted matching,
     which looks at the values and is analyzed anew for each matrix.
 
+    Large systems are factorized in single precision where the caller corrects what that leaves:
+    half the time and half the memory. Pivots that would have to be perturbed there bring back
+    double precision.
+
     MKL is called without pypardiso's own call, which copies the pattern every time.
+
+    Parameters
+    ----------
+    pattern : Pattern
+        Upper triangle of the matrices.
+    plane : bool
+        Whether it comes from a mesh in two dimensions.
+    corrected : bool
+        Whether solutions need not be exact.
     """
 
     name = "pardiso"
 
-    def __init__(self, pattern: Pattern, *, plane: bool = False) -> None:
+    def __init__(self, pattern: Pattern, *, plane: bool = False, corrected: bool = False) -> None:
         self._mkl = _mkl()
         self._handle = np.zeros(64, dtype=np.int64)
         self._iparm = np.zeros(64, dtype=np.int32)
         for number, value in _IPARM.items():
             self._iparm[number - 1] = value
         self._size = pattern.free.size
-        self._small = self._size <= (_PLANE if plane else _SOLID)
-        if self._small:
+        self._small = self._size <= _ALONE[plane]
+        if self._size <= _ORDERED[plane]:
             self._iparm[_ORDERING - 1] = 0
         self._indptr, self._indices = pattern.indptr, pattern.indices
-        self._data = np.zeros(pattern.indices.size)
         self._phase, self._columns = ctypes.c_int32(0), ctypes.c_int32(0)
         self._failed = ctypes.c_int32(0)
+        self._matching = self._trusted = False
+        self._usually_exact = not (corrected and self._size > _SINGLE[plane])
+        self._set_precision(self._usually_exact)
+
+    def _set_precision(self, exact: bool) -> None:
+        entries = np.zeros(self._indices.size, np.float64 if exact else np.float32)
+        self._data: NDArray[Any] = entries
+        self._iparm[_PRECISION - 1] = 0 if exact else 1
+        self._handle[:] = 0
         self._matrix = self._arguments()
-        self._analyzed = self._matching = self._trusted = False
+        self._analyzed = False
+
+    @property
+    def exact(self) -> bool:
+        """Whether solutions have double precision."""
+        return self._data.dtype == np.float64
+
+    def sharpen(self) -> None:
+        """Go over to double precision; the next factorization begins with an analysis."""
+        if not self.exact:
+            self.close()
+            self._set_precision(exact=True)
+
+    def forget(self) -> None:
+        """Begin as at first: with the precision that is usual for this size."""
+        if self.exact and not self._usually_exact:
+            self.close()
+            self._set_precision(exact=False)
 
     def factorize(self, data: Array) -> None:
         """Numerical factorization, after the analysis the first time."""
-        np.copyto(self._data, data)  # the factors outlive the entries they came from
+        try:
+            self._factorize(data)
+        except SingularMatrixError:
+            if self.exact:
+                raise
+        if not self.exact and not (self._analyzed and self._unperturbed()):
+            self.sharpen()
+            self._factorize(data)
+
+    def _factorize(self, data: Array) -> None:
+        np.copyto(self._data, data, casting="same_kind")  # the factors outlive the entries
         self._trusted = False
-        empty = np.zeros(self._size)
+        empty = np.zeros(self._size, self._data.dtype)
         if not self._analyzed or self._matching:
             self._call(_ANALYZE, empty)
             self._analyzed = True
         self._call(_FACTORIZE, empty)
 
     def solve(self, right: Array) -> Array:
-        """Back-substitution for one or several right-hand sides."""
-        b = np.asfortranarray(right, dtype=np.float64)
+        """Back-substitution for one or several right-hand sides, exact or not."""
+        b = np.asfortranarray(right, dtype=self._data.dtype)
         x = self._call(_SOLVE, b)
+        if not self.exact:
+            return x.astype(np.float64)
         if self._matching or self._trusted or self._unperturbed() or self._solved(x, b):
             self._trusted = True
             return x
         self._matching = True
         for number, value in _MATCHING.items():
             self._iparm[number - 1] = value
-        self.factorize(self._data)
+        self._factorize(self._data)
         return self._call(_SOLVE, b)
 
     def _unperturbed(self) -> bool:
@@ -152,8 +207,8 @@ class Pardiso:
         return residual <= _BACKWARD * (largest + size)
 
     def negative_eigenvalues(self) -> int | None:
-        """Count the negative eigenvalues of the last factorized matrix."""
-        return int(self._iparm[_NEGATIVE - 1])
+        """Count the negative eigenvalues of the last factorized matrix; single precision cannot."""
+        return int(self._iparm[_NEGATIVE - 1]) if self.exact else None
 
     def worth(self) -> float:
         """By counts: operations of a factorization, entries read in a back-substitution."""
@@ -166,7 +221,7 @@ class Pardiso:
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
         if self._analyzed:
-            self._call(_RELEASE, np.zeros(self._size))
+            self._call(_RELEASE, np.zeros(self._size, self._data.dtype))
             self._analyzed = False
 
     def _call(self, phase: int, b: Array) -> Array:

@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: how many corrections are tried
 _CORRECTIONS = 12
+#: and how many before single precision is held to be too dull
+_DULL = 7
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,9 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
         sizes.append(size / np.where(scale > 0, scale, 1.0))
         if older and _cost_ahead(sizes, tolerance, springs) > system.solver.worth():
             system.factorize()
+            older = False
+        elif corrections == _DULL and not system.solver.exact:
+            system.factorize(exact=True)
             older = False
         x[free] += system.back_substitute(left[free])
         for each in closed:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.newton import NewtonResult, NewtonSettings, iterate
+from study.forward.newton import ROUGH, NewtonResult, NewtonSettings, iterate
 from study.forward.switches import Switches
 from study.forward.system import Assembly, State, System
 
@@ -64,7 +64,7 @@ class Descent:
     ) -> Array:
         """Solve with a tangent that makes a step of descent."""
         self._factorize(system, residuals)
-        return system.back_substitute(right)
+        return system.solve_afresh(right, ROUGH)
 
     def _factorize(self, system: System, residuals: list[float]) -> None:
         """Add the smallest multiple of the diagonal that makes a step of descent."""
@@ -72,10 +72,10 @@ class Descent:
             system.factorize()
             return
         self._shift = _DECAY * self._shift if self._shift > _NONE else 0.0
-        system.factorize(self._shift)
+        system.factorize(self._shift, exact=True)
         while (system.instabilities() or 0) > 0 and self._shift < _MOST:
             self._shift = max(_GROWTH * self._shift, _FIRST)
-            system.factorize(self._shift)
+            system.factorize(self._shift, exact=True)
 
     def share(self, system: System, residuals: list[float], increment: Array) -> float:
         """Move no node further than it may."""

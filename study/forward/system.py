@@ -110,7 +110,7 @@ class System:
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
         whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
         sector = 1.0 if whole else 4.0
-        direct = make_solver(pattern, solver, plane=space.dim == 2)
+        direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
         height = mesh.height_mm
         bottom = height / 2 if mesh.half_height else 0.0
         system = cls(
@@ -127,7 +127,7 @@ class System:
             pattern=pattern,
             solver=direct,
             kept=KeptFactors(direct, pattern),
-            data=np.zeros(pattern.indices.size),
+            data=np.full(pattern.indices.size, 0.0),
         )
         system._place_contact()
         system.seconds["setup"] = time.perf_counter() - start
@@ -238,12 +238,15 @@ class System:
         )
         return replace(state, glue=glue, multipliers=multipliers)
 
-    def factorize(self, shift: float = 0.0) -> None:
+    def factorize(self, shift: float = 0.0, *, exact: bool = False) -> None:
         """Factorize the last assembled tangent.
 
-        ``shift`` adds that multiple of its diagonal to the displacement part.
+        ``shift`` adds that multiple of its diagonal to the displacement part; ``exact`` asks
+        for double precision, without which :meth:`instabilities` are unknown.
         """
         began = time.perf_counter()
+        if exact:
+            self.solver.sharpen()
         data = self.data
         if shift:
             # rows begin with their diagonal
@@ -275,7 +278,23 @@ class System:
         if found is not None:
             return found
         self.factorize()
-        return self.back_substitute(right)
+        return self.solve_afresh(right, tolerance, scale)
+
+    def solve_afresh(self, right: Array, tolerance: float, scale: Array | None = None) -> Array:
+        """Solve with the last assembled tangent, which was just factorized.
+
+        Parameters
+        ----------
+        tolerance : float
+            On the residual over that of zero, where the factors are not exact.
+        scale : ndarray, optional
+            Weights of the equations in it.
+        """
+        began = time.perf_counter()
+        weights = np.ones(right.shape) if scale is None else scale
+        found = self.kept.solve_afresh(self.data, right, weights, tolerance)
+        self._count("solve", began)
+        return found
 
     def factors_serve(self) -> bool:
         """Whether the last factorization is of a tangent near the last assembled one."""
@@ -288,7 +307,7 @@ class System:
         return self.tangent_product(jump, contact=False)[self.pattern.free]
 
     def back_substitute(self, right: Array) -> Array:
-        """Solve with the last factorization for the free unknowns."""
+        """Solve with the last factorization for the free unknowns, as exactly as that goes."""
         began = time.perf_counter()
         solution = self.solver.solve(right)
         self._count("solve", began)
