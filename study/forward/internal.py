@@ -130,8 +130,9 @@ class Internal:
 
     def gathered(self) -> Array:
         """Sum of the element residuals, shape (n,)."""
-        dofs, values = self.space.dofs.ravel(), self.residuals.ravel()
-        return np.bincount(dofs, values, minlength=self.space.n).astype(float)
+        out = np.empty(self.space.n)
+        kernels.gathered(self.space.dofs, self.residuals, out)
+        return out
 
     def scatter(self, positions: NDArray[np.int32], data: Array) -> None:
         """Put the sum of the element tangents into the entries of a sparsity pattern."""

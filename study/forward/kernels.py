@@ -243,3 +243,12 @@ def scatter(positions: NDArray[np.int32], values: Array, data: Array) -> None:
         k = positions[i]
         if k >= 0:
             data[k] += values[i]
+
+
+@kernel()
+def gathered(dofs: Unknowns, residuals: Array, out: Array) -> None:
+    """Sum of element residuals, shape (n,)."""
+    out[:] = 0.0
+    for e in range(dofs.shape[0]):
+        for i in range(dofs.shape[1]):
+            out[dofs[e, i]] += residuals[e, i]

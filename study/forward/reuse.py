@@ -48,7 +48,7 @@ class KeptFactors:
     """
 
     def __init__(self, solver: LinearSolver, pattern: Pattern) -> None:
-        self._solver, self._pattern = solver, pattern
+        self.solver, self._pattern = solver, pattern
         self._spent: list[int] = []
         self._touching: NDArray[np.bool_] | None = None
         self._change = self._sensitivity = 0.0
@@ -60,7 +60,7 @@ class KeptFactors:
     def forget(self) -> None:
         """Factorize first: what another run left behind must not change a digit of this one."""
         self._touching, self._sensitivity = None, 0.0
-        self._solver.forget()
+        self.solver.forget()
 
     def serves(self, touching: NDArray[np.bool_]) -> bool:
         """Whether the factors are of a tangent with these contact points closed."""
@@ -97,13 +97,13 @@ class KeptFactors:
 
         Where corrections do not do, it is factorized once more, in double precision.
         """
-        if not self._solver.exact:
+        if not self.solver.exact:
             found, _, _ = self._krylov(data, right, scale, tolerance, _CORRECTIONS)
             if found is not None:
                 return found
-            self._solver.sharpen()
-            self._solver.factorize(data)
-        return self._solver.solve(right)
+            self.solver.sharpen()
+            self.solver.factorize(data)
+        return self.solver.solve(right)
 
     def _expected(self, tolerance: float) -> float:
         """Foresee the iterations: each leaves a share that grows with the tangent's change."""
@@ -118,7 +118,7 @@ class KeptFactors:
         A factorization is shared by the solves that it serves: it is kept while the next
         one is expected to cost less than the average so far.
         """
-        worth = self._solver.worth()
+        worth = self.solver.worth()
         if self._touching is None or worth < _WORTH:
             return 0
         if np.count_nonzero(touching != self._touching) > _SWITCHED * worth:
@@ -137,7 +137,7 @@ class KeptFactors:
             return scale * symmetric_product(indptr, indices, data, v)
 
         def precondition(v: Array) -> Array:
-            return self._solver.solve(v / scale)
+            return self.solver.solve(v / scale)
 
         return fgmres(product, precondition, scale * right, tolerance, most)
 

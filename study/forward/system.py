@@ -91,7 +91,6 @@ class System:
     touch_mm: float
     material: Material
     pattern: Pattern
-    solver: LinearSolver
     kept: KeptFactors
     data: Array
     seconds: dict[str, float] = field(default_factory=dict)
@@ -125,7 +124,6 @@ class System:
             touch_mm=touch_radius(problem),
             material=problem.material,
             pattern=pattern,
-            solver=direct,
             kept=KeptFactors(direct, pattern),
             data=np.full(pattern.indices.size, 0.0),
         )
@@ -141,6 +139,11 @@ class System:
     def small_strain(self) -> bool:
         """Whether the material is linear: contact then belongs to the reference state."""
         return self.material.family == "linear-elastic"
+
+    @property
+    def solver(self) -> LinearSolver:
+        """Direct solver of the tangents."""
+        return self.kept.solver
 
     @property
     def dofs(self) -> int:

@@ -11,6 +11,7 @@ from study.forward.mesh import Mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
 from study.forward.pattern import Pattern
 from study.forward.problem import Cylinder
+from study.forward.reuse import KeptFactors
 from study.forward.system import State, System
 from study.material import Material
 from tests.forward.problems import compression, cube, grid, irregular
@@ -54,6 +55,6 @@ def held(system: System, dofs: Array, values: Array) -> System:
         system,
         constraints=replace(system.constraints, dofs=dofs, rate=values),
         pattern=pattern,
-        solver=make_solver(pattern),
+        kept=KeptFactors(make_solver(pattern), pattern),
         data=np.zeros(pattern.indices.size),
     )

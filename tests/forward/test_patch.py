@@ -88,13 +88,14 @@ def _constrained(system: System, dofs: np.ndarray, values: np.ndarray, problem: 
 
     from study.forward.linear_solver import make_solver
     from study.forward.pattern import Pattern
+    from study.forward.reuse import KeptFactors
 
     pattern = Pattern.build(system.space.dofs, system.space.n, dofs)
     return replace(
         system,
         constraints=Constraints(dofs, values),
         pattern=pattern,
-        solver=make_solver(pattern),
+        kept=KeptFactors(make_solver(pattern), pattern),
         data=np.zeros(pattern.indices.size),
     )
 
