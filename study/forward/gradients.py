@@ -24,9 +24,9 @@ from study.forward.system import Assembly, State, System
 
 Array = NDArray[np.float64]
 
-#: relative residual of the rates: where derivatives of the force are left with its square, and
-#: where places that hold a point inherit it
-_SQUARED, _INHERITED = 1e-5, 1e-10
+#: relative residual of the rates: where derivatives of the force are left with its square, where
+#: nobody asks for more than dF/dd, and where places that hold a point inherit it
+_SQUARED, _STIFFNESS, _INHERITED = 1e-5, 1e-4, 1e-10
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ def step_gradients(
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
     loads = _loads(system, state, assembly, wanted)
-    rates = linear_rates(system, assembly, loads, _INHERITED if system.sticks else _SQUARED)
+    tolerance = _INHERITED if system.sticks else _SQUARED if wanted else _STIFFNESS
+    rates = linear_rates(system, assembly, loads, tolerance)
     scale = system.force_scale
     return StepGradients(
         scale * _force(assembly, rates),

@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 Narrow = NDArray[np.int32]
-Wide = NDArray[np.int64]
 Floats = NDArray[np.float64]
+_Filled = tuple[Narrow, Narrow, Narrow]
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Pattern:
         free = np.flatnonzero(mask)
         number = np.full(n, -1, dtype=np.int32)
         number[free] = np.arange(free.size, dtype=np.int32)
-        start, owner = _elements_of_unknowns(dofs, n)
-        indptr, indices, positions = _fill(dofs, number, free, start, owner)
+        rows = number[dofs]
+        indptr, indices, positions = _fill(rows, *_elements_around(rows, free.size))
         return cls(free, number, indptr, indices, positions)
 
     def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -63,69 +63,70 @@ class Pattern:
 
 
 @njit(cache=True)
-def _elements_of_unknowns(dofs: Narrow, n: int) -> tuple[Wide, Wide]:
-    """Elements around each unknown: (element, local number) packed as element * m + local."""
-    ne, m = dofs.shape
-    start = np.zeros(n + 1, np.int64)
+def _elements_around(rows: Narrow, n_rows: int) -> tuple[Narrow, Narrow, Narrow]:
+    """Elements around each row, and which of the element's unknowns it is.
+
+    ``rows`` (n_elements, m) are negative for constrained unknowns.
+    """
+    ne, m = rows.shape
+    start = np.zeros(n_rows + 1, np.int32)
     for e in range(ne):
         for i in range(m):
-            start[dofs[e, i] + 1] += 1
-    for i in range(n):
+            if rows[e, i] >= 0:
+                start[rows[e, i] + 1] += 1
+    for i in range(n_rows):
         start[i + 1] += start[i]
     fill = start[:-1].copy()
-    owner = np.empty(start[n], np.int64)
+    element, local = np.empty(start[n_rows], np.int32), np.empty(start[n_rows], np.int32)
     for e in range(ne):
         for i in range(m):
-            owner[fill[dofs[e, i]]] = e * m + i
-            fill[dofs[e, i]] += 1
-    return start, owner
+            r = rows[e, i]
+            if r >= 0:
+                element[fill[r]], local[fill[r]] = e, i
+                fill[r] += 1
+    return start, element, local
 
 
 @njit(cache=True)
-def _fill(
-    dofs: Narrow, number: Narrow, free: Wide, start: Wide, owner: Wide
-) -> tuple[Narrow, Narrow, Narrow]:
-    ne, m = dofs.shape
-    nf = free.size
-    indptr = np.zeros(nf + 1, np.int32)
-    seen = np.full(nf, -1, np.int32)
-    for r in range(nf):
+def _fill(rows: Narrow, start: Narrow, element: Narrow, local: Narrow) -> _Filled:
+    """Row pointers, columns and the positions of packed entries, row by row."""
+    ne, m = rows.shape
+    n_rows = start.size - 1
+    indptr, seen = np.zeros(n_rows + 1, np.int32), np.full(n_rows, -1, np.int32)
+    for r in range(n_rows):
         count = 0
-        for s in range(start[free[r]], start[free[r] + 1]):
-            e = owner[s] // m
+        for s in range(start[r], start[r + 1]):
+            e = element[s]
             for j in range(m):
-                c = number[dofs[e, j]]
+                c = rows[e, j]
                 if c >= r and seen[c] != r:
                     seen[c] = r
                     count += 1
         indptr[r + 1] = indptr[r] + count
-    indices = np.empty(indptr[nf], np.int32)
-    positions = np.full(ne * (m * (m + 1) // 2), -1, np.int32)
-    where = np.empty(nf, np.int32)
+    indices, where = np.empty(indptr[n_rows], np.int32), np.empty(n_rows, np.int32)
+    positions = np.full((ne, m * (m + 1) // 2), -1, np.int32)
     seen[:] = -1
-    for r in range(nf):
+    for r in range(n_rows):
         k = indptr[r]
-        for s in range(start[free[r]], start[free[r] + 1]):
-            e = owner[s] // m
+        for s in range(start[r], start[r + 1]):
+            e = element[s]
             for j in range(m):
-                c = number[dofs[e, j]]
+                c = rows[e, j]
                 if c >= r and seen[c] != r:
                     seen[c] = r
                     indices[k] = c
                     k += 1
-        indices[indptr[r] : k] = np.sort(indices[indptr[r] : k])
+        indices[indptr[r] : k].sort()
         for k in range(indptr[r], indptr[r + 1]):
             where[indices[k]] = k
-        for s in range(start[free[r]], start[free[r] + 1]):
-            e = owner[s] // m
-            i = owner[s] % m
+        for s in range(start[r], start[r + 1]):
+            e, i = element[s], local[s]
             for j in range(m):
-                c = number[dofs[e, j]]
+                c = rows[e, j]
                 if c >= r:
-                    a, b = (i, j) if i <= j else (j, i)
-                    packed = a * m - a * (a - 1) // 2 + b - a
-                    positions[e * (m * (m + 1) // 2) + packed] = where[c]
-    return indptr, indices, positions
+                    a, b = min(i, j), max(i, j)
+                    positions[e, a * m - a * (a + 1) // 2 + b] = where[c]
+    return indptr, indices, positions.ravel()
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from study.forward.fields import deformation_gradient
 from study.forward.system import State, System
-from study.material.ellipticity import ellipticity
+from study.material.ellipticity import always_elliptic, ellipticity
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def lost_ellipticity(system: System, state: State) -> str:
     The place that is said is the one furthest beyond, among the points of quadrature that are
     stretched most.
     """
-    if system.small_strain:
+    if always_elliptic(system.material):
         return ""
     F = deformation_gradient(system.space, system.displacements(state.x))
     F = F.reshape(3, 3, -1)

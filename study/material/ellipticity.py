@@ -29,6 +29,24 @@ Array = NDArray[np.float64]
 _APART = 1e-4
 
 
+def always_elliptic(material: Material) -> bool:
+    """Whether an energy is known to keep its ellipticity at every stretch; False says nothing.
+
+    A sum of strongly elliptic energies is one as well. Terms of the first invariant alone, the
+    second invariant itself and Ogden's terms with exponents of one and more, of either sign, are,
+    with positive constants (the last: Ball 1977).
+    """
+    if material.family == "ogden":
+        mu, alpha = material.ogden_terms()
+        return bool((np.asarray(mu) > 0).all() and (np.abs(alpha) >= 1).all())
+    if material.family != "polynomial":
+        return True
+    table = material.coefficient_table()
+    convex = table.copy()
+    convex[:, 0] = convex[0, 1:2] = 0.0
+    return bool((table >= 0).all() and not convex.any() and table.any())
+
+
 def ellipticity(material: Material, stretches: Array) -> Array:
     """How far from losing its ellipticity an energy is, in the worst of the principal planes.
 

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.forward.problem import Cylinder
+from study.forward.problem import Cone, Cylinder, Model, Problem
+from study.forward.problem import Test as Loading
 from study.forward.solve import solve
 from study.material import Material
 from tests.forward.problems import compression, taylor_slopes
@@ -50,3 +51,31 @@ def test_stiffness_is_the_slope_of_the_curve() -> None:
     central = (f[:-4] - 8 * f[1:-3] + 8 * f[3:-1] - f[4:]) / (12 * (d[1] - d[0]))
     # fourth-order differences on steps of 0.2 % strain
     np.testing.assert_allclose(k[2:-2], central, rtol=1e-6)
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("kind", ["compression", "indentation"])
+def test_errors_of_the_rates_are_squared(
+    kind: str, space: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rates to three digits give derivatives to six: the first-order error is taken off."""
+    from study.forward import gradients
+
+    if kind == "indentation":
+        test = Loading(kind, 1.5, "frictionless", "bonded", steps=2, indenter=Cone(30.0, 1.0))
+    else:
+        test = Loading(kind, 6.0, "bonded", "bonded", steps=2)
+    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
+    problem = Problem(Cylinder(25.0, 50.0), test, MATERIALS[0], model)
+    found = []
+    for tolerance in (1e-3, 1e-11):
+        monkeypatch.setattr(gradients, "_SQUARED", tolerance)
+        found.append(solve(problem).curve)
+    rough, exact = found
+    assert rough.stiffness_N_per_mm is not None
+    assert exact.stiffness_N_per_mm is not None
+    np.testing.assert_allclose(rough.force_N, exact.force_N, rtol=1e-7)
+    np.testing.assert_allclose(rough.stiffness_N_per_mm, exact.stiffness_N_per_mm, rtol=1e-5)
+    for name, slope in exact.force_gradient.items():
+        atol = 1e-5 * np.abs(slope).max()
+        np.testing.assert_allclose(rough.force_gradient[name], slope, rtol=0, atol=atol)

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from study.material import Material
-from study.material.ellipticity import ellipticity
+from study.material.ellipticity import always_elliptic, ellipticity
 
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 
@@ -46,7 +46,31 @@ def test_hencky_gives_way_at_a_ratio_of_stretches(alpha: float) -> None:
 @pytest.mark.parametrize("alpha", [-3.0, -1.0, 1.0, 1.5239, 2.8, 9.0])
 def test_exponents_of_one_and_more_never_give_way(alpha: float) -> None:
     """Ogden's terms are polyconvex there (Ball 1977)."""
+    assert always_elliptic(ogden(alpha))
     assert (ellipticity(ogden(alpha), ANYWHERE) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "constants", "always"),
+    [
+        ("neo-hookean", {"C10": 1.0}, True),
+        ("mooney-rivlin", {"C10": 0.2, "C01": 0.9}, True),
+        ("reduced-polynomial", {"C10": 0.2, "C20": 0.3, "C30": 0.1}, True),
+        ("reduced-polynomial", {"C10": 0.2, "C20": -0.01}, False),
+        ("mooney-rivlin", {"C10": 1.0, "C01": -0.2}, False),
+        ("polynomial", {"C10": 1, "C01": 1, "C20": 0, "C11": 0.1, "C02": 0}, False),
+        ("ogden", {"mu1": 1.0, "alpha1": 2.0, "mu2": 0.5, "alpha2": -4.0}, True),
+        ("ogden", {"mu1": 1.0, "alpha1": 2.0, "mu2": -0.1, "alpha2": 4.0}, False),
+        ("ogden", {"mu1": 1.0, "alpha1": 0.5}, False),
+    ],
+)
+def test_what_is_known_without_looking(
+    model: str, constants: dict[str, float], always: bool
+) -> None:
+    material = Material(model, constants, incompressible=True)
+    assert always_elliptic(material) is always
+    if always:
+        assert (ellipticity(material, ANYWHERE) > 0).all()
 
 
 def test_a_change_of_volume_does_not_count() -> None:
