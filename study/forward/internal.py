@@ -23,8 +23,9 @@ Array = NDArray[np.float64]
 #: share of the bulk modulus that acts pointwise where elements need it: at a Poisson's ratio of
 #: 0.4995 thirty shear moduli, too few to lock a quadratic element
 POINTWISE = 0.03
-#: kappa of linear simplices over the shear modulus: their bubbles collapse without it
-EVENNESS = 20.0
+#: kappa over the shear modulus: of linear simplices, whose bubbles collapse without it, and of
+#: quadratic tetrahedra, whose surface wrinkles at the edge of a flat end
+EVENNESS, EVENNESS_OF_SOLIDS = 20.0, 100.0
 #: stands for a volume measure that is not positive, where that means nothing
 _SMALLEST = 1e-6
 

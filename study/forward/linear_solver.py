@@ -44,9 +44,6 @@ class LinearSolver(Protocol):
     def solve(self, right: Array) -> Array:
         """Solve for one (n,) or several (n, k) right-hand sides."""
 
-    def negative_eigenvalues(self) -> int | None:
-        """Count the negative eigenvalues of the last matrix; None where that is unknown."""
-
     def worth(self) -> float:
         """How many back-substitutions a factorization costs, by counts; 0 before the first."""
 
@@ -120,10 +117,6 @@ class SuperLU:
 
     def forget(self) -> None:
         """Do nothing: there is only double precision."""
-
-    def negative_eigenvalues(self) -> int | None:
-        """Unknown: row exchanges hide the signs of the pivots."""
-        return None
 
     def worth(self) -> float:
         """By counts: columns of the factors are as long as their entries over their number."""

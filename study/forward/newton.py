@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ _CALM, _STEADY = 0.01, 0.1
 #: leaves, its residual squared, or at a share of the tolerance; and below the last in any case
 _LINEAR, _AT_LAST, _LOOSEST = 0.03, 0.1, 0.01
 #: the same where the tangent is no near one of the next state's
-ROUGH = 1e-3
+_ROUGH = 1e-3
 
 
 @dataclass(frozen=True)
@@ -88,90 +87,15 @@ class NewtonResult:
         return self.assembly
 
 
-class Course(Protocol):
-    """How the iteration goes on from a state that is no equilibrium yet."""
-
-    def switches(self, system: System) -> Switches:
-        """Rule by which contact points change sides."""
-
-    def ended(
-        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
-    ) -> bool:
-        """Whether to give up; ``changing`` says that contact still does."""
-
-    def solve(
-        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
-    ) -> Array:
-        """Solve with the tangent of a state that was just assembled."""
-
-    def share(self, system: System, residuals: list[float], increment: Array) -> float:
-        """Part of a step that is taken, before any J is looked at."""
-
-
-@dataclass(frozen=True)
-class FullSteps:
-    """Newton's method itself, down to a residual of ``tolerance``."""
-
-    tolerance: float
-
-    def switches(self, system: System) -> Switches:
-        """Together at first, then one by one."""
-        return Switches(system)
-
-    def ended(
-        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
-    ) -> bool:
-        """After so many iterations, or where the residual stays large."""
-        if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
-            return True
-        return iteration >= (settings.max_switching if changing else settings.max_iterations)
-
-    def solve(
-        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
-    ) -> Array:
-        """Take the tangent as it is; a steady one differs little from one already factorized.
-
-        A linear solve may leave what the iteration itself leaves (Eisenstat and Walker 1996).
-        """
-        if residuals and residuals[-1] < _STEADY:
-            scale = _scale(system, *at)
-            left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * self.tolerance)
-            size = float(np.linalg.norm(scale * right))  # gaps included
-            return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
-        system.factorize()
-        # of a linear body the first solve is the last
-        return system.solve_afresh(
-            right, _AT_LAST * self.tolerance if system.small_strain else ROUGH
-        )
-
-    def share(self, system: System, residuals: list[float], increment: Array) -> float:
-        """Take all of it."""
-        return 1.0
-
-
 def solve_step(
     system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
 ) -> NewtonResult:
-    """Equilibrium at ``guess.displacement_mm`` by full steps; see :func:`iterate`."""
-    return iterate(system, guess, settings, FullSteps(settings.tolerance), lifted_from=lifted_from)
-
-
-def iterate(
-    system: System,
-    guess: State,
-    settings: NewtonSettings,
-    course: Course,
-    *,
-    lifted_from: State | None = None,
-) -> NewtonResult:
-    """Equilibrium at ``guess.displacement_mm``.
+    """Equilibrium at ``guess.displacement_mm`` by full steps.
 
     Parameters
     ----------
     guess : State
         Start of the iteration; its constrained unknowns already have their values.
-    course : Course
-        How it goes on.
     lifted_from : State, optional
         Start here instead: the first solve puts the prescribed increment on the right-hand
         side, so that the jump at the plate spreads through the specimen at once.
@@ -179,7 +103,7 @@ def iterate(
     state, lift = _start(system, guess, lifted_from)
     residuals: list[float] = []
     J = system.volume_ratios(state.x)
-    switches, free = course.switches(system), system.pattern.free
+    switches, free = Switches(system), system.pattern.free
     for iteration in itertools.count():
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
@@ -192,10 +116,10 @@ def iterate(
             residuals.append(_relative(system, state, assembly))
             if _done(system, residuals[-1], assembly, settings):
                 return NewtonResult(state, True, iteration, "converged", (*residuals,), assembly, J)
-        if course.ended(iteration, residuals, switches.changing, settings):
+        if _hopeless(iteration, residuals, switches.changing, settings):
             break
         try:
-            solution = course.solve(system, residuals, right, (state, assembly))
+            solution = _solved(system, residuals, right, (state, assembly), settings)
         except SingularMatrixError as error:
             return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
         increment = np.zeros(system.space.n)
@@ -205,8 +129,6 @@ def iterate(
         if lift.size:
             increment[system.constraints.dofs] = lift
             state = replace(state, displacement_mm=guess.displacement_mm)
-        else:
-            increment *= course.share(system, residuals, increment)
         fraction, J = _filtered(system, state.x, J, increment, settings)
         if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
@@ -215,6 +137,37 @@ def iterate(
         lift = np.zeros(0)
     reason = f"no equilibrium after {iteration} iterations"
     return NewtonResult(state, False, iteration, reason, tuple(residuals))
+
+
+def _hopeless(
+    iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
+) -> bool:
+    """Whether to give up; ``changing`` says that contact still does."""
+    if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
+        return True
+    return iteration >= (settings.max_switching if changing else settings.max_iterations)
+
+
+def _solved(
+    system: System,
+    residuals: list[float],
+    right: Array,
+    at: tuple[State, Assembly],
+    settings: NewtonSettings,
+) -> Array:
+    """Solve with the tangent of a state; a steady one differs little from one factorized before.
+
+    A linear solve may leave what the iteration itself leaves (Eisenstat and Walker 1996).
+    """
+    if residuals and residuals[-1] < _STEADY:
+        scale = _scale(system, *at)
+        left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * settings.tolerance)
+        size = float(np.linalg.norm(scale * right))  # gaps included
+        return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
+    system.factorize()
+    # of a linear body the first solve is the last
+    rough = _AT_LAST * settings.tolerance if system.small_strain else _ROUGH
+    return system.solve_afresh(right, rough)
 
 
 def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:

@@ -48,10 +48,9 @@ _BACKWARD = 1e-11
 #: operations of a factorization in the time that a back-substitution takes for an entry, and
 #: what a factorization does with an entry besides, in the same time
 _PER_ENTRY, _BESIDES = 38.0, 5.0
-#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations, the count of
-#: negative eigenvalues
-_ORDERING, _PERTURBED, _ENTRIES, _MILLIONS, _NEGATIVE = 2, 14, 18, 19, 23
-#: and the one that asks for single precision
+#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations
+_ORDERING, _PERTURBED, _ENTRIES, _MILLIONS = 2, 14, 18, 19
+#: the one that asks for single precision
 _PRECISION = 28
 #: phases: analysis, factorization, solution, release of all memory
 _ANALYZE, _FACTORIZE, _SOLVE, _RELEASE = 11, 22, 33, -1
@@ -205,10 +204,6 @@ class Pardiso:
             return True
         largest = float(np.abs(self._data).max()) * float(np.linalg.norm(x))
         return residual <= _BACKWARD * (largest + size)
-
-    def negative_eigenvalues(self) -> int | None:
-        """Count the negative eigenvalues of the last factorized matrix; single precision cannot."""
-        return int(self._iparm[_NEGATIVE - 1]) if self.exact else None
 
     def worth(self) -> float:
         """By counts: operations of a factorization, entries read in a back-substitution."""

@@ -1,33 +1,38 @@
-"""Newton's method past a limit point: descent steps of bounded length.
+"""Past a limit point: the specimen creeps to the next equilibrium through something viscous.
 
 A surface that a sharp indenter stretches can lose its equilibrium at a load and find the next
-one some way off: it snaps. Full Newton steps then jump to and fro for ever. Here a multiple of
-its own diagonal is added to the displacement part of the tangent until the matrix has exactly
-as many negative eigenvalues as there are pressures, which makes the step one of descent of the
-potential energy at the given volume (inertia correction: Waechter and Biegler 2006, algorithm
-IC), and no step moves a node by more than a share of an element. Both begin when plain Newton
-has had its chance, and fall away at the new equilibrium.
+one some way off: it snaps. Full Newton steps then jump to and fro for ever. Here the motion is
+resisted by a drag in proportion to it, so that a state nearby balances (a backward Euler step of
+the gradient flow, or pseudo-transient continuation: Kelley and Keyes 1998, SIAM J. Numer. Anal.
+35, 508). Step by step the drag falls, and the last step is one of plain Newton without it: the
+equilibrium that is found is one of the specimen alone.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.newton import ROUGH, NewtonResult, NewtonSettings, iterate
-from study.forward.switches import Switches
-from study.forward.system import Assembly, State, System
+from study.forward.newton import NewtonResult, NewtonSettings, solve_step
+from study.forward.system import State, System
 
 Array = NDArray[np.float64]
 
-#: iterations in all, those of plain Newton before, and those in which contact points all decide
-#: at once
-_ITERATIONS, _PLAIN, _TOGETHER = 160, 8, 12
-#: longest motion of a node in one iteration, over the size of an element
-_REACH = 0.1
-#: first multiple of the diagonal, its growth while the step is no descent, its decay after
-_FIRST, _GROWTH, _DECAY, _NONE = 1e-3, 4.0, 0.25, 1e-5
-_MOST = 1e3
+#: steps in all, and plain solves that may fail before it is given up
+_STEPS, _TRIALS = 60, 6
+#: drag over the diagonal of the tangent: at first, where it hardly counts, and where it is hopeless
+_FIRST, _LITTLE, _MOST = 0.05, 1e-4, 1e3
+#: it falls after an easy step, grows after a hard one and more so after one that failed
+_EASY, _HARD = 6, 10
+_LESS, _MORE, _MUCH_MORE = 0.25, 1.5, 5.0
+#: tolerances of a step that leads to the next, and its iterations, also while contact changes
+_TOLERANCE, _GAP, _ITERATIONS, _SWITCHING = 1e-3, 2e-5, 15, 25
+#: motion over the size of an element below which a place is nearly one of equilibrium
+_STILL = 1e-3
+#: largest diagonal that counts, over the median: springs of the contact are no part of it
+_OUTSTANDING = 3.0
 
 
 def solve_through(
@@ -38,48 +43,42 @@ def solve_through(
     Parameters
     ----------
     guess, lifted_from : State
-        As in :func:`study.forward.newton.iterate`.
+        As in :func:`study.forward.newton.solve_step`.
     """
-    return iterate(system, guess, settings, Descent(), lifted_from=lifted_from)
+    weights = _weights(system, lifted_from or guess)
+    rough = replace(
+        settings, tolerance=_TOLERANCE, gap=_GAP, max_iterations=_ITERATIONS,
+        max_switching=_SWITCHING,
+    )  # fmt: skip
+    place, lift, drag, spent, trials = guess, lifted_from, _FIRST, 0, 0
+    for _ in range(_STEPS):
+        result = solve_step(system.dragged(drag * weights, place.x), place, rough, lifted_from=lift)
+        spent += result.iterations
+        if not result.converged:
+            drag *= _MUCH_MORE
+            if drag > _MOST:
+                break
+            continue
+        moved = float(np.abs(result.state.x - place.x)[: system.space.n_displacement].max())
+        place, lift = replace(result.state, closed=()), None
+        still = drag <= _FIRST and moved < _STILL * system.mesh.contact_size_mm
+        if drag < _LITTLE or still:
+            result = solve_step(system, place, settings)
+            spent, trials = spent + result.iterations, trials + 1
+            if result.converged or trials == _TRIALS:
+                return replace(result, iterations=spent)
+            rough = replace(rough, tolerance=max(0.1 * rough.tolerance, settings.tolerance))
+            drag = max(drag, _LITTLE)
+        drag *= _LESS if result.iterations <= _EASY else _MORE if result.iterations > _HARD else 1.0
+    return replace(result, converged=False, iterations=spent)
 
 
-class Descent:
-    """Short steps that lower the potential energy, after a few of plain Newton."""
-
-    def __init__(self) -> None:
-        self._shift = 0.0
-
-    def switches(self, system: System) -> Switches:
-        """No point is held closed before the others have had their say."""
-        return Switches(system, together=_TOGETHER, holding=_TOGETHER)
-
-    def ended(
-        self, iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
-    ) -> bool:
-        """After so many iterations."""
-        return iteration >= _ITERATIONS
-
-    def solve(
-        self, system: System, residuals: list[float], right: Array, at: tuple[State, Assembly]
-    ) -> Array:
-        """Solve with a tangent that makes a step of descent."""
-        self._factorize(system, residuals)
-        return system.solve_afresh(right, ROUGH)
-
-    def _factorize(self, system: System, residuals: list[float]) -> None:
-        """Add the smallest multiple of the diagonal that makes a step of descent."""
-        if len(residuals) <= _PLAIN:
-            system.factorize()
-            return
-        self._shift = _DECAY * self._shift if self._shift > _NONE else 0.0
-        system.factorize(self._shift, exact=True)
-        while (system.instabilities() or 0) > 0 and self._shift < _MOST:
-            self._shift = max(_GROWTH * self._shift, _FIRST)
-            system.factorize(self._shift, exact=True)
-
-    def share(self, system: System, residuals: list[float], increment: Array) -> float:
-        """Move no node further than it may."""
-        furthest = float(np.abs(increment[: system.space.n_displacement]).max())
-        if len(residuals) <= _PLAIN or furthest == 0:
-            return 1.0
-        return min(1.0, _REACH * system.mesh.contact_size_mm / furthest)
+def _weights(system: System, state: State) -> Array:
+    """Diagonal of the tangent at the displacements, zero where nothing moves freely."""
+    system.assemble(state)
+    free = system.pattern.free
+    moving = free < system.space.n_displacement
+    diagonal = np.abs(system.data[system.pattern.indptr[:-1]])[moving]
+    weights = np.zeros(system.space.n)
+    weights[free[moving]] = np.minimum(diagonal, _OUTSTANDING * np.median(diagonal))
+    return weights

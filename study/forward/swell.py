@@ -8,6 +8,9 @@ meet the earlier. To the energy is added, element by element,
 
     kappa / 4 * integral of (J - mean of J over the element)^4.
 
+Quadratic tetrahedra do the like where a surface is drawn over a sharp edge and stretched five
+times: single points collapse between the nodes.
+
 It leaves the average to the pressures, so that it locks nothing, and it is of fourth order: no
 matter where an element deforms nearly evenly, and stiff where it is about to collapse.
 """

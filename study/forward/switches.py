@@ -25,17 +25,10 @@ class Switches:
     that the decisions may undo each other for ever; then only the point that wants it most
     changes sides, as in the classical active-set method for quadratic programs. A point
     that never settles is held closed; a step counts only if such points hardly pull.
-
-    Parameters
-    ----------
-    together : int
-        Iterations in which all points may change sides at once.
-    holding : int
-        Iterations before which none is held.
     """
 
-    def __init__(self, system: System, together: int = _TOGETHER, holding: int = 0) -> None:
-        self._system, self._together, self._holding = system, together, holding
+    def __init__(self, system: System) -> None:
+        self._system = system
         self._last: list[Flags] = []
         self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
         self._iteration = 0
@@ -54,14 +47,13 @@ class Switches:
             side = touch.wanted.copy()
             if self._last:
                 before, changed = self._last[number], touch.wanted != self._last[number]
-                if self._iteration >= self._together and changed.any():
+                if self._iteration >= _TOGETHER and changed.any():
                     side = before.copy()
                     if calm:
                         most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
                         side[most] = not before[most]
                 self._count[number] += side != before
-                if self._iteration >= self._holding:
-                    side |= self._count[number] >= _RESTLESS
+                side |= self._count[number] >= _RESTLESS
                 self.changing |= bool((side != before).any())
             chosen.append(side)
         self._last, self._iteration = chosen, self._iteration + 1

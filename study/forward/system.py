@@ -14,7 +14,7 @@ from study.forward.boundary import Constraints, constraints, contact_points, tou
 from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 from study.forward.elements import Discretization, discretize
 from study.forward.glue import TiedPoints, hold, nothing_held
-from study.forward.internal import EVENNESS, POINTWISE, Internal
+from study.forward.internal import EVENNESS, EVENNESS_OF_SOLIDS, POINTWISE, Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -51,6 +51,14 @@ class State:
     glue: Glue | None = None
 
 
+@dataclass(frozen=True)
+class Drag:
+    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``place`` (n,)."""
+
+    weights: Array
+    place: Array
+
+
 @dataclass
 class Assembly:
     """Residual, tangent entries and contact at one state (arrays are the system's own)."""
@@ -69,11 +77,14 @@ def _pointwise(problem: Problem) -> float:
 
 
 def _evenness(problem: Problem) -> float:
-    """Resistance to uneven volume in linear simplices, see :class:`Internal`."""
+    """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
     model = problem.model
-    bubbles = (model.element_order, model.element_shape) == ("linear", "simplex")
-    mixed = model.formulation != "displacement"
-    return EVENNESS if bubbles and mixed and problem.test.kind == "indentation" else 0.0
+    mixed = model.element_shape == "simplex" and model.formulation != "displacement"
+    if not mixed or problem.test.kind != "indentation":
+        return 0.0
+    if model.element_order == "linear":
+        return EVENNESS
+    return EVENNESS_OF_SOLIDS if model.space == "3d" else 0.0
 
 
 @dataclass
@@ -94,6 +105,7 @@ class System:
     kept: KeptFactors
     data: Array
     seconds: dict[str, float] = field(default_factory=dict)
+    drag: Drag | None = None
     _met: tuple[Array, float, list[Meeting]] | None = None
     _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
@@ -134,6 +146,10 @@ class System:
     def with_material(self, material: Material) -> System:
         """Return the same discretization for other constants; solver and arrays are shared."""
         return replace(self, material=material)
+
+    def dragged(self, weights: Array, place: Array) -> System:
+        """Return the same equations with a drag; solver and arrays are shared."""
+        return replace(self, drag=Drag(weights, place))
 
     @property
     def small_strain(self) -> bool:
@@ -194,6 +210,10 @@ class System:
                 blocks[:] = points.stiffness(touch)
                 inside = positions >= 0
                 np.add.at(self.data, positions[inside], blocks[inside])
+        if self.drag is not None:
+            residual += self.drag.weights * (state.x - self.drag.place)
+            if tangent:  # rows begin with their diagonal
+                self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
         self._touching = np.concatenate([np.zeros(0, bool), *(t.active for t in contacts)])
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
@@ -241,34 +261,14 @@ class System:
         )
         return replace(state, glue=glue, multipliers=multipliers)
 
-    def factorize(self, shift: float = 0.0, *, exact: bool = False) -> None:
-        """Factorize the last assembled tangent.
-
-        ``shift`` adds that multiple of its diagonal to the displacement part; ``exact`` asks
-        for double precision, without which :meth:`instabilities` are unknown.
-        """
+    def factorize(self, *, exact: bool = False) -> None:
+        """Factorize the last assembled tangent; ``exact`` asks for double precision."""
         began = time.perf_counter()
         if exact:
             self.solver.sharpen()
-        data = self.data
-        if shift:
-            # rows begin with their diagonal
-            at = self.pattern.indptr[:-1][self.pattern.free < self.space.n_displacement]
-            data = data.copy()
-            data[at] += shift * np.abs(data[at])
-        self.solver.factorize(data)
+        self.solver.factorize(self.data)
         self.kept.renewed(self._touching)
         self._count("factorization", began)
-
-    def instabilities(self) -> int | None:
-        """Negative eigenvalues of the last factorized tangent beyond those of the pressures.
-
-        Where there are none the state is stable against every motion at the given volume
-        (Sylvester's law of inertia). None where the linear solver does not count them.
-        """
-        negative = self.solver.negative_eigenvalues()
-        pressures = int((self.pattern.free >= self.space.n_displacement).sum())
-        return None if negative is None else negative - pressures
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
         """Solve with the last assembled tangent, by an older factorization where that pays.
