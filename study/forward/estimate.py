@@ -15,7 +15,7 @@ from study.forward.problem import Problem
 from study.forward.steps import StepRule, StepSettings
 
 #: Newton iterations of a load step: between plates, and where contact has to be found
-_ITERATIONS, _CONTACT_ITERATIONS = 4, 8
+_ITERATIONS, _CONTACT_ITERATIONS = 4, 4
 #: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
 #: that is graded around an indenter: their matrices hold a third of the entries
 _LINEAR = 0.5
@@ -67,17 +67,17 @@ def estimate(problem: Problem) -> Estimate:
 def _iteration(problem: Problem, dofs: float) -> float:
     """Seconds of a Newton iteration.
 
-    Between plates 0.05 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
+    Between plates 0.06 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
     1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 9 ms at
-    2.4k axisymmetric, and 0.07 s at 8k, 0.19 s at 15k, 0.47 s at 26k quadratic solid unknowns.
+    2.9k axisymmetric, and 0.06 s at 5.5k, 0.15 s at 11k, 0.53 s at 27k quadratic solid unknowns.
     """
     solid, indented = problem.model.space == "3d", problem.test.kind == "indentation"
     if not solid:
-        return float(0.001 + (3.5e-6 * dofs if indented else 0.05 * (dofs / 21e3) ** 1.2))
+        return float(3e-4 + 3.1e-6 * dofs if indented else 1e-3 + 0.06 * (dofs / 21e3) ** 1.2)
     if not indented:
         return float(0.5 * (dofs / 28e3) ** 1.95)
     share = 1.0 if problem.model.element_order == "quadratic" else _LINEAR
-    return float(0.07 * share * (dofs / 8.2e3) ** 1.65)
+    return float(0.103 * share * (dofs / 8.2e3) ** 1.38)
 
 
 def unknowns(problem: Problem, mesh: Mesh) -> int:

@@ -9,7 +9,7 @@ import pytest
 
 from study.forward.mesh import build_mesh
 from study.forward.newton import NewtonSettings
-from study.forward.problem import Block, Cone
+from study.forward.problem import Block, Cone, Flat
 from study.forward.snap import solve_through
 from study.forward.solve import Options, solve
 from study.forward.system import System
@@ -17,6 +17,8 @@ from study.material import Material
 from tests.forward.problems import taylor_slopes
 from tests.forward.test_indentation import NEEDLE, RUBBER, indentation
 
+LONG = (pytest.mark.slow, pytest.mark.verify)
+TOUGHER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, incompressible=True)
 #: with Poisson's ratio given, K follows the constants
 BY_RATIO = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
 
@@ -88,3 +90,24 @@ def test_a_block_under_a_deep_cone_snaps_and_goes_on() -> None:
     assert found.converged, found.message
     assert "snapped to another equilibrium" in found.message
     assert np.all(np.diff(found.curve.force_N) > 0)
+
+
+@pytest.mark.parametrize(
+    ("element_order", "mesh"),
+    [
+        ("linear", "coarse"),
+        pytest.param("quadratic", "coarse", marks=LONG),
+        pytest.param("linear", "medium", marks=LONG),
+    ],
+)
+def test_a_solid_under_a_flat_end_goes_on_to_its_radius(element_order: str, mesh: str) -> None:
+    """Deeper than half the radius the surface slips over the edge, facet by facet."""
+    problem = indentation(
+        Flat(3, 0.3), 3.0, material=TOUGHER, mesh=mesh, space="3d",  # type: ignore[arg-type]
+        element_order=element_order,
+    )  # fmt: skip
+    found = solve(problem)
+    assert found.converged, found.message
+    assert np.all(np.diff(found.curve.force_N) > 0)
+    # equilibrium of the specimen alone: what drags on the way is gone
+    np.testing.assert_allclose(found.base_reaction_N, found.curve.force_N, rtol=1e-6)
