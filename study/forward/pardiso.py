@@ -36,7 +36,7 @@ _IPARM = {
 #: and from which factors in single precision save more than their corrections cost
 _ORDERED = {True: 40_000, False: 3_000}
 _ALONE = {True: 10_000, False: 3_000}
-_SINGLE = {True: 10_000, False: 5_000}
+_SINGLE = {True: 2_500, False: 3_000}
 
 #: scaling and weighted matching: for matrices whose diagonal gives no good pivots
 _MATCHING = {11: 1, 13: 1}

@@ -31,7 +31,7 @@ class StepSettings:
     """
 
     largest: float = 0.06
-    first_touch: float = 0.1
+    first_touch: float = 0.15
     largest_touch: float = 0.25
     sticking: float = 0.125
     deeper: float = 0.08
