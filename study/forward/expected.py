@@ -42,7 +42,8 @@ _SAMPLES = 80
 def memory_MB(unknowns: float, *, solid: bool) -> float:  # noqa: N802
     """Peak memory of a process that solves so many unknowns, its libraries included.
 
-    Measured with quadratic elements and factors in single precision, linear ones take less: see ``test_memory_is_predicted``.
+    Measured with quadratic elements and factors in single precision, linear ones take less: see
+    ``test_memory_is_predicted``.
     """
     return float(_LIBRARIES_MB + (0.27e-3 * unknowns**1.3 if solid else 3e-3 * unknowns))
 
