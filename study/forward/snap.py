@@ -50,7 +50,8 @@ def solve_through(
         settings, tolerance=_TOLERANCE, gap=_GAP, max_iterations=_ITERATIONS,
         max_switching=_SWITCHING,
     )  # fmt: skip
-    place, lift, drag, spent, trials = guess, lifted_from, _FIRST, 0, 0
+    place, lift = _lifted(system, guess, rough, lifted_from)
+    drag, spent, trials = _FIRST, 0, 0
     for _ in range(_STEPS):
         result = solve_step(system.dragged(drag * weights, place.x), place, rough, lifted_from=lift)
         spent += result.iterations
@@ -71,6 +72,21 @@ def solve_through(
             drag = max(drag, _LITTLE)
         drag *= _LESS if result.iterations <= _EASY else _MORE if result.iterations > _HARD else 1.0
     return replace(result, converged=False, iterations=spent)
+
+
+def _lifted(
+    system: System, guess: State, settings: NewtonSettings, before: State | None
+) -> tuple[State, State | None]:
+    """Place to begin at, and the state to lift it from where it has yet to be lifted.
+
+    A plate's motion spreads through the specimen as it is: drag would keep it near the plate.
+    """
+    if before is None:
+        return guess, None
+    once = replace(settings, max_iterations=1, max_switching=1)
+    lifted = solve_step(system, guess, once, lifted_from=before).state
+    there = lifted.displacement_mm == guess.displacement_mm
+    return (lifted, None) if there else (guess, before)
 
 
 def _weights(system: System, state: State) -> Array:

@@ -88,6 +88,16 @@ def test_bonded_disc_at_twenty_percent(radius: float) -> None:
     np.testing.assert_allclose(force, FINITE_STRAIN[radius], rtol=0.01)
 
 
+def test_a_disc_that_snaps_is_pressed_on() -> None:
+    """The plate's next increment spreads through a specimen at its limit point without drag."""
+    problem = compression(Cylinder(2, 1), 0.3, steps=10)
+    mesh = grid(2, 1, 64, 32)
+    found = solve(problem, gradients=False, options=Options(side_contact=False), mesh=mesh)
+    assert found.converged, found.message
+    assert "snapped to another equilibrium" in found.message
+    np.testing.assert_allclose(found.base_reaction_N, found.curve.force_N, rtol=1e-6)
+
+
 @pytest.mark.parametrize(("n", "expected"), [(17, 3.713846), (34, 3.707414)])
 def test_same_mesh_as_four_other_codes(n: int, expected: float) -> None:
     problem = compression(Cylinder(25, 50), 2.5, material=GEL)
