@@ -127,6 +127,7 @@ class ContactPoints:
     small_strain: bool = False
     allowance_mm: Array | float = 0.0
     middles: sp.csr_matrix | None = None
+    _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def size(self) -> int:
@@ -135,7 +136,10 @@ class ContactPoints:
 
     def dofs(self, dim: int) -> Ints:
         """Displacement unknowns of every point, shape (n_points, dim * k)."""
-        return np.asarray((dim * self.nodes[:, :, None] + np.arange(dim)).reshape(self.size, -1))
+        if dim not in self._dofs:
+            each = dim * self.nodes[:, :, None] + np.arange(dim)
+            self._dofs[dim] = np.asarray(each.reshape(self.size, -1))
+        return self._dofs[dim]
 
     def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
         """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""

@@ -154,22 +154,20 @@ def signed_distance(pieces: Profile, rho: Array, z: Array) -> Distance:
     rho, z : ndarray, shape (n,)
         Points, relative to the lowest point of the indenter.
     """
-    n = rho.size
-    best = np.full(n, -np.inf)
-    found = [np.zeros(n) for _ in range(6)]
+    best = np.zeros((7, rho.size))
+    best[0] = -np.inf
     for piece in pieces:
         if isinstance(piece, Arc):
-            near, distance = _from_arc(piece, rho, z)
+            near, found = _from_arc(piece, rho, z)
         else:
-            near, distance = _from_line(piece, rho, z)
-        better = near & (distance.gap > best)
-        best = np.where(better, distance.gap, best)
-        parts = (*distance.slope, *distance.curvature, distance.around)
-        found = [np.where(better, new, old) for new, old in zip(parts, found, strict=True)]
-    return Distance(best, (found[0], found[1]), (found[2], found[3], found[4]), found[5])
+            near, found = _from_line(piece, rho, z)
+        np.copyto(best, found, where=near & (found[0] > best[0]))
+    gap, n_r, n_z, rr, rz, zz, around = best
+    return Distance(gap, (n_r, n_z), (rr, rz, zz), around)
 
 
-def _from_arc(arc: Arc, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Distance]:
+def _from_arc(arc: Arc, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which points lie before the arc, and the rows of a distance to its circle, (7, n)."""
     out, up = rho - arc.center[0], z - arc.center[1]
     far = np.maximum(np.hypot(out, up), _TINY)
     angle = np.arctan2(out, -up)
@@ -177,22 +175,21 @@ def _from_arc(arc: Arc, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Distan
     n_r, n_z = out / far, up / far
     around = 1 / far if arc.center[0] == 0.0 else n_r / np.maximum(rho, _TINY)
     curvature = ((1 - n_r**2) / far, -n_r * n_z / far, (1 - n_z**2) / far)
-    return near, Distance(far - arc.radius, (n_r, n_z), curvature, around)
+    return near, np.stack([far - arc.radius, n_r, n_z, *curvature, around])
 
 
-def _from_line(line: Line, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Distance]:
+def _from_line(line: Line, rho: Array, z: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Which points lie beside the line, and the rows of a distance to it, (7, n)."""
     (r0, z0), (r1, z1) = line.start, line.end
+    found = np.zeros((7, rho.size))
     length = np.hypot(r1 - r0, z1 - z0)
     if length < _TINY:
-        flat = np.zeros(rho.shape)
-        return flat.astype(bool), Distance(flat, (flat, flat), (flat, flat, flat), flat)
+        return np.zeros(rho.shape, dtype=bool), found
     t_r, t_z = (r1 - r0) / length, (z1 - z0) / length
     along = (rho - r0) * t_r + (z - z0) * t_z
-    zero = np.zeros(rho.shape)
-    n_r, n_z = zero + t_z, zero - t_r
-    gap = (rho - r0) * n_r + (z - z0) * n_z
-    around = n_r / np.maximum(rho, _TINY)
-    return (along >= 0) & (along <= length), Distance(gap, (n_r, n_z), (zero, zero, zero), around)
+    found[0] = (rho - r0) * t_z - (z - z0) * t_r
+    found[1], found[2], found[6] = t_z, -t_r, t_z / np.maximum(rho, _TINY)
+    return (along >= 0) & (along <= length), found
 
 
 @dataclass(frozen=True)

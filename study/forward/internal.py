@@ -7,14 +7,16 @@ sees vectors of unknowns and packed element tangents.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.elements import Discretization
+from study.forward.pattern import Pattern
 from study.forward.swell import add_unevenness
-from study.forward.threads import smallest_in_slices
+from study.forward.threads import side_by_side, smallest_in_slices
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -135,9 +137,17 @@ class Internal:
         kernels.gathered(self.space.dofs, self.residuals, out)
         return out
 
-    def scatter(self, positions: NDArray[np.int32], data: Array) -> None:
+    def scatter(self, pattern: Pattern, data: Array) -> None:
         """Put the sum of the element tangents into the entries of a sparsity pattern."""
-        kernels.scatter(positions, self.tangents.ravel(), data)
+        positions = pattern.positions.reshape(self.tangents.shape)
+
+        def add(group: NDArray[np.int32]) -> None:
+            kernels.scatter(group, positions, self.tangents, data)
+
+        data[:] = 0.0
+        first, apart, between = pattern.groups
+        side_by_side(partial(add, first), partial(add, apart), self.space.weights.size)
+        add(between)
 
     def product(self, v: Array) -> Array:
         """Tangent times ``v``, shape (n,), constrained rows and columns included."""

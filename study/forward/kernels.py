@@ -235,14 +235,19 @@ def packed_product(dofs: Unknowns, K: Array, v: Array, out: Array) -> None:
             out[dofs[e, i]] += into[i]
 
 
-@kernel()
-def scatter(positions: NDArray[np.int32], values: Array, data: Array) -> None:
-    """Add packed values to the entries of the fixed sparsity pattern (negative: constrained)."""
-    data[:] = 0.0
-    for i in range(positions.size):
-        k = positions[i]
-        if k >= 0:
-            data[k] += values[i]
+@kernel(nogil=True)
+def scatter(
+    elements: NDArray[np.int32], positions: NDArray[np.int32], values: Array, data: Array
+) -> None:
+    """Add packed values of some elements to the entries of the fixed sparsity pattern.
+
+    Positions, shape (n_elements, m (m + 1) / 2), are negative for constrained unknowns.
+    """
+    for e in elements:
+        for i in range(positions.shape[1]):
+            k = positions[e, i]
+            if k >= 0:
+                data[k] += values[e, i]
 
 
 @kernel()

@@ -8,7 +8,7 @@ same mesh everywhere, and a refinement series has the ratio that was asked for.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ Cells = NDArray[np.int64]
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
+#: meshes of this process that are kept, and they
+_KEPT = 4
+_MADE: dict[tuple[object, ...], Mesh] = {}
 
 
 @dataclass(frozen=True)
@@ -119,10 +122,22 @@ def _at_edge(problem: Problem, mesh: Mesh) -> NDArray[np.bool_] | None:
 
 
 def _regular_mesh(problem: Problem) -> Mesh:
-    if isinstance(problem.specimen, Surface):
+    """Mesh before nodes are moved: the last few are kept, as materials do not change them."""
+    if isinstance(problem.specimen, Surface):  # the file may have changed
         from study.forward.surface_mesh import surface_mesh
 
         return surface_mesh(problem)
+    asked = problem.specimen, replace(problem.test, steps=1), replace(problem.model, mesh_seed=None)
+    if asked not in _MADE:
+        mesh = _made(problem)
+        mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
+        for oldest in list(_MADE)[: 1 - _KEPT]:
+            del _MADE[oldest]
+        _MADE[asked] = mesh
+    return _MADE[asked]
+
+
+def _made(problem: Problem) -> Mesh:
     if problem.test.kind == "indentation":
         from study.forward.graded import indentation_mesh
 

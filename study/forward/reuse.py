@@ -13,6 +13,7 @@ of this solve (Carson and Higham 2018, SIAM J. Sci. Comput. 40, A817).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -159,23 +160,18 @@ def fgmres(
     size = float(np.linalg.norm(b))
     if size == 0:
         return np.zeros_like(b), 1, 0.0
-    basis, directions = [b / size], []
-    hessenberg = np.zeros((most + 1, most))
-    right = np.zeros(most + 1)
-    right[0], left = size, size
+    basis, directions = [b / size], list[Array]()
+    triangle, right = np.zeros((most, most)), [size]
+    rotations = list[tuple[float, float]]()
     for j in range(most):
         directions.append(precondition(basis[j]))
         w = product(directions[j])
-        for _ in range(2):  # Gram-Schmidt twice is enough
-            for i, v in enumerate(basis):
-                h = float(np.einsum("i,i->", v, w))  # no threads for so little
-                hessenberg[i, j] += h
-                w -= h * v
-        norm = float(np.sqrt(np.einsum("i,i->", w, w)))
-        hessenberg[j + 1, j] = norm
-        y, *_ = np.linalg.lstsq(hessenberg[: j + 2, : j + 1], right[: j + 2], rcond=None)
-        left = float(np.linalg.norm(right[: j + 2] - hessenberg[: j + 2, : j + 1] @ y))
+        column = _orthogonalized(w, basis)
+        norm = column[-1]
+        triangle[: j + 1, j] = _rotated(column, right, rotations)
+        left = abs(right[-1])
         if left <= tolerance * size:
+            y = np.linalg.solve(triangle[: j + 1, : j + 1], right[:-1])
             return np.asarray(np.column_stack(directions) @ y), j + 1, left / size
         if not np.isfinite(norm) or norm <= 1e-14 * size:
             return None, j + 1, left / size
@@ -184,3 +180,33 @@ def fgmres(
             return None, j + 1, left / size
         basis.append(w / norm)
     return None, most, left / size
+
+
+def _orthogonalized(w: Array, basis: list[Array]) -> list[float]:
+    """Take the parts along ``basis`` away from ``w``; return them, and the norm of the rest."""
+    column = [0.0] * len(basis)
+    for _ in range(2):  # Gram-Schmidt twice is enough
+        for i, v in enumerate(basis):
+            h = float(np.einsum("i,i->", v, w))  # no threads for so little
+            column[i] += h
+            w -= h * v
+    return [*column, math.sqrt(np.einsum("i,i->", w, w))]
+
+
+def _rotated(
+    column: list[float], right: list[float], rotations: list[tuple[float, float]]
+) -> list[float]:
+    """Next column of the triangle: plane rotations take away what is below the diagonal.
+
+    The rotation of this column joins ``rotations`` and turns the end of ``right``, which then
+    holds the residual (Saad 2003, sec. 6.5.3).
+    """
+    for i, (c, s) in enumerate(rotations):
+        upper, lower = column[i], column[i + 1]
+        column[i], column[i + 1] = c * upper + s * lower, c * lower - s * upper
+    *above, last, below = column
+    size = math.hypot(last, below)
+    c, s = (last / size, below / size) if size > 0 else (0.0, 1.0)
+    rotations.append((c, s))
+    right[-1:] = [c * right[-1], -s * right[-1]]
+    return [*above, size]

@@ -107,6 +107,7 @@ class System:
     seconds: dict[str, float] = field(default_factory=dict)
     drag: Drag | None = None
     _met: tuple[Array, float, list[Meeting]] | None = None
+    _ratios: tuple[Array, Array] | None = None
     _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
 
@@ -189,7 +190,9 @@ class System:
 
     def volume_ratios(self, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature)."""
-        return self.internal.volume_ratios(self.material, x)
+        if self._ratios is None or self._ratios[0] is not x:
+            self._ratios = x, self.internal.volume_ratios(self.material, x)
+        return self._ratios[1]
 
     def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
         """Residual at a state; the tangent stays in the system's own arrays.
@@ -200,7 +203,7 @@ class System:
         min_j = self.internal.evaluate(self.material, state.x, tangent=tangent)
         internal = self.internal.gathered()
         if tangent and min_j > 0:
-            self.internal.scatter(self.pattern.positions, self.data)
+            self.internal.scatter(self.pattern, self.data)
         residual, contacts = internal.copy(), self._touching_as(state, state.closed)
         for points, touch, (dofs, positions, blocks) in zip(
             self.contact, contacts, self._contact_blocks, strict=True

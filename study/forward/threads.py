@@ -39,6 +39,18 @@ def smallest_in_slices(shape: tuple[int, ...], loop: Callable[[slice], float]) -
     return min(loop(first), *(part.result() for part in waiting))
 
 
+def side_by_side(first: Callable[[], None], second: Callable[[], None], points: int) -> None:
+    """Run both, at once where a second thread pays for so many quadrature points."""
+    threads = int(_CONFIG.NUMBA_NUM_THREADS)
+    if threads < 2 or points < _FEW:
+        first()
+        second()
+        return
+    waiting = _threads(threads - 1).submit(second)
+    first()
+    waiting.result()
+
+
 def vectors_alone() -> AbstractContextManager[Any]:
     """Context in which NumPy and SciPy add up vectors without threads.
 

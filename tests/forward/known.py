@@ -127,7 +127,7 @@ def _step(
     lift[held] = values - x[held]
     for _ in range(20):
         assert made.internal.evaluate(made.material, x, tangent=True) > 0
-        made.internal.scatter(pattern.positions, data)
+        made.internal.scatter(pattern, data)
         residual = made.internal.gathered() - load
         scale = np.abs(made.internal.gathered()).max() + np.abs(load).max() + 1e-300
         if not lift.any() and np.abs(residual[free]).max() < 1e-11 * scale:
@@ -149,7 +149,7 @@ def linear(made: Body, held: Array, values: Array) -> Answer:
     solver, data = make_solver(pattern), np.zeros(pattern.indices.size)
     x = np.zeros(made.space.n)
     made.internal.evaluate(made.material, x, tangent=True)
-    made.internal.scatter(pattern.positions, data)
+    made.internal.scatter(pattern, data)
     solver.factorize(data)
     x[held] = np.asarray(values)[first]
     x[pattern.free] = solver.solve(-made.internal.product(x)[pattern.free])

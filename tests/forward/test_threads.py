@@ -44,6 +44,38 @@ def test_elements_in_slices_give_the_same_bits(
     assert np.isfinite(found[0][3]).all()
 
 
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_a_tangent_summed_by_two_threads_has_the_same_bits(
+    space: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(
+        Cylinder(25.0, 50.0), Test("compression", 2.0, "bonded", "bonded"), GEL,
+        Model(space, "quadratic", mesh_size_mm=6.0),
+    )  # fmt: skip
+    system = System.build(problem, build_mesh(problem))
+    first, apart, between = system.pattern.groups
+    assert between.size
+    assert apart.size or space == "axisymmetric"  # whose triangles come in two lists
+    np.testing.assert_array_equal(
+        np.sort(np.concatenate([first, apart, between])), np.arange(system.space.n_elements)
+    )
+    assert not np.intersect1d(system.space.dofs[first], system.space.dofs[apart]).size
+    packed = system.internal.tangents
+    packed[:] = np.random.default_rng(3).normal(size=packed.shape)
+    monkeypatch.setattr(threads, "_FEW", 0)
+    found = []
+    for count in (1, 2):
+        monkeypatch.setattr(threads._CONFIG, "NUMBA_NUM_THREADS", count)
+        data = np.full(system.pattern.indices.size, np.nan)
+        system.internal.scatter(system.pattern, data)
+        found.append(data)
+    np.testing.assert_array_equal(*found)
+    positions = system.pattern.positions
+    inside = positions >= 0
+    expected = np.bincount(positions[inside], packed.ravel()[inside], minlength=found[0].size)
+    np.testing.assert_allclose(found[0], expected, atol=1e-13)
+
+
 def test_an_error_in_a_slice_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     def loop(part: slice) -> float:
         if part.start:
