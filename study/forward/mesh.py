@@ -137,6 +137,11 @@ def _regular_mesh(problem: Problem) -> Mesh:
     return _MADE[asked]
 
 
+def forget_meshes() -> None:
+    """Let the next meshes be made anew: where the time that it takes is asked for."""
+    _MADE.clear()
+
+
 def _made(problem: Problem) -> Mesh:
     if problem.test.kind == "indentation":
         from study.forward.graded import indentation_mesh

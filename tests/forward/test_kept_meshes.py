@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.forward.mesh import _KEPT, _MADE, build_mesh
+from study.forward.mesh import _KEPT, _MADE, build_mesh, forget_meshes
 from study.forward.problem import Cone, Cylinder, Model, Problem, Test
 from tests.forward.problems import GEL, YEOH
 
@@ -43,3 +43,9 @@ def test_only_a_few_are_kept_and_none_can_be_changed() -> None:
     again = build_mesh(NEEDLE)
     assert again is not made
     assert again.digest() == made.digest()
+
+
+def test_meshes_can_be_forgotten() -> None:
+    made = build_mesh(NEEDLE)
+    forget_meshes()
+    assert build_mesh(NEEDLE) is not made
