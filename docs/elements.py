@@ -1,6 +1,6 @@
 """How many unknowns, and how many seconds, each element needs for a force.
 
-    make elements    solve every mesh, write elements.csv (20 minutes), then draw
+    make elements    solve every mesh, write elements.csv (10 minutes), then draw
     python docs/elements.py draw    write elements.svg and the tables of elements.md
 
 The needle is the one of the other codes' figures: half-angle 30 degrees, tip of 1 mm, 2 mm
