@@ -86,8 +86,12 @@ def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
             if small > 1
             else (f"; the interaction {_term(quiet[0], labels)} does not matter in either")
         )
+    if not small:
+        one = f"the interaction {_term(quiet[0], labels)}"
+        which = one if len(quiet) == 1 else f"any of {count(len(quiet), 'other interaction')}"
+        return f"; whether {which} matters cannot be told in one or both"
     return (
-        f"; of {count(len(quiet), 'interaction')} that matter{'s' * (len(quiet) == 1)} in neither, "
+        f"; of {count(len(quiet), 'interaction')} that matter in neither, "
         f"{small} make{'s' * (small == 1)} no practical difference in both and the rest cannot be "
         "told in one or both"
     )

@@ -82,6 +82,26 @@ def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("small", "open_ones", "said"),
+    [
+        (2, 0, "no interaction matters in either (2 compared)."),
+        (0, 1, "whether the interaction plates x range matters cannot be told in one or both."),
+        (0, 3, "whether any of 3 other interactions matters cannot be told in one or both."),
+        (1, 2, "of 3 interactions that matter in neither, 1 makes no practical difference in both "
+               "and the rest cannot be told in one or both."),
+    ],
+)  # fmt: skip
+def test_interactions_that_nobody_names_are_counted(small: int, open_ones: int, said: str) -> None:
+    no, open_ = found("no practical difference", 0.1), found("cannot tell", 0.6)
+    rows = [conclusion("material:plates", kinds.NO_DIFFERENCE, True, no, no)] * small
+    rows += [conclusion("plates:range", kinds.ONE_CANNOT_TELL, None, no, open_)] * open_ones
+    main = conclusion("material", kinds.NO_DIFFERENCE, True, no, no)
+    text = words.summary(replace(example(), conclusions=(main, *rows)))[-1]
+    plain = text.replace("\N{NO-BREAK SPACE}", " ").replace("\N{MULTIPLICATION SIGN}", "x")
+    assert plain.endswith(said)
+
+
 def test_answer_box_says_which_conclusions_hold(page: str) -> None:
     box = text_of(page[page.index('id="answer"') : page.index('id="study"')])
     assert (
