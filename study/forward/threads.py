@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numba
 from threadpoolctl import ThreadpoolController
@@ -22,6 +23,7 @@ _FEW = 10_000
 #: how long MKL's threads wait for more work
 _AWAKE_MS = 1
 _CONFIG: Any = numba.config
+_Result = TypeVar("_Result")
 
 
 def smallest_in_slices(shape: tuple[int, ...], loop: Callable[[slice], float]) -> float:
@@ -30,25 +32,31 @@ def smallest_in_slices(shape: tuple[int, ...], loop: Callable[[slice], float]) -
     ``shape`` is (n_elements, points of each).
     """
     n_elements, n_points = shape
-    threads = int(_CONFIG.NUMBA_NUM_THREADS)
-    if threads < 2 or n_elements * n_points < _FEW:
-        return loop(slice(0, n_elements))
-    edges = [n_elements * i // threads for i in range(threads + 1)]
-    first, *others = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
-    waiting = [_threads(threads - 1).submit(loop, part) for part in others]
-    return min(loop(first), *(part.result() for part in waiting))
+    count = _worth_waking(n_elements * n_points)
+    edges = [n_elements * i // count for i in range(count + 1)]
+    parts = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+    return min(_at_once([partial(loop, part) for part in parts]))
 
 
 def side_by_side(first: Callable[[], None], second: Callable[[], None], points: int) -> None:
     """Run both, at once where a second thread pays for so many quadrature points."""
-    threads = int(_CONFIG.NUMBA_NUM_THREADS)
-    if threads < 2 or points < _FEW:
+    if _worth_waking(points) > 1:
+        _at_once([first, second])
+    else:
         first()
         second()
-        return
-    waiting = _threads(threads - 1).submit(second)
-    first()
-    waiting.result()
+
+
+def _worth_waking(points: int) -> int:
+    """Threads that pay for so many quadrature points, this one included."""
+    return max(int(_CONFIG.NUMBA_NUM_THREADS), 1) if points >= _FEW else 1
+
+
+def _at_once(jobs: Sequence[Callable[[], _Result]]) -> list[_Result]:
+    """Results of all jobs: the first is done here, every other in a thread."""
+    here, *others = jobs
+    waiting = [_threads(len(others)).submit(job) for job in others]
+    return [here(), *(job.result() for job in waiting)]
 
 
 def vectors_alone() -> AbstractContextManager[Any]:
