@@ -58,7 +58,7 @@ class Discretization:
     n_displacement, n : int
         Numbers of displacement unknowns and of all unknowns.
     gradients, hoop, pressure_shape, weights : ndarray
-        As :func:`study.forward.kernels.element_residuals` takes them.
+        As :func:`study.forward.handed.Shapes` takes them.
     facets : ndarray of int, shape (n_facets, k)
         Nodes of each boundary facet (edges or faces), midpoints included.
     facet_weights : ndarray, shape (n_facets,)

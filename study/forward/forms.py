@@ -54,17 +54,20 @@ def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
 
 
 @part(fastmath=_FAST)
-def along_nodes(dN: Array, hoop: Array, T: Array, out: Array) -> None:
-    """T : dF/du at one quadrature point, node by node: forces of a stress, dJ/du of dJ/dF."""
+def along_nodes(dN: Array, hoop: Array, T: Array, w: float, out: Array) -> None:
+    """Add w T : dF/du, node by node: forces of a stress, or dJ/du of dJ/dF."""
     na, dim = dN.shape
-    for a in range(na):
-        for i in range(dim):
-            total = dN[a, 0] * T[3 * i] + dN[a, 1] * T[3 * i + 1]
-            if dim == 3:
-                total += dN[a, 2] * T[3 * i + 2]
-            elif i == 0:
-                total += hoop[a] * T[8]
-            out[dim * a + i] = total
+    if dim == 3:
+        for i in range(3):
+            x, y, z = w * T[3 * i], w * T[3 * i + 1], w * T[3 * i + 2]
+            for a in range(na):
+                out[3 * a + i] += x * dN[a, 0] + y * dN[a, 1] + z * dN[a, 2]
+    else:
+        rr, rz, zr, zz, around = w * T[0], w * T[1], w * T[3], w * T[4], w * T[8]
+        for a in range(na):
+            x, y = dN[a, 0], dN[a, 1]
+            out[2 * a] += rr * x + rz * y + around * hoop[a]
+            out[2 * a + 1] += zr * x + zz * y
 
 
 @part(fastmath=_FAST)

@@ -7,16 +7,16 @@ sees vectors of unknowns and packed element tangents.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.elements import Discretization
-from study.forward.pattern import Pattern
-from study.forward.swell import add_unevenness
-from study.forward.threads import side_by_side, smallest_in_slices
+from study.forward.handed import Elements, Energy, Shapes, Sums
+from study.forward.slabs import Slabs, slabs
+from study.forward.tangent import Tangent
+from study.forward.threads import smallest
 from study.material import Material
 
 Array = NDArray[np.float64]
@@ -30,6 +30,8 @@ POINTWISE = 0.03
 EVENNESS, EVENNESS_OF_SOLIDS = 20.0, 100.0
 #: stands for a volume measure that is not positive, where that means nothing
 _SMALLEST = 1e-6
+#: where no tangent is asked for
+_NOWHERE = Sums(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,12 @@ class Internal:
     ----------
     space : Discretization
         Shape-function arrays.
+    shapes : Shapes
+        The same as compiled loops take them.
+    phases : tuple of tuple of ndarray of uint32
+        Elements that may be worked on at once, see :mod:`study.forward.slabs`.
     residuals : ndarray, shape (n_elements, m)
         Of the last evaluation.
-    tangents : ndarray, shape (n_elements, m (m + 1) / 2)
-        Packed upper triangles of the last evaluation that asked for them.
     pointwise : float
         Share of the bulk modulus that acts on J at every quadrature point and not through the
         pressures. A mixed element resists a change of volume on average only: under a sharp
@@ -93,31 +97,34 @@ class Internal:
     """
 
     space: Discretization
+    shapes: Shapes
+    phases: tuple[Slabs, ...]
     residuals: Array
-    tangents: Array
     pointwise: float = 0.0
     evenness: float = 0.0
 
     @classmethod
     def on(cls, space: Discretization, pointwise: float = 0.0, evenness: float = 0.0) -> Internal:
         """Take the memory for a discretization."""
-        n, m = space.n_elements, space.dofs.shape[1]
-        # filled, since zeros alone are memory that is only promised until it is written to
-        residuals, packed = np.full((n, m), 0.0), np.full((n, m * (m + 1) // 2), 0.0)
-        return cls(space, residuals, packed, pointwise, evenness)
+        shapes = Shapes(
+            space.gradients, space.hoop, space.pressure_shape, space.weights, space.dofs
+        )
+        residuals = np.full(space.dofs.shape, 0.0)
+        return cls(space, shapes, slabs(space), residuals, pointwise, evenness)
 
-    def evaluate(self, material: Material, x: Array, *, tangent: bool) -> float:
-        """Fill the element arrays at unknowns ``x``, shape (n,); return the smallest J.
+    def evaluate(self, material: Material, x: Array, into: Tangent | None = None) -> float:
+        """Residuals at unknowns ``x``, shape (n,), and tangents where asked; return the smallest J.
 
         Where it is not positive nothing else is valid. For small strain it is the smallest
         1 + tr(eps), kept above zero: a linear body cannot be inverted.
         """
-        law = law_of(material)
         everywhere, held = self._shares(material.bulk)
-        min_j = self._elements(x, law, tangent, everywhere, 1 / held)
-        if self._uneven(material) and min_j > 0:
-            self._add_unevenness(material, x, self.evenness * material.mu0, tangent)
-        return max(min_j, _SMALLEST) if law.family == kernels.LINEAR else min_j
+        uneven = self._unevenness(material, material.mu0)
+        energy = _energy(law_of(material), everywhere, 1 / held, uneven)
+        if into is not None:
+            into.data[:] = 0.0
+        min_j = self._elements(x, energy, into)
+        return max(min_j, _SMALLEST) if energy.family == kernels.LINEAR else min_j
 
     def _shares(self, K: float) -> tuple[float, float]:
         """Bulk modulus at every point, and that of the pressures."""
@@ -137,24 +144,6 @@ class Internal:
         kernels.gathered(self.space.dofs, self.residuals, out)
         return out
 
-    def scatter(self, pattern: Pattern, data: Array) -> None:
-        """Put the sum of the element tangents into the entries of a sparsity pattern."""
-        positions = pattern.positions.reshape(self.tangents.shape)
-
-        def add(group: NDArray[np.int32]) -> None:
-            kernels.scatter(group, positions, self.tangents, data)
-
-        data[:] = 0.0
-        first, apart, between = pattern.groups
-        side_by_side(partial(add, first), partial(add, apart), self.space.weights.size)
-        add(between)
-
-    def product(self, v: Array) -> Array:
-        """Tangent times ``v``, shape (n,), constrained rows and columns included."""
-        out = np.empty(self.space.n)
-        kernels.packed_product(self.space.dofs, self.tangents, v, out)
-        return out
-
     def volume_ratios(self, material: Material, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature); 1 for small strain.
 
@@ -162,57 +151,34 @@ class Internal:
         linear body knows nothing.
         """
         J = np.ones(self.space.weights.shape)
-        if material.family == "linear-elastic":
-            return J
-        space = self.space
-
-        def loop(e: slice) -> float:
-            found = kernels.volume_ratios(space.gradients[e], space.hoop[e], space.dofs[e], x, J[e])
-            return float(found)
-
-        smallest_in_slices(J.shape, loop)
+        if material.family != "linear-elastic":
+            smallest(self.phases, lambda e: float(kernels.volume_ratios(e, self.shapes, x, J)))
         return J
 
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included; tangents are kept."""
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
-        self._elements(without_pressure, law_rate(material, name), False, 0.0, 0.0)
+        uneven = self._unevenness(material, material.mu0_gradient()[name])
+        self._elements(without_pressure, _energy(law_rate(material, name), 0.0, 0.0, uneven))
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
-        bulk_rate, mu_rate = material.bulk_gradient()[name], material.mu0_gradient()[name]
-        if self._uneven(material) and mu_rate:
-            self.residuals[:] = 0.0
-            self._add_unevenness(material, x, self.evenness * mu_rate, tangent=False)
-            out += self.gathered()
+        bulk_rate = material.bulk_gradient()[name]
         return out + bulk_rate * self._bulk_derivative(material, x) if bulk_rate else out
 
-    def _uneven(self, material: Material) -> bool:
-        """Whether uneven volume within an element is resisted; small strain has no limit point."""
-        return self.evenness > 0 and material.family != "linear-elastic"
+    def _unevenness(self, material: Material, mu: float) -> float:
+        """Resistance to uneven volume where ``mu`` is the shear modulus, or its rate.
 
-    def _add_unevenness(self, material: Material, x: Array, kappa: float, tangent: bool) -> None:
-        """Add that resistance to the element arrays."""
-        space, J = self.space, self.volume_ratios(material, x)
-        add_unevenness(
-            space.gradients,
-            space.hoop,
-            space.weights,
-            space.dofs,
-            x,
-            J,
-            kappa,
-            tangent,
-            self.residuals,
-            self.tangents,
-        )
+        None at small strain, which has no limit points.
+        """
+        return 0.0 if material.family == "linear-elastic" else self.evenness * mu
 
     def _bulk_derivative(self, material: Material, x: Array) -> Array:
         """dR/dK at fixed unknowns: p/K^2 N in the mixed form, (J - 1) dJ/dF pointwise."""
         zero = without_shear(material)
 
         def residual(bulk: float, compliance: float) -> Array:
-            self._elements(x, zero, False, bulk, compliance)
+            self._elements(x, _energy(zero, bulk, compliance, 0.0))
             return self.gathered()
 
         if self.space.pressure_shape.shape[2] == 0:
@@ -221,27 +187,17 @@ class Internal:
         out = (plain - residual(0.0, 1.0)) / ((1 - share) * material.bulk**2)
         return out + share * (residual(1.0, 0.0) - plain) if share else out
 
-    def _elements(self, x: Array, law: Law, tangent: bool, bulk: float, compliance: float) -> float:
-        space = self.space
-        shared = space.pressure_shape.shape[0] == 1
+    def _elements(self, x: Array, energy: Energy, into: Tangent | None = None) -> float:
+        sums = _NOWHERE if into is None else into.sums
 
-        def loop(e: slice) -> float:
-            return float(
-                kernels.element_residuals(
-                    space.gradients[e],
-                    space.hoop[e],
-                    space.pressure_shape if shared else space.pressure_shape[e],
-                    space.weights[e],
-                    space.dofs[e],
-                    x,
-                    law.family,
-                    law.constants,
-                    bulk,
-                    compliance,
-                    tangent,
-                    self.residuals[e],
-                    self.tangents[e],
-                )
+        def loop(elements: Elements) -> float:
+            found = kernels.assemble(
+                elements, self.shapes, energy, x, self.residuals, into is not None, sums
             )
+            return float(found)
 
-        return smallest_in_slices(space.weights.shape, loop)
+        return smallest(self.phases, loop)
+
+
+def _energy(law: Law, bulk: float, compliance: float, evenness: float) -> Energy:
+    return Energy(law.family, law.constants, bulk, compliance, evenness)

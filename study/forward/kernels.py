@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.forward.compiled import kernel, part
+from study.forward.dyads import add_dyads
 from study.forward.forms import (
-    ONE,
     add_compressibility,
     add_coupling,
     add_stiffness,
@@ -30,9 +30,9 @@ from study.forward.forms import (
     along_nodes,
     deformation_gradient,
     gather,
-    packed,
     place_coupling,
 )
+from study.forward.handed import Elements, Energy, Shapes, Sums
 from study.forward.law import (
     add_pressure_tangent,
     cofactor,
@@ -42,6 +42,7 @@ from study.forward.law import (
     polynomial_tangent,
 )
 from study.forward.ogden import BY_EXPONENT, STRESS, WORK_ROWS, ogden_stress, ogden_tangent
+from study.forward.swell import add_unevenness
 
 Array = NDArray[np.float64]
 Unknowns = NDArray[np.int32]
@@ -81,9 +82,12 @@ def full_tangent(
     work: Array,
     tangent: Array,
 ) -> None:
-    """Tangent of :func:`isochoric`, called before, and of a pressure."""
+    """Tangent of :func:`isochoric`, called before, and of a pressure.
+
+    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
+    """
     if family == POLYNOMIAL:
-        polynomial_tangent(f, constants.shape[1] > 1, plane, bend, stiff, work, tangent)
+        polynomial_tangent(f, plane, bend, stiff, work, tangent)
         return
     if family == LINEAR:
         linear_tangent(constants[0, 0], tangent)
@@ -92,17 +96,27 @@ def full_tangent(
     add_pressure_tangent(work[0], bend, stiff, tangent)
 
 
+@part()
+def scatter(positions: Unknowns, K: Array, data: Array) -> None:
+    """Add a packed tangent to the entries of the sparsity pattern; some positions are negative."""
+    for s in range(K.size):
+        k = positions[s]
+        if k >= 0:
+            data[k] += K[s]
+
+
 @kernel(nogil=True)
-def volume_ratios(gradients: Array, hoop: Array, dofs: Unknowns, x: Array, J: Array) -> float:
-    """J = det F at every quadrature point; returns the smallest.
+def volume_ratios(elements: Elements, space: Shapes, x: Array, J: Array) -> float:
+    """J = det F at every quadrature point of some elements; returns the smallest.
 
     In axisymmetric space a hoop stretch that is not positive counts as ``J = -1``, since
     two negative stretches would otherwise multiply to a volume that looks sound.
     """
-    ne, nq, na, dim = gradients.shape
+    gradients, hoop, dofs = space.gradients, space.hoop, space.dofs
+    nq, na, dim = gradients.shape[1:]
     f, g, u = np.empty(9), np.empty(9), np.empty((na, dim))
     smallest = np.inf
-    for e in range(ne):
+    for e in elements:
         gather(x, dofs, e, u)
         for q in range(nq):
             deformation_gradient(gradients[e, q], hoop[e, q], u, f)
@@ -116,50 +130,27 @@ def volume_ratios(gradients: Array, hoop: Array, dofs: Unknowns, x: Array, J: Ar
 
 
 @kernel(nogil=True)
-def element_residuals(
-    gradients: Array,
-    hoop: Array,
-    pressure_shape: Array,
-    weights: Array,
-    dofs: Unknowns,
+def assemble(
+    elements: Elements,
+    space: Shapes,
+    energy: Energy,
     x: Array,
-    family: int,
-    constants: Array,
-    bulk: float,
-    compliance: float,
-    want_tangent: bool,
     R: Array,
-    K: Array,
+    want_tangent: bool,
+    sums: Sums,
 ) -> float:
-    """Element residuals and packed upper tangents.
+    """Residuals of some elements, and the sum of their tangents.
 
     Parameters
     ----------
-    gradients : ndarray, shape (n_elements, n_quadrature, n_nodes, dim)
-        Reference gradients of the displacement shape functions.
-    hoop : ndarray, shape (n_elements, n_quadrature, n_nodes)
-        N / R (axisymmetric; anything of the right shape in 3D).
-    pressure_shape : ndarray, shape (n_elements or 1, n_quadrature, n_pressure)
-        Pressure shape functions.
-    weights : ndarray, shape (n_elements, n_quadrature)
-        Quadrature weights times volume (2 pi R included in axisymmetric space).
-    dofs : ndarray of int32, shape (n_elements, m)
-        Unknowns of each element: displacements node by node, then pressures.
+    elements : ndarray of uint32
+        Which: unsigned, or every access would look for an index from the end.
     x : ndarray, shape (n,)
         All unknowns.
-    family : int
-        ``POLYNOMIAL``, ``OGDEN``, ``OGDEN_BY_EXPONENT`` or ``LINEAR``.
-    constants : ndarray, shape (n, k)
-        What the family says.
-    bulk, compliance : float
-        Bulk modulus that acts at every point, and 1 / K of the pressure field (mixed form; 0
-        when incompressible).
-    want_tangent : bool
-        Whether ``K`` is filled.
     R : ndarray, shape (n_elements, m)
-        Residuals.
-    K : ndarray, shape (n_elements, m (m + 1) / 2)
-        Upper triangle of each tangent, row by row.
+        Residuals, overwritten.
+    want_tangent : bool
+        Whether tangents are added to ``sums``.
 
     Returns
     -------
@@ -167,19 +158,23 @@ def element_residuals(
         The smallest J; nothing is to be trusted when it is not positive, but for small
         strain, where it is the smallest 1 + tr(eps) and may have any sign.
     """
-    ne, nq, na, dim = gradients.shape
+    # names of their own: fields would be counted as references at every point
+    gradients, hoop, pressure_shape, weights, dofs = space
+    family, constants, bulk, compliance, kappa = energy
+    positions, data, slots, kept = sums
+    nq, na, dim = gradients.shape[1:]
     n_p, nu, m = pressure_shape.shape[2], dim * na, dofs.shape[1]
-    u, f, stress = np.empty((na, dim)), np.empty(9), np.empty(9)
-    work, tangent = np.zeros((WORK_ROWS, 9)), np.zeros((9, 9))
-    rates, coupling = np.empty(nu), np.empty((n_p, nu))
-    shared, curved = pressure_shape.shape[0] == 1, family != LINEAR
-    smallest = np.inf
-    for e in range(ne):
+    u, f, stress, ratios = np.empty((na, dim)), np.empty(9), np.empty(9), np.empty(nq)
+    work, tangent, nodal = np.zeros((WORK_ROWS, 9)), np.zeros((9, 9)), np.empty((na, 12))
+    rates, coupling, K = np.empty((3, nu)), np.empty((n_p, nu)), np.empty(m * (m + 1) // 2)
+    along, shared, smallest = rates[0], pressure_shape.shape[0] == 1, np.inf
+    curved, first_alone = family != LINEAR, family == POLYNOMIAL and constants.shape[1] == 1
+    for e in elements:
         gather(x, dofs, e, u)
         R[e] = 0.0
-        coupling[:] = 0.0
         if want_tangent:
-            K[e] = 0.0
+            coupling[:] = 0.0
+            K[:] = 0.0
         for q in range(nq):
             dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
             N = pressure_shape[0 if shared else e, q]
@@ -187,67 +182,64 @@ def element_residuals(
             J = isochoric(family, f, constants, work, stress)
             if curved and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
+            ratios[q] = J
             smallest = min(smallest, J)
-            g, growth = work[0], J if curved else 1.0
-            held = 0.0
+            g, growth, held = work[0], J if curved else 1.0, 0.0
             for b in range(n_p):
                 held += N[b] * x[dofs[e, nu + b]]
             pressure = held + bulk * (J - 1.0)
             for i in range(9):
                 stress[i] += pressure * growth * g[i]
-            along_nodes(dN, H, stress, rates)
-            for r in range(nu):
-                R[e, r] += w * rates[r]
+            along_nodes(dN, H, stress, w, R[e])
             add_volume(N, J - 1.0 - held * compliance, w, R[e])
             if want_tangent:
                 bend, stiff = pressure * growth if curved else 0.0, bulk * growth * growth
-                full_tangent(family, f, constants, dim == 2, bend, stiff, work, tangent)
-                add_stiffness(dN, H, tangent, w, m, K[e])
+                if first_alone:
+                    add_dyads(dN, H, f, bend, stiff, work, w, m, nodal, K)
+                else:
+                    full_tangent(family, f, constants, dim == 2, bend, stiff, work, tangent)
+                    add_stiffness(dN, H, tangent, w, m, K)
                 if n_p > 0:
-                    along_nodes(dN, H, g, rates)
-                    add_coupling(rates, w * growth, N, coupling)
-                    add_compressibility(N, w, compliance, m, K[e])
+                    along[:] = 0.0
+                    along_nodes(dN, H, g, 1.0, along)
+                    add_coupling(along, w * growth, N, coupling)
+                    add_compressibility(N, w, compliance, m, K)
+        if kappa != 0.0:
+            still = gradients[e], hoop[e], weights[e]
+            add_unevenness(still, u, ratios, kappa, want_tangent, f, work, tangent, rates, R[e], K)
         if want_tangent:
-            place_coupling(coupling, m, K[e])
+            place_coupling(coupling, m, K)
+            scatter(positions[e], K, data)
+            if slots[e] >= 0:
+                kept[slots[e]] = K
     return smallest
 
 
 @kernel()
-def packed_product(dofs: Unknowns, K: Array, v: Array, out: Array) -> None:
-    """Out = K v from packed element tangents, constrained unknowns included."""
-    out[:] = 0.0
-    ne, m = dofs.shape
-    into, own = np.empty(m), np.empty(m)
-    for e in range(ne):
-        for i in range(m):
-            own[i] = v[dofs[e, i]]
-            into[i] = 0.0
-        s = packed(0, 0, m)
-        for i in range(m):
-            total = K[e, s] * own[i]
-            s += ONE
-            for j in range(i + 1, m):
-                total += K[e, s] * own[j]
-                into[j] += K[e, s] * own[i]
-                s += ONE
-            into[i] += total
-        for i in range(m):
-            out[dofs[e, i]] += into[i]
-
-
-@kernel(nogil=True)
-def scatter(
-    elements: NDArray[np.int32], positions: NDArray[np.int32], values: Array, data: Array
+def constrained_product(
+    elements: Unknowns, dofs: Unknowns, positions: Unknowns, K: Array, v: Array, out: Array
 ) -> None:
-    """Add packed values of some elements to the entries of the fixed sparsity pattern.
+    """Add to ``out`` what K v has of the entries outside the sparsity pattern.
 
-    Positions, shape (n_elements, m (m + 1) / 2), are negative for constrained unknowns.
+    Parameters
+    ----------
+    elements : ndarray of int32, shape (n_kept,)
+        Rows of ``dofs`` and ``positions`` that ``K`` belongs to.
+    K : ndarray, shape (n_kept, m (m + 1) / 2)
+        Packed upper triangles; an entry counts where its position is negative.
     """
-    for e in elements:
-        for i in range(positions.shape[1]):
-            k = positions[e, i]
-            if k >= 0:
-                data[k] += values[e, i]
+    m = dofs.shape[1]
+    for k, e in enumerate(elements):
+        s = 0
+        for i in range(m):
+            row = dofs[e, i]
+            for j in range(i, m):
+                if positions[e, s] < 0:
+                    column = dofs[e, j]
+                    out[row] += K[k, s] * v[column]
+                    if i != j:
+                        out[column] += K[k, s] * v[row]
+                s += 1
 
 
 @kernel()

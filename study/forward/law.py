@@ -125,17 +125,16 @@ def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> flo
 
 @part(fastmath=_FAST)
 def polynomial_tangent(
-    f: Array, second: bool, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
+    f: Array, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
 ) -> None:
-    """Tangent of :func:`polynomial_stress`, called before, and of a pressure.
+    """Tangent of :func:`polynomial_stress` in both invariants, called before, and of a pressure.
 
     What an invariant owes to each dyad, and what its slope does. The pressure's part is that
-    of :func:`add_pressure_tangent` and costs nothing here.
+    of :func:`add_pressure_tangent` and costs nothing here. An energy of the first invariant
+    has a shorter way, see :mod:`study.forward.dyads`.
 
     Parameters
     ----------
-    second : bool
-        Whether the energy depends on the second invariant.
     plane : bool
         Whether F has no components between the hoop and the others: those stay unwritten.
     tangent : ndarray, shape (9, 9)
@@ -160,8 +159,7 @@ def polynomial_tangent(
                             value = along_f * f[o] + along_g * g[o] + along_d * d1[o]
                             tangent[n, o] = value + crossed * g[3 * i + m]
                 tangent[n, n] += 2.0 * first
-    if second:
-        _add_second_invariant(f, plane, work, tangent)
+    _add_second_invariant(f, plane, work, tangent)
     for n in range(1, 9):
         for o in range(n):
             tangent[n, o] = tangent[o, n]

@@ -28,11 +28,8 @@ class Pattern:
         Row of each unknown among the free ones, -1 where constrained.
     indptr, indices : ndarray of int32
         Compressed rows with sorted columns and an entry on every diagonal.
-    positions : ndarray of int32, shape (n_elements * m * (m + 1) / 2,)
+    positions : ndarray of int32, shape (n_elements, m (m + 1) / 2)
         Where each packed element entry goes; -1 where a constrained unknown takes part.
-    groups : tuple of ndarray of int32
-        Elements of the first half; those of the second that share no unknown with them; the
-        others. Sums in this order do not depend on how many threads make them.
     """
 
     free: NDArray[np.int64]
@@ -40,7 +37,6 @@ class Pattern:
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     positions: NDArray[np.int32]
-    groups: tuple[Narrow, Narrow, Narrow]
 
     @classmethod
     def build(cls, dofs: NDArray[np.int32], n: int, constrained: NDArray[np.int64]) -> Pattern:
@@ -52,7 +48,7 @@ class Pattern:
         number[free] = np.arange(free.size, dtype=np.int32)
         rows = number[dofs]
         indptr, indices, positions = _fill(rows, *_elements_around(rows, free.size))
-        return cls(free, number, indptr, indices, positions, _groups(dofs, n))
+        return cls(free, number, indptr, indices, positions)
 
     def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
         """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2).
@@ -64,15 +60,6 @@ class Pattern:
         a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
         low, high = np.minimum(a, b).ravel(), np.maximum(a, b).ravel()
         return np.asarray(_find(self.indptr, self.indices, low, high).reshape(a.shape))
-
-
-def _groups(dofs: Narrow, n: int) -> tuple[Narrow, Narrow, Narrow]:
-    """Elements of one half, those of the other that are apart from it, and those between."""
-    number = np.arange(len(dofs), dtype=np.int32)
-    middle, met = len(dofs) // 2, np.zeros(n, dtype=bool)
-    met[dofs[:middle].ravel()] = True
-    between = met[dofs[middle:]].any(axis=1)
-    return number[:middle], number[middle:][~between], number[middle:][between]
 
 
 @njit(cache=True)
@@ -139,7 +126,7 @@ def _fill(rows: Narrow, start: Narrow, element: Narrow, local: Narrow) -> _Fille
                 if c >= r:
                     a, b = min(i, j), max(i, j)
                     positions[e, a * m - a * (a + 1) // 2 + b] = where[c]
-    return indptr, indices, positions.ravel()
+    return indptr, indices, positions
 
 
 @njit(cache=True)

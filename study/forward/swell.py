@@ -20,8 +20,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel, part
-from study.forward.forms import add_stiffness, along_nodes, deformation_gradient, gather
+from study.forward.compiled import part
+from study.forward.forms import add_stiffness, along_nodes, deformation_gradient
 from study.forward.law import add_pressure_tangent, cofactor
 
 Array = NDArray[np.float64]
@@ -55,51 +55,59 @@ def _add_means(cross: Array, mean_rate: Array, stiff: float, m: int, K: Array) -
         s += m - nu
 
 
-@kernel()
+@part()
 def add_unevenness(
-    gradients: Array,
-    hoop: Array,
-    weights: Array,
-    dofs: NDArray[np.int32],
-    x: Array,
+    still: tuple[Array, Array, Array],
+    u: Array,
     J: Array,
     kappa: float,
     want_tangent: bool,
+    f: Array,
+    work: Array,
+    tangent: Array,
+    rows: Array,
     R: Array,
     K: Array,
 ) -> None:
-    """Add what uneven volume ratios ``J`` (n_elements, n_quadrature) cost to ``R`` and ``K``.
+    """Add what uneven volume ratios ``J`` (n_quadrature,) of an element cost to ``R`` and ``K``.
 
-    ``kappa`` is in N/mm^2; shapes are those of
-    :func:`study.forward.kernels.element_residuals`. With d = J - mean J, a constant part of
-    d^3 does no work, since d sums to zero; the rest acts as a pressure.
+    With d = J - mean J, a constant part of d^3 does no work, since d sums to zero; the rest
+    acts as a pressure.
+
+    Parameters
+    ----------
+    still : tuple of ndarray
+        Gradients (n_quadrature, n_nodes, dim), hoop and weights of the element.
+    u : ndarray, shape (n_nodes, dim)
+        Displacements.
+    kappa : float
+        Resistance, N/mm^2.
+    f, work, tangent, rows : ndarray
+        Scratch: (9,), (1 or more, 9), (9, 9) and (3, n_displacement).
     """
-    ne, nq, na, dim = gradients.shape
-    nu, m = dim * na, dofs.shape[1]
-    u, f, g, tangent = np.empty((na, dim)), np.empty(9), np.empty(9), np.empty((9, 9))
-    rates, mean_rate, cross = np.empty(nu), np.empty(nu), np.empty(nu)
-    for e in range(ne):
-        gather(x, dofs, e, u)
-        mean_rate[:] = 0.0
-        cross[:] = 0.0
-        volume, mean, even, stiff = _means(J[e], weights[e], kappa)
-        for q in range(nq):
-            dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
-            deformation_gradient(dN, H, u, f)
-            growth = cofactor(f, g)
-            d = growth - mean
-            pressure, stiffness = kappa * d**3 - even, 3.0 * kappa * d**2
-            along_nodes(dN, H, g, rates)
-            for i in range(nu):
-                R[e, i] += w * pressure * rates[i]
-            if want_tangent:
-                mean_rate += w / volume * rates
-                cross += w * stiffness * rates
-                for i in range(9):
-                    g[i] /= growth
-                tangent[:] = 0.0
-                bend = pressure * growth
-                add_pressure_tangent(g, bend, stiffness * growth * growth, tangent)
-                add_stiffness(dN, H, tangent, w, m, K[e])
+    gradients, hoop, weights = still
+    m, g, rates, mean_rate, cross = R.size, work[0], rows[0], rows[1], rows[2]
+    mean_rate[:] = 0.0
+    cross[:] = 0.0
+    volume, mean, even, stiff = _means(J, weights, kappa)
+    for q in range(J.size):
+        dN, H, w = gradients[q], hoop[q], weights[q]
+        deformation_gradient(dN, H, u, f)
+        growth = cofactor(f, g)
+        d = growth - mean
+        pressure, stiffness = kappa * d**3 - even, 3.0 * kappa * d**2
+        along_nodes(dN, H, g, w * pressure, R)
         if want_tangent:
-            _add_means(cross, mean_rate, stiff, m, K[e])
+            rates[:] = 0.0
+            along_nodes(dN, H, g, 1.0, rates)
+            for i in range(rates.size):
+                mean_rate[i] += w / volume * rates[i]
+                cross[i] += w * stiffness * rates[i]
+            for i in range(9):
+                g[i] /= growth
+            tangent[:] = 0.0
+            bend = pressure * growth
+            add_pressure_tangent(g, bend, stiffness * growth * growth, tangent)
+            add_stiffness(dN, H, tangent, w, m, K)
+    if want_tangent:
+        _add_means(cross, mean_rate, stiff, m, K)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward import kernels
 from study.forward.boundary import Constraints, constraints, contact_points, touch_radius
 from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 from study.forward.elements import Discretization, discretize
@@ -20,10 +20,10 @@ from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
 from study.forward.problem import Problem, Surface
 from study.forward.reuse import KeptFactors
+from study.forward.tangent import ContactBlocks, Tangent
 from study.material import Material
 
 Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -101,15 +101,14 @@ class System:
     height_mm: float
     touch_mm: float
     material: Material
-    pattern: Pattern
+    tangent: Tangent
     kept: KeptFactors
-    data: Array
     seconds: dict[str, float] = field(default_factory=dict)
     drag: Drag | None = None
     _met: tuple[Array, float, list[Meeting]] | None = None
     _ratios: tuple[Array, Array] | None = None
     _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    _contact_blocks: list[tuple[Ints, NDArray[np.int32], Array]] = field(default_factory=list)
+    _contact_blocks: list[ContactBlocks] = field(default_factory=list)
 
     @classmethod
     def build(
@@ -136,9 +135,8 @@ class System:
             height_mm=height,
             touch_mm=touch_radius(problem),
             material=problem.material,
-            pattern=pattern,
+            tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
-            data=np.full(pattern.indices.size, 0.0),
         )
         system._place_contact()
         system.seconds["setup"] = time.perf_counter() - start
@@ -156,6 +154,16 @@ class System:
     def small_strain(self) -> bool:
         """Whether the material is linear: contact then belongs to the reference state."""
         return self.material.family == "linear-elastic"
+
+    @property
+    def pattern(self) -> Pattern:
+        """Free unknowns and the entries of the tangent."""
+        return self.tangent.pattern
+
+    @property
+    def data(self) -> Array:
+        """Entries of the last assembled tangent, contact and drag included."""
+        return self.tangent.data
 
     @property
     def solver(self) -> LinearSolver:
@@ -200,19 +208,14 @@ class System:
         Where an element is inverted ``min_j`` is not positive and nothing else is valid.
         """
         began = time.perf_counter()
-        min_j = self.internal.evaluate(self.material, state.x, tangent=tangent)
+        into = self.tangent if tangent else None
+        min_j = self.internal.evaluate(self.material, state.x, into)
         internal = self.internal.gathered()
-        if tangent and min_j > 0:
-            self.internal.scatter(self.pattern, self.data)
         residual, contacts = internal.copy(), self._touching_as(state, state.closed)
-        for points, touch, (dofs, positions, blocks) in zip(
-            self.contact, contacts, self._contact_blocks, strict=True
-        ):
-            np.add.at(residual, dofs.ravel(), points.forces(touch).ravel())
+        for points, touch, blocks in zip(self.contact, contacts, self._contact_blocks, strict=True):
+            np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
             if tangent:
-                blocks[:] = points.stiffness(touch)
-                inside = positions >= 0
-                np.add.at(self.data, positions[inside], blocks[inside])
+                blocks.fill(points.stiffness(touch), self.data)
         if self.drag is not None:
             residual += self.drag.weights * (state.x - self.drag.place)
             if tangent:  # rows begin with their diagonal
@@ -310,7 +313,7 @@ class System:
         """Force of prescribed increments on the free unknowns, contact left out."""
         jump = np.zeros(self.space.n)
         jump[self.constraints.dofs] = lift
-        return self.tangent_product(jump, contact=False)[self.pattern.free]
+        return self.tangent.beside(jump)[self.pattern.free]
 
     def back_substitute(self, right: Array) -> Array:
         """Solve with the last factorization for the free unknowns, as exactly as that goes."""
@@ -321,13 +324,15 @@ class System:
 
     def tangent_product(self, v: Array, *, contact: bool = True) -> Array:
         """K v of the last assembled tangent, constrained rows and columns included."""
-        out = self.internal.product(v)
         if contact:
-            for dofs, _, blocks in self._contact_blocks:
-                product = np.zeros(self.space.n)
-                kernels.packed_product(dofs.astype(np.int32), blocks, v, product)
-                out += product
-        return out
+            out = self.tangent.product(v)
+            for blocks in self._contact_blocks:
+                blocks.add_beside(v, out)
+            return out
+        with ExitStack() as without:
+            for blocks in self._contact_blocks:
+                without.enter_context(blocks.taken_out(self.data))
+            return self.tangent.product(v)
 
     def constant_derivative(self, state: State, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included."""
@@ -340,8 +345,7 @@ class System:
     def _place_contact(self) -> None:
         for points in self.contact:
             dofs = points.dofs(self.space.dim)
-            positions = self.pattern.locate(dofs)
-            self._contact_blocks.append((dofs, positions, np.zeros(positions.shape)))
+            self._contact_blocks.append(ContactBlocks.at(dofs, self.pattern.locate(dofs)))
 
     def _count(self, what: str, began: float) -> None:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - began

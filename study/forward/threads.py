@@ -1,8 +1,8 @@
 """Threads of one simulation: for the elements, none for sums of vectors.
 
-Kernels let go of Python's lock and every element writes rows of its own, so that ordinary
-threads do; what is found does not depend on their number. As many are used as the worker
-of a study or the user allows.
+Kernels let go of Python's lock, and parts that share nothing are worked on at once, so that
+ordinary threads do; what is found does not depend on their number. As many are used as the
+worker of a study or the user allows.
 """
 
 from __future__ import annotations
@@ -18,38 +18,26 @@ from typing import Any, TypeVar
 import numba
 from threadpoolctl import ThreadpoolController
 
-#: quadrature points below which waking a thread costs more than it saves
-_FEW = 10_000
+from study.forward.handed import Elements
+
 #: how long MKL's threads wait for more work
 _AWAKE_MS = 1
 _CONFIG: Any = numba.config
 _Result = TypeVar("_Result")
 
 
-def smallest_in_slices(shape: tuple[int, ...], loop: Callable[[slice], float]) -> float:
-    """Smallest result of ``loop`` over slices of the elements.
-
-    ``shape`` is (n_elements, points of each).
-    """
-    n_elements, n_points = shape
-    count = _worth_waking(n_elements * n_points)
-    edges = [n_elements * i // count for i in range(count + 1)]
-    parts = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
-    return min(_at_once([partial(loop, part) for part in parts]))
+def smallest(phases: Sequence[Sequence[Elements]], loop: Callable[[Elements], float]) -> float:
+    """Smallest result of ``loop`` over all parts: those of a phase at once, phases in turn."""
+    found = []
+    for parts in phases:
+        count = min(len(parts), max(int(_CONFIG.NUMBA_NUM_THREADS), 1))
+        shares = [partial(_in_turn, parts[i::count], loop) for i in range(count)]
+        found.append(min(_at_once(shares)))
+    return min(found)
 
 
-def side_by_side(first: Callable[[], None], second: Callable[[], None], points: int) -> None:
-    """Run both, at once where a second thread pays for so many quadrature points."""
-    if _worth_waking(points) > 1:
-        _at_once([first, second])
-    else:
-        first()
-        second()
-
-
-def _worth_waking(points: int) -> int:
-    """Threads that pay for so many quadrature points, this one included."""
-    return max(int(_CONFIG.NUMBA_NUM_THREADS), 1) if points >= _FEW else 1
+def _in_turn(parts: Sequence[Elements], loop: Callable[[Elements], float]) -> float:
+    return min(loop(part) for part in parts)
 
 
 def _at_once(jobs: Sequence[Callable[[], _Result]]) -> list[_Result]:

@@ -13,6 +13,7 @@ from study.forward.pattern import Pattern
 from study.forward.problem import Cylinder
 from study.forward.reuse import KeptFactors
 from study.forward.system import State, System
+from study.forward.tangent import Tangent
 from study.material import Material
 from tests.forward.problems import compression, cube, grid, irregular
 
@@ -54,7 +55,6 @@ def held(system: System, dofs: Array, values: Array) -> System:
     return replace(
         system,
         constraints=replace(system.constraints, dofs=dofs, rate=values),
-        pattern=pattern,
+        tangent=Tangent.of(pattern, system.space.dofs),
         kept=KeptFactors(make_solver(pattern), pattern),
-        data=np.zeros(pattern.indices.size),
     )

@@ -19,6 +19,7 @@ from study.forward.internal import Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.pattern import Pattern
 from study.forward.problem import Model
+from study.forward.tangent import Tangent
 from study.material import Material
 
 Array = np.ndarray
@@ -94,6 +95,12 @@ def unit_cube(n: int, model: Model) -> tuple[Array, Array]:
     return structured.extrude(plane, faces, line)
 
 
+def tangent_of(made: Body, held: Array) -> Tangent:
+    """Room for the tangent of a body with some unknowns held."""
+    pattern = Pattern.build(made.space.dofs, made.space.n, held)
+    return Tangent.of(pattern, made.space.dofs)
+
+
 @dataclass
 class Answer:
     """Unknowns and the internal forces at them (reactions where unknowns are held)."""
@@ -109,32 +116,31 @@ def solve(
     load = np.zeros(made.space.n) if load is None else load
     held, first = np.unique(held, return_index=True)
     values = np.asarray(values)[first]
-    pattern = Pattern.build(made.space.dofs, made.space.n, held)
-    solver = make_solver(pattern)
+    tangent = tangent_of(made, held)
+    solver = make_solver(tangent.pattern)
     x = np.zeros(made.space.n)
     for part in np.arange(1, steps + 1) / steps:
-        _step(made, pattern, solver, x, held, part * values, part * load)
+        _step(made, tangent, solver, x, held, part * values, part * load)
     solver.close()
     return Answer(x, made.internal.gathered())
 
 
 def _step(
-    made: Body, pattern: Pattern, solver: LinearSolver, x: Array, held: Array, values: Array,
+    made: Body, tangent: Tangent, solver: LinearSolver, x: Array, held: Array, values: Array,
     load: Array,
 ) -> None:  # fmt: skip
-    free, data = pattern.free, np.zeros(pattern.indices.size)
+    free = tangent.pattern.free
     lift = np.zeros(x.size)
     lift[held] = values - x[held]
     for _ in range(20):
-        assert made.internal.evaluate(made.material, x, tangent=True) > 0
-        made.internal.scatter(pattern, data)
+        assert made.internal.evaluate(made.material, x, tangent) > 0
         residual = made.internal.gathered() - load
         scale = np.abs(made.internal.gathered()).max() + np.abs(load).max() + 1e-300
         if not lift.any() and np.abs(residual[free]).max() < 1e-11 * scale:
             return
-        solver.factorize(data)
+        solver.factorize(tangent.data)
         move = lift.copy()
-        move[free] = solver.solve(-(residual + made.internal.product(lift))[free])
+        move[free] = solver.solve(-(residual + tangent.product(lift))[free])
         x += move
         if not lift.any() and np.abs(move).max() < 1e-13:
             return
@@ -145,16 +151,15 @@ def _step(
 def linear(made: Body, held: Array, values: Array) -> Answer:
     """Small-strain answer: one solve with the tangent of the undeformed body."""
     held, first = np.unique(held, return_index=True)
-    pattern = Pattern.build(made.space.dofs, made.space.n, held)
-    solver, data = make_solver(pattern), np.zeros(pattern.indices.size)
+    tangent = tangent_of(made, held)
+    free, solver = tangent.pattern.free, make_solver(tangent.pattern)
     x = np.zeros(made.space.n)
-    made.internal.evaluate(made.material, x, tangent=True)
-    made.internal.scatter(pattern, data)
-    solver.factorize(data)
+    made.internal.evaluate(made.material, x, tangent)
+    solver.factorize(tangent.data)
     x[held] = np.asarray(values)[first]
-    x[pattern.free] = solver.solve(-made.internal.product(x)[pattern.free])
+    x[free] = solver.solve(-tangent.product(x)[free])
     solver.close()
-    return Answer(x, made.internal.product(x))
+    return Answer(x, tangent.product(x))
 
 
 def load_vector(

@@ -31,12 +31,12 @@ import hashlib
 import numpy as np
 from tests.forward.homogeneous import system_of
 from tests.forward.problems import MOONEY
-from study.forward.kernels import element_residuals
+from study.forward.kernels import assemble
 system = system_of(MOONEY, element_order="quadratic")
 x = system.start().x + 1e-3 * np.sin(np.arange(system.space.n))
-system.internal.evaluate(MOONEY, x, tangent=True)
-print(hashlib.sha256(system.internal.tangents.tobytes()).hexdigest())
-print(sum(element_residuals.stats.cache_hits.values()))
+system.internal.evaluate(MOONEY, x, system.tangent)
+print(hashlib.sha256(system.data.tobytes()).hexdigest())
+print(sum(assemble.stats.cache_hits.values()))
 """
 
 

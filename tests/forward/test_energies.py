@@ -140,7 +140,7 @@ def test_incompressible_linear_elastic(space: str) -> None:
 
 @pytest.mark.parametrize("space", SPACES)
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-@pytest.mark.parametrize("material", [NH, POLY2, OGDEN3, LINEAR], ids=name)
+@pytest.mark.parametrize("material", [NH, YEOH, POLY2, OGDEN3, LINEAR], ids=name)
 def test_tangent_of_the_whole_system(material: Material, formulation: str, space: str) -> None:
     """V09: K du against fourth-order differences of the residual, unit by unit in size."""
     material = replace(material, bulk_modulus=20.0)

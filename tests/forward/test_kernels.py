@@ -23,7 +23,7 @@ def stress(F: np.ndarray, table: np.ndarray) -> tuple[np.ndarray, np.ndarray, fl
     P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((7, 9))
     J = polynomial_stress(F.ravel(), table, work, P)
     if J > 0:
-        polynomial_tangent(F.ravel(), table.shape[1] > 1, False, 0.0, 0.0, work, A)
+        polynomial_tangent(F.ravel(), False, 0.0, 0.0, work, A)
     return P.reshape(3, 3), A, J
 
 

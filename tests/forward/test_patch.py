@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.forward.boundary import Constraints
 from study.forward.newton import NewtonSettings, solve_step
 from study.forward.problem import Cylinder
 from study.forward.solve import Options, solve
 from study.forward.system import State, System
 from study.material import Material
+from tests.forward.homogeneous import held
 from tests.forward.problems import (
     MOONEY,
     NEO_HOOKEAN,
@@ -73,7 +73,7 @@ def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
     if order == "linear":  # a bubble is no nodal value: exact means that it vanishes
         field.reshape(-1, 3)[len(system.mesh.points) :] = 0.0
     dofs = np.array([3 * n + i for n in rim for i in range(3)])
-    system = _constrained(system, dofs, field[dofs], problem)
+    system = held(system, dofs, field[dofs])
     start = system.start()
     target = State(1.0, start.x, start.multipliers)
     result = solve_step(system, target, NewtonSettings(tolerance=1e-12), lifted_from=start)
@@ -81,23 +81,6 @@ def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
     u, p = np.split(result.state.x, [system.space.n_displacement])
     np.testing.assert_allclose(u, field, atol=1e-10)
     np.testing.assert_allclose(p, 1000 * 0.0005, rtol=1e-8)
-
-
-def _constrained(system: System, dofs: np.ndarray, values: np.ndarray, problem: object) -> System:
-    from dataclasses import replace
-
-    from study.forward.linear_solver import make_solver
-    from study.forward.pattern import Pattern
-    from study.forward.reuse import KeptFactors
-
-    pattern = Pattern.build(system.space.dofs, system.space.n, dofs)
-    return replace(
-        system,
-        constraints=Constraints(dofs, values),
-        pattern=pattern,
-        kept=KeptFactors(make_solver(pattern), pattern),
-        data=np.zeros(pattern.indices.size),
-    )
 
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])

@@ -55,7 +55,7 @@ def test_a_share_of_the_bulk_modulus_at_every_point_changes_no_patch() -> None:
     for share in (0.0, 0.03):
         x[n_u:] = (1 - share) * RUBBER.bulk * (J - 1)
         internal = replace(system.internal, pointwise=share)
-        internal.evaluate(RUBBER, x, tangent=False)
+        internal.evaluate(RUBBER, x)
         forces.append(internal.gathered())
     np.testing.assert_allclose(forces[1], forces[0], atol=1e-12 * np.abs(forces[0]).max() + 1e-15)
     assert np.abs(forces[0][n_u:]).max() < 1e-12

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from study.forward import threads
+from study.forward import slabs, threads
 from study.forward.mesh import build_mesh
 from study.forward.problem import Cylinder, Model, Problem, Test
 from study.forward.system import System
@@ -17,75 +17,81 @@ from study.material import Material
 GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 
 
+@pytest.fixture
+def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(slabs, "_WORTH", 50)
+
+
+def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> System:
+    model = Model(space, "quadratic", formulation=formulation, mesh_size_mm=size)
+    test = Test("compression", 2.0, "bonded", "bonded")
+    problem = Problem(Cylinder(25.0, 50.0), test, GEL, model)
+    return System.build(problem, build_mesh(problem))
+
+
+@pytest.mark.usefixtures("small_slabs")
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-def test_elements_in_slices_give_the_same_bits(
+def test_any_number_of_threads_gives_the_same_bits(
     space: Any, formulation: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = Model(space, "quadratic", formulation=formulation, mesh_size_mm=8.0)
-    problem = Problem(
-        Cylinder(25.0, 50.0), Test("compression", 2.0, "bonded", "bonded"), GEL, model
-    )
-    system = System.build(problem, build_mesh(problem))
+    system = compressed(space, formulation)
+    assert len(system.internal.phases[0]) > 1
     x = 1e-2 * np.random.default_rng(7).normal(size=system.space.n)
     found = []
     for count in (1, 2, 3):
-        monkeypatch.setattr(threads, "_FEW", 0)
         monkeypatch.setattr(threads._CONFIG, "NUMBA_NUM_THREADS", count)
-        system.internal.residuals[:] = system.internal.tangents[:] = np.nan
-        smallest = system.internal.evaluate(GEL, x, tangent=True)
-        J = system.volume_ratios(x)
-        found.append(
-            (smallest, J, system.internal.residuals.copy(), system.internal.tangents.copy())
-        )
+        system.internal.residuals[:] = system.data[:] = system.tangent.sums.kept[:] = np.nan
+        smallest = system.internal.evaluate(GEL, x, system.tangent)
+        J = system.internal.volume_ratios(GEL, x)
+        sums = system.data.copy(), system.tangent.sums.kept.copy()
+        found.append((smallest, J, system.internal.residuals.copy(), *sums))
     for other in found[1:]:
         for one, two in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(one, two)
-    assert np.isfinite(found[0][3]).all()
+    assert all(np.isfinite(part).all() for part in found[0])
+
+
+@pytest.mark.usefixtures("small_slabs")
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_slabs_of_a_phase_share_no_unknown(space: Any) -> None:
+    system = compressed(space)
+    phases, dofs = system.internal.phases, system.space.dofs
+    every = np.concatenate([part for phase in phases for part in phase])
+    np.testing.assert_array_equal(np.sort(every), np.arange(system.space.n_elements))
+    for phase in phases:
+        met = np.concatenate([np.unique(dofs[part]) for part in phase])
+        assert np.unique(met).size == met.size
 
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_a_tangent_summed_by_two_threads_has_the_same_bits(
+def test_a_tangent_in_slabs_is_that_of_all_elements(
     space: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = Problem(
-        Cylinder(25.0, 50.0), Test("compression", 2.0, "bonded", "bonded"), GEL,
-        Model(space, "quadratic", mesh_size_mm=6.0),
-    )  # fmt: skip
-    system = System.build(problem, build_mesh(problem))
-    first, apart, between = system.pattern.groups
-    assert between.size
-    assert apart.size or space == "axisymmetric"  # whose triangles come in two lists
-    np.testing.assert_array_equal(
-        np.sort(np.concatenate([first, apart, between])), np.arange(system.space.n_elements)
-    )
-    assert not np.intersect1d(system.space.dofs[first], system.space.dofs[apart]).size
-    packed = system.internal.tangents
-    packed[:] = np.random.default_rng(3).normal(size=packed.shape)
-    monkeypatch.setattr(threads, "_FEW", 0)
+    """And a small body is no work for threads."""
+    x = None
     found = []
-    for count in (1, 2):
-        monkeypatch.setattr(threads._CONFIG, "NUMBA_NUM_THREADS", count)
-        data = np.full(system.pattern.indices.size, np.nan)
-        system.internal.scatter(system.pattern, data)
-        found.append(data)
-    np.testing.assert_array_equal(*found)
-    positions = system.pattern.positions
-    inside = positions >= 0
-    expected = np.bincount(positions[inside], packed.ravel()[inside], minlength=found[0].size)
-    np.testing.assert_allclose(found[0], expected, atol=1e-13)
+    for worth in (50, 10**9):
+        monkeypatch.setattr(slabs, "_WORTH", worth)
+        system = compressed(space)
+        if x is None:
+            x = 1e-2 * np.random.default_rng(3).normal(size=system.space.n)
+        system.internal.evaluate(GEL, x, system.tangent)
+        found.append((len(system.internal.phases), system.data, system.tangent.product(x)))
+    assert [phases for phases, _, _ in found] == [2, 1]
+    for slabbed, whole in zip(found[0][1:], found[1][1:], strict=True):
+        np.testing.assert_allclose(slabbed, whole, atol=1e-12 * np.abs(whole).max())
 
 
-def test_an_error_in_a_slice_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    def loop(part: slice) -> float:
-        if part.start:
+def test_an_error_in_a_part_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def loop(part: Any) -> float:
+        if part[0]:
             raise ZeroDivisionError
         return 1.0
 
-    monkeypatch.setattr(threads, "_FEW", 0)
     monkeypatch.setattr(threads._CONFIG, "NUMBA_NUM_THREADS", 2)
     with pytest.raises(ZeroDivisionError):
-        threads.smallest_in_slices((10, 4), loop)
+        threads.smallest([(np.array([0], np.uint32), np.array([1], np.uint32))], loop)
 
 
 def openblas() -> list[int]:
