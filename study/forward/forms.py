@@ -35,6 +35,15 @@ def gather(x: Array, dofs: Unknowns, e: int, u: Array) -> None:
             u[a, i] = x[dofs[e, dim * a + i]]
 
 
+@part()
+def held_pressure(N: Array, x: Array, dofs: Unknowns) -> float:
+    """Pressure at one quadrature point from its unknowns, the last of the element's ``dofs``."""
+    pressure, first = 0.0, dofs.size - N.size
+    for b in range(N.size):
+        pressure += N[b] * x[dofs[first + b]]
+    return pressure
+
+
 @part(fastmath=_FAST)
 def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""

@@ -30,6 +30,7 @@ from study.forward.forms import (
     along_nodes,
     deformation_gradient,
     gather,
+    held_pressure,
     place_coupling,
 )
 from study.forward.handed import Elements, Energy, Shapes, Sums
@@ -184,9 +185,8 @@ def assemble(
                 return -1.0
             ratios[q] = J
             smallest = min(smallest, J)
-            g, growth, held = work[0], J if curved else 1.0, 0.0
-            for b in range(n_p):
-                held += N[b] * x[dofs[e, nu + b]]
+            g, growth = work[0], J if curved else 1.0
+            held = held_pressure(N, x, dofs[e])
             pressure = held + bulk * (J - 1.0)
             for i in range(9):
                 stress[i] += pressure * growth * g[i]
