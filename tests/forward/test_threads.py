@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from threadpoolctl import threadpool_info
 
 from study.forward import slabs, threads
 from study.forward.mesh import build_mesh
-from study.forward.problem import Cylinder, Model, Problem, Test
+from study.forward.problem import Cone, Cylinder, Model, Problem, Test
 from study.forward.system import System
 from study.material import Material
 
@@ -52,16 +53,37 @@ def test_any_number_of_threads_gives_the_same_bits(
     assert all(np.isfinite(part).all() for part in found[0])
 
 
-@pytest.mark.usefixtures("small_slabs")
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
-def test_slabs_of_a_phase_share_no_unknown(space: Any) -> None:
-    system = compressed(space)
+def under_a_needle() -> System:
+    """A graded mesh: many elements in little room, and large ones around it."""
+    test = Test("indentation", 5.0, "frictionless", "bonded", indenter=Cone(30.0, 1.0))
+    problem = Problem(Cylinder(25.0, 50.0), test, GEL, Model("3d", "quadratic", mesh="coarse"))
+    return System.build(problem, build_mesh(problem))
+
+
+@pytest.mark.parametrize(
+    ("built", "counts"),
+    [
+        (lambda: compressed("axisymmetric"), [2, 2]),
+        (lambda: compressed("3d"), [2, 2]),
+        (under_a_needle, [2, 1]),
+    ],
+    ids=["axisymmetric", "3d", "graded"],
+)
+def test_what_is_worked_on_at_once_shares_no_unknown(
+    built: Callable[[], System], counts: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(slabs, "_COUNTS", (4,))
+    monkeypatch.setattr(slabs, "_WORTH", 50)
+    system = built()
     phases, dofs = system.internal.phases, system.space.dofs
+    assert [len(phase) for phase in phases] == counts
     every = np.concatenate([part for phase in phases for part in phase])
     np.testing.assert_array_equal(np.sort(every), np.arange(system.space.n_elements))
     for phase in phases:
         met = np.concatenate([np.unique(dofs[part]) for part in phase])
         assert np.unique(met).size == met.size
+    larger = max(part.size for part in phases[0])
+    assert all(part.size > 0.4 * larger for part in phases[0])
 
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
