@@ -50,8 +50,8 @@ def solve_through(
         settings, tolerance=_TOLERANCE, gap=_GAP, max_iterations=_ITERATIONS,
         max_switching=_SWITCHING,
     )  # fmt: skip
-    place, lift = _lifted(system, guess, rough, lifted_from)
-    drag, spent, trials = _FIRST, 0, 0
+    (place, lift), spent = _lifted(system, guess, rough, lifted_from)
+    drag, trials = _FIRST, 0
     for _ in range(_STEPS):
         result = solve_step(system.dragged(drag * weights, place.x), place, rough, lifted_from=lift)
         spent += result.iterations
@@ -76,17 +76,17 @@ def solve_through(
 
 def _lifted(
     system: System, guess: State, settings: NewtonSettings, before: State | None
-) -> tuple[State, State | None]:
-    """Place to begin at, and the state to lift it from where it has yet to be lifted.
+) -> tuple[tuple[State, State | None], int]:
+    """Place to begin at, the state to lift it from where it has yet to be lifted, and iterations.
 
     A plate's motion spreads through the specimen as it is: drag would keep it near the plate.
     """
     if before is None:
-        return guess, None
+        return (guess, None), 0
     once = replace(settings, max_iterations=1, max_switching=1)
-    lifted = solve_step(system, guess, once, lifted_from=before).state
-    there = lifted.displacement_mm == guess.displacement_mm
-    return (lifted, None) if there else (guess, before)
+    tried = solve_step(system, guess, once, lifted_from=before)
+    there = tried.state.displacement_mm == guess.displacement_mm
+    return (tried.state, None) if there else (guess, before), tried.iterations
 
 
 def _weights(system: System, state: State) -> Array:

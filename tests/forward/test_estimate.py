@@ -132,7 +132,7 @@ print(solution.dofs, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 @pytest.mark.parametrize("size_mm", [2.3, 1.4], ids=["30k", "120k"])
 @pytest.mark.skipif(not hasattr(resource, "RUSAGE_SELF"), reason="no peak memory is told")
 def test_memory_is_predicted(size_mm: float) -> None:
-    """Measured November 2026: 476 MB at 35653 unknowns, 1354 MB at 124698."""
+    """Measured November 2026: 423 MB at 35653 unknowns, 1259 MB at 124698."""
     pytest.importorskip("pypardiso", reason="the memory is that of PARDISO")
     program = ONE_STEP.replace("SIZE", str(size_mm))
     said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
