@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from study.errors import MeshError
 from study.forward.checks import check, instability
 from study.forward.gradients import StepGradients, step_gradients
+from study.forward.limit import gives_way
 from study.forward.logbook import Logbook
 from study.forward.mesh import Mesh, build_mesh
 from study.forward.newton import NewtonResult, NewtonSettings, solve_step
@@ -307,7 +308,14 @@ class _Run:
         self.logbook.add(self.state, result.equilibrium(), self._row(result), iterations)
 
     def solution(self, seconds: float) -> Solution:
-        return self.logbook.solution(self.state, self.min_j, self._lost(), self.reason, seconds)
+        return self.logbook.solution(self.state, self.min_j, self._lost(), self._why(), seconds)
+
+    def _why(self) -> str:
+        """Why the run went no further: a limit point is no failure of the iteration."""
+        steps = self.logbook.warm_steps
+        if self.logbook.complete or self._lost() or not steps:
+            return self.reason
+        return gives_way(self.system, steps[0].state, self.state) or self.reason
 
 
 def _near(result: NewtonResult, J: Array) -> bool:

@@ -243,6 +243,7 @@ def test_a_solver_that_gives_up_blames_no_energy() -> None:
     assert solution.status == "not-converged"
     assert "stopped at" in solution.message
     assert "elliptic" not in solution.message
+    assert "limit point" not in solution.message
 
 
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
