@@ -29,6 +29,8 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
+#: seconds between two looks at workers that say nothing
+_GLANCE_S = 0.5
 WORKER_COMMAND = (sys.executable, "-m", "study.runner.worker")
 
 
@@ -165,9 +167,16 @@ class _Run:
         return worker
 
     def _ready(self, busy: list[_Worker]) -> list[_Worker]:
-        ready = set(wait([w.connection for w in busy], timeout=0.5))
+        ready = set(wait([w.connection for w in busy], timeout=self._patience(busy)))
         late = [w for w in busy if w.connection not in ready and self._is_late(w)]
         return [w for w in busy if w.connection in ready] + late
+
+    def _patience(self, busy: list[_Worker]) -> float:
+        """Seconds until somebody may be late, half of one at most."""
+        if self.timeout_s is None:
+            return _GLANCE_S
+        longest = max((time.monotonic() - w.started for w in busy), default=0.0)
+        return min(max(self.timeout_s - longest, 0.0), _GLANCE_S)
 
     def _is_late(self, worker: _Worker) -> bool:
         return self.timeout_s is not None and time.monotonic() - worker.started > self.timeout_s
