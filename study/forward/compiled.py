@@ -17,6 +17,9 @@ import numba
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+#: reorder and contract sums, but keep NaN: an inverted element must still be seen
+FAST = {"contract", "reassoc", "arcp", "nsz"}
+
 _HERE = Path(__file__).resolve().parent
 _CONFIG: Any = numba.config
 

@@ -14,16 +14,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import part
-from study.forward.forms import packed
+from study.forward.compiled import FAST, part
+from study.forward.forms import ONE, THREE, TWO, packed
 
 Array = NDArray[np.float64]
 
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
-_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 
-
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def add_dyads(
     dN: Array, hoop: Array, f: Array, bend: float, stiff: float, work: Array, w: float, m: int,
     nodal: Array, K: Array,
@@ -72,7 +69,7 @@ def add_dyads(
         _add_axisymmetric(dN, hoop, nodal, straight, turned, m, K)
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _add_3d(dN: Array, nodal: Array, straight: float, turned: float, m: int, K: Array) -> None:
     na = dN.shape[0]
     for a in range(na):
@@ -86,31 +83,31 @@ def _add_3d(dN: Array, nodal: Array, straight: float, turned: float, m: int, K: 
         same = x * dN[a, 0] + y * dN[a, 1] + z * dN[a, 2]
         p1, p2, q1, q2 = nodal[a, 7], nodal[a, 8], nodal[a, 10], nodal[a, 11]
         K[r0] += same + f0 * nodal[a, 6] + g0 * nodal[a, 9] + t0 * g0
-        K[r0 + _ONE] += f0 * p1 + g0 * q1 + t1 * g0
-        K[r0 + _TWO] += f0 * p2 + g0 * q2 + t2 * g0
-        K[r1 + _ONE] += same + f1 * p1 + g1 * q1 + t1 * g1
-        K[r1 + _TWO] += f1 * p2 + g1 * q2 + t2 * g1
-        K[r2 + _TWO] += same + f2 * p2 + g2 * q2 + t2 * g2
+        K[r0 + ONE] += f0 * p1 + g0 * q1 + t1 * g0
+        K[r0 + TWO] += f0 * p2 + g0 * q2 + t2 * g0
+        K[r1 + ONE] += same + f1 * p1 + g1 * q1 + t1 * g1
+        K[r1 + TWO] += f1 * p2 + g1 * q2 + t2 * g1
+        K[r2 + TWO] += same + f2 * p2 + g2 * q2 + t2 * g2
         for b in range(a + 1, na):
-            r0 += _THREE
-            r1 += _THREE
-            r2 += _THREE
+            r0 += THREE
+            r1 += THREE
+            r2 += THREE
             same = x * dN[b, 0] + y * dN[b, 1] + z * dN[b, 2]
             h0, h1, h2 = nodal[b, 3], nodal[b, 4], nodal[b, 5]
             p0, p1, p2 = nodal[b, 6], nodal[b, 7], nodal[b, 8]
             q0, q1, q2 = nodal[b, 9], nodal[b, 10], nodal[b, 11]
             K[r0] += same + f0 * p0 + g0 * q0 + t0 * h0
-            K[r0 + _ONE] += f0 * p1 + g0 * q1 + t1 * h0
-            K[r0 + _TWO] += f0 * p2 + g0 * q2 + t2 * h0
+            K[r0 + ONE] += f0 * p1 + g0 * q1 + t1 * h0
+            K[r0 + TWO] += f0 * p2 + g0 * q2 + t2 * h0
             K[r1] += f1 * p0 + g1 * q0 + t0 * h1
-            K[r1 + _ONE] += same + f1 * p1 + g1 * q1 + t1 * h1
-            K[r1 + _TWO] += f1 * p2 + g1 * q2 + t2 * h1
+            K[r1 + ONE] += same + f1 * p1 + g1 * q1 + t1 * h1
+            K[r1 + TWO] += f1 * p2 + g1 * q2 + t2 * h1
             K[r2] += f2 * p0 + g2 * q0 + t0 * h2
-            K[r2 + _ONE] += f2 * p1 + g2 * q1 + t1 * h2
-            K[r2 + _TWO] += same + f2 * p2 + g2 * q2 + t2 * h2
+            K[r2 + ONE] += f2 * p1 + g2 * q1 + t1 * h2
+            K[r2 + TWO] += same + f2 * p2 + g2 * q2 + t2 * h2
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _add_axisymmetric(
     dN: Array, hoop: Array, nodal: Array, straight: float, turned: float, m: int, K: Array
 ) -> None:
@@ -124,15 +121,15 @@ def _add_axisymmetric(
         same = x * dN[a, 0] + y * dN[a, 1]
         p1, q1 = nodal[a, 5], nodal[a, 7]
         K[r0] += same + h * hoop[a] + f0 * nodal[a, 4] + g0 * nodal[a, 6] + t0 * nodal[a, 8]
-        K[r0 + _ONE] += f0 * p1 + g0 * q1 + t1 * nodal[a, 8]
-        K[r1 + _ONE] += same + f1 * p1 + g1 * q1 + t1 * nodal[a, 9]
+        K[r0 + ONE] += f0 * p1 + g0 * q1 + t1 * nodal[a, 8]
+        K[r1 + ONE] += same + f1 * p1 + g1 * q1 + t1 * nodal[a, 9]
         for b in range(a + 1, na):
-            r0 += _TWO
-            r1 += _TWO
+            r0 += TWO
+            r1 += TWO
             same = x * dN[b, 0] + y * dN[b, 1]
             p0, p1, q0, q1 = nodal[b, 4], nodal[b, 5], nodal[b, 6], nodal[b, 7]
             h0, h1 = nodal[b, 8], nodal[b, 9]
             K[r0] += same + h * hoop[b] + f0 * p0 + g0 * q0 + t0 * h0
-            K[r0 + _ONE] += f0 * p1 + g0 * q1 + t1 * h0
+            K[r0 + ONE] += f0 * p1 + g0 * q1 + t1 * h0
             K[r1] += f1 * p0 + g1 * q0 + t0 * h1
-            K[r1 + _ONE] += same + f1 * p1 + g1 * q1 + t1 * h1
+            K[r1 + ONE] += same + f1 * p1 + g1 * q1 + t1 * h1

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from study.forward.handed import Shapes
 from study.forward.mesh import Mesh
 from study.forward.problem import Model
 
@@ -58,7 +59,7 @@ class Discretization:
     n_displacement, n : int
         Numbers of displacement unknowns and of all unknowns.
     gradients, hoop, pressure_shape, weights : ndarray
-        As :func:`study.forward.handed.Shapes` takes them.
+        As :class:`study.forward.handed.Shapes` takes them.
     facets : ndarray of int, shape (n_facets, k)
         Nodes of each boundary facet (edges or faces), midpoints included.
     facet_weights : ndarray, shape (n_facets,)
@@ -81,6 +82,11 @@ class Discretization:
     def dim(self) -> int:
         """Number of displacement components."""
         return int(self.nodes.shape[1])
+
+    @property
+    def shapes(self) -> Shapes:
+        """What compiled loops take of it."""
+        return Shapes(self.gradients, self.hoop, self.pressure_shape, self.weights, self.dofs)
 
     @property
     def n_elements(self) -> int:

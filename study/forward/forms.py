@@ -10,14 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import part
+from study.forward.compiled import FAST, part
 
 Array = NDArray[np.float64]
 Unknowns = NDArray[np.int32]
 
-#: reorder and contract sums, but keep NaN: an inverted element must still be seen
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
-ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
 
 
 @part()
@@ -44,7 +42,7 @@ def held_pressure(N: Array, x: Array, dofs: Unknowns) -> float:
     return pressure
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
     """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
     dim = dN.shape[1]
@@ -62,7 +60,7 @@ def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
             f[8] += u[a, 0] * hoop[a]
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def along_nodes(dN: Array, hoop: Array, T: Array, w: float, out: Array) -> None:
     """Add w T : dF/du, node by node: forces of a stress, or dJ/du of dJ/dF."""
     na, dim = dN.shape
@@ -79,7 +77,7 @@ def along_nodes(dN: Array, hoop: Array, T: Array, w: float, out: Array) -> None:
             out[2 * a + 1] += zr * x + zz * y
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def add_stiffness(dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array) -> None:
     """Add w dF/du : A : dF/du to the packed tangent of an element with ``m`` unknowns."""
     if dN.shape[1] == 3:
@@ -88,7 +86,7 @@ def add_stiffness(dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array) 
         _add_stiffness_axisymmetric(dN, hoop, A, w, m, K)
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
     """K_ai,bk += w dN_a,j A_ij,kl dN_b,l for b >= a, written out: loops cost more than sums."""
     na = dN.shape[0]
@@ -111,15 +109,15 @@ def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
                 K[s] += t0 * p + t1 * q + t2 * r
             if i <= 1:
                 K[s + ONE] += t3 * p + t4 * q + t5 * r
-            K[s + _TWO] += t6 * p + t7 * q + t8 * r
+            K[s + TWO] += t6 * p + t7 * q + t8 * r
             for b in range(a + 1, na):
-                s += _THREE
+                s += THREE
                 K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t2 * dN[b, 2]
                 K[s + ONE] += t3 * dN[b, 0] + t4 * dN[b, 1] + t5 * dN[b, 2]
-                K[s + _TWO] += t6 * dN[b, 0] + t7 * dN[b, 1] + t8 * dN[b, 2]
+                K[s + TWO] += t6 * dN[b, 0] + t7 * dN[b, 1] + t8 * dN[b, 2]
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _add_stiffness_axisymmetric(
     dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array
 ) -> None:
@@ -140,12 +138,12 @@ def _add_stiffness_axisymmetric(
                 K[s] += t0 * dN[a, 0] + t1 * dN[a, 1] + t8 * hoop[a]
             K[s + ONE] += t3 * dN[a, 0] + t4 * dN[a, 1]
             for b in range(a + 1, na):
-                s += _TWO
+                s += TWO
                 K[s] += t0 * dN[b, 0] + t1 * dN[b, 1] + t8 * hoop[b]
                 K[s + ONE] += t3 * dN[b, 0] + t4 * dN[b, 1]
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def add_coupling(rates: Array, w: float, N: Array, C: Array) -> None:
     """C_b,r += w N_b dJ/du_r, shape (n_pressure, n_displacement)."""
     for b in range(N.size):

@@ -1,19 +1,20 @@
 """Internal forces of the elements: residual, tangent and what they owe to each constant.
 
 The only place that knows which compiled loop a material needs; the system of equations
-sees vectors of unknowns and packed element tangents.
+sees vectors of unknowns and the sum of the tangents.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.forward import kernels
 from study.forward.elements import Discretization
-from study.forward.handed import Elements, Energy, Shapes, Sums
+from study.forward.handed import Elements, Energy, Sums
 from study.forward.slabs import Slabs, slabs
 from study.forward.tangent import Tangent
 from study.forward.threads import smallest
@@ -34,8 +35,7 @@ _SMALLEST = 1e-6
 _NOWHERE = Sums(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros((0, 0)))
 
 
-@dataclass(frozen=True)
-class Law:
+class Law(NamedTuple):
     """What the compiled loop is told of an energy: a family and its array of constants."""
 
     family: int
@@ -74,14 +74,12 @@ def without_shear(material: Material) -> Law:
 
 @dataclass
 class Internal:
-    """Element residuals and tangents on one discretization, overwritten by each evaluation.
+    """Element residuals on one discretization, overwritten by each evaluation.
 
     Parameters
     ----------
     space : Discretization
         Shape-function arrays.
-    shapes : Shapes
-        The same as compiled loops take them.
     phases : tuple of tuple of ndarray of uint32
         Elements that may be worked on at once, see :mod:`study.forward.slabs`.
     residuals : ndarray, shape (n_elements, m)
@@ -97,7 +95,6 @@ class Internal:
     """
 
     space: Discretization
-    shapes: Shapes
     phases: tuple[Slabs, ...]
     residuals: Array
     pointwise: float = 0.0
@@ -106,11 +103,7 @@ class Internal:
     @classmethod
     def on(cls, space: Discretization, pointwise: float = 0.0, evenness: float = 0.0) -> Internal:
         """Take the memory for a discretization."""
-        shapes = Shapes(
-            space.gradients, space.hoop, space.pressure_shape, space.weights, space.dofs
-        )
-        residuals = np.full(space.dofs.shape, 0.0)
-        return cls(space, shapes, slabs(space), residuals, pointwise, evenness)
+        return cls(space, slabs(space), np.full(space.dofs.shape, 0.0), pointwise, evenness)
 
     def evaluate(self, material: Material, x: Array, into: Tangent | None = None) -> float:
         """Residuals at unknowns ``x``, shape (n,), and tangents where asked; return the smallest J.
@@ -120,7 +113,7 @@ class Internal:
         """
         everywhere, held = self._shares(material.bulk)
         uneven = self._unevenness(material, material.mu0)
-        energy = _energy(law_of(material), everywhere, 1 / held, uneven)
+        energy = Energy(*law_of(material), everywhere, 1 / held, uneven)
         if into is not None:
             into.data[:] = 0.0
         min_j = self._elements(x, energy, into)
@@ -152,7 +145,8 @@ class Internal:
         """
         J = np.ones(self.space.weights.shape)
         if material.family != "linear-elastic":
-            smallest(self.phases, lambda e: float(kernels.volume_ratios(e, self.shapes, x, J)))
+            shapes = self.space.shapes
+            smallest(self.phases, lambda e: float(kernels.volume_ratios(e, shapes, x, J)))
         return J
 
     def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
@@ -160,7 +154,7 @@ class Internal:
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
         uneven = self._unevenness(material, material.mu0_gradient()[name])
-        self._elements(without_pressure, _energy(law_rate(material, name), 0.0, 0.0, uneven))
+        self._elements(without_pressure, Energy(*law_rate(material, name), 0.0, 0.0, uneven))
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
         bulk_rate = material.bulk_gradient()[name]
@@ -178,7 +172,7 @@ class Internal:
         zero = without_shear(material)
 
         def residual(bulk: float, compliance: float) -> Array:
-            self._elements(x, _energy(zero, bulk, compliance, 0.0))
+            self._elements(x, Energy(*zero, bulk, compliance, 0.0))
             return self.gathered()
 
         if self.space.pressure_shape.shape[2] == 0:
@@ -188,16 +182,12 @@ class Internal:
         return out + share * (residual(1.0, 0.0) - plain) if share else out
 
     def _elements(self, x: Array, energy: Energy, into: Tangent | None = None) -> float:
-        sums = _NOWHERE if into is None else into.sums
+        shapes, sums = self.space.shapes, _NOWHERE if into is None else into.sums
 
         def loop(elements: Elements) -> float:
             found = kernels.assemble(
-                elements, self.shapes, energy, x, self.residuals, into is not None, sums
+                elements, shapes, energy, x, self.residuals, into is not None, sums
             )
             return float(found)
 
         return smallest(self.phases, loop)
-
-
-def _energy(law: Law, bulk: float, compliance: float, evenness: float) -> Energy:
-    return Energy(law.family, law.constants, bulk, compliance, evenness)

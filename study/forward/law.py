@@ -9,12 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import part
+from study.forward.compiled import FAST, part
 
 Array = NDArray[np.float64]
-
-#: reorder and contract sums, but keep NaN: an inverted element must still be seen
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 
 @part()
@@ -61,7 +58,7 @@ def cofactor(f: Array, g: Array) -> float:
     return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> float:
     """Isochoric nominal stress for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
 
@@ -123,7 +120,7 @@ def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> flo
     return J
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def polynomial_tangent(
     f: Array, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
 ) -> None:
@@ -165,7 +162,7 @@ def polynomial_tangent(
             tangent[n, o] = tangent[o, n]
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) -> None:
     """Add what W owes to the second invariant, alone and together with the first."""
     g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
@@ -197,7 +194,7 @@ def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) ->
             tangent[n, n] += 2.0 * slope * I1
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
     """Deviatoric small-strain stress ``2 mu dev(eps)``; row 0 of ``work`` receives dJ/dF = 1.
 
@@ -216,7 +213,7 @@ def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
     return float(J)
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def linear_tangent(mu: float, tangent: Array) -> None:
     """Tangent of :func:`linear_stress`, shape (9, 9), overwritten."""
     tangent[:, :] = 0.0
@@ -227,7 +224,7 @@ def linear_tangent(mu: float, tangent: Array) -> None:
             tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def add_pressure_tangent(g: Array, bend: float, stiff: float, tangent: Array) -> None:
     """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``.
 

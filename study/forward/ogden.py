@@ -19,12 +19,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import part
+from study.forward.compiled import FAST, part
 
 Array = NDArray[np.float64]
 
-#: fused multiply-add, but keep NaN: an inverted element must still be seen
-_FAST = {"contract", "reassoc", "arcp", "nsz"}
 
 #: what a column of constants does: stress of W, or of dW/dalpha
 STRESS, BY_EXPONENT = 0, 1
@@ -195,7 +193,7 @@ def ogden_tangent(terms: Array, work: Array, tangent: Array) -> None:
     _product(dyads, images, tangent)
 
 
-@part(fastmath=_FAST)
+@part(fastmath=FAST)
 def _product(D: Array, Q: Array, A: Array) -> None:
     """Write D' Q into A, 9 x 9 arrays, in scalars so that it vectorizes."""
     for n in range(9):

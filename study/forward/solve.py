@@ -105,12 +105,12 @@ def solve(
             if warm is not None and run.may_do_better():
                 system.kept.forget()
                 run = start_from(None).to_the_end()
+            return run.solution(time.perf_counter() - began)
     except MemoryError as error:
         message = f"{error}: use a larger mesh_size, or axisymmetric space"
         return without_answer(problem, "out-of-memory", message, time.perf_counter() - began)
     except MeshError as error:
         return without_answer(problem, "mesh-failed", str(error), time.perf_counter() - began)
-    return run.solution(time.perf_counter() - began)
 
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:

@@ -33,17 +33,14 @@ class Tangent:
         Free unknowns, and where packed entries go.
     dofs : ndarray of int32, shape (n_elements, m)
         Unknowns of each element.
-    data : ndarray, shape (n_entries,)
-        Entries of the pattern; contact adds its own to them.
     edge : ndarray of int32, shape (n_kept,)
         Elements with constrained unknowns.
     sums : Sums
-        The same arrays as compiled loops take them.
+        Entries of the pattern, and what is kept of those elements.
     """
 
     pattern: Pattern
     dofs: Narrow
-    data: Array
     edge: Narrow
     sums: Sums
 
@@ -56,7 +53,12 @@ class Tangent:
         slots = np.full(len(dofs), -1, dtype=np.int32)
         slots[edge] = np.arange(edge.size, dtype=np.int32)
         kept = np.full((edge.size, pattern.positions.shape[1]), 0.0)
-        return cls(pattern, dofs, data, edge, Sums(pattern.positions, data, slots, kept))
+        return cls(pattern, dofs, edge, Sums(pattern.positions, data, slots, kept))
+
+    @property
+    def data(self) -> Array:
+        """Entries of the pattern, shape (n_entries,); contact adds its own to them."""
+        return self.sums.data
 
     def product(self, v: Array) -> Array:
         """Tangent times ``v``, shape (n,), constrained rows and columns included."""
@@ -80,7 +82,7 @@ class ContactBlocks:
 
     Parameters
     ----------
-    dofs : ndarray of int, shape (n_points, m)
+    dofs : ndarray of int32, shape (n_points, m)
         Unknowns of each point.
     positions : ndarray of int32, shape (n_points, m (m + 1) / 2)
         Entry of the pattern of each packed one; negative where a constrained unknown takes part.
@@ -88,11 +90,12 @@ class ContactBlocks:
         Upper triangles.
     """
 
-    dofs: Ints
+    dofs: Narrow
     positions: Narrow
     packed: Array
     _inside: NDArray[np.bool_]
     _entries: Narrow
+    _edge: Narrow
     _before: Array = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
@@ -100,7 +103,10 @@ class ContactBlocks:
         """Take the memory for contact points."""
         inside = positions >= 0
         entries = np.unique(positions[inside])
-        return cls(dofs, positions, np.zeros(positions.shape), inside, entries)
+        edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
+        return cls(
+            dofs.astype(np.int32), positions, np.zeros(positions.shape), inside, entries, edge
+        )
 
     def fill(self, packed: Array, data: Array) -> None:
         """Add blocks to the entries of a pattern."""
@@ -120,5 +126,5 @@ class ContactBlocks:
 
     def add_beside(self, v: Array, out: Array) -> None:
         """Add the product with the entries of constrained rows and columns alone."""
-        every, dofs = np.arange(len(self.dofs), dtype=np.int32), self.dofs.astype(np.int32)
-        kernels.constrained_product(every, dofs, self.positions, self.packed, v, out)
+        kept = self.packed[self._edge]
+        kernels.constrained_product(self._edge, self.dofs, self.positions, kept, v, out)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 from threadpoolctl import ThreadpoolController
@@ -23,28 +23,24 @@ from study.forward.handed import Elements
 #: how long MKL's threads wait for more work
 _AWAKE_MS = 1
 _CONFIG: Any = numba.config
-_Result = TypeVar("_Result")
 
 
 def smallest(phases: Sequence[Sequence[Elements]], loop: Callable[[Elements], float]) -> float:
-    """Smallest result of ``loop`` over all parts: those of a phase at once, phases in turn."""
+    """Smallest result of ``loop`` over all parts: those of a phase at once, phases in turn.
+
+    The first share of a phase is done here, every other in a thread.
+    """
     found = []
     for parts in phases:
         count = min(len(parts), max(int(_CONFIG.NUMBA_NUM_THREADS), 1))
-        shares = [partial(_in_turn, parts[i::count], loop) for i in range(count)]
-        found.append(min(_at_once(shares)))
+        here, *others = [partial(_in_turn, parts[i::count], loop) for i in range(count)]
+        waiting = [_threads(len(others)).submit(share) for share in others]
+        found += [here(), *(share.result() for share in waiting)]
     return min(found)
 
 
 def _in_turn(parts: Sequence[Elements], loop: Callable[[Elements], float]) -> float:
     return min(loop(part) for part in parts)
-
-
-def _at_once(jobs: Sequence[Callable[[], _Result]]) -> list[_Result]:
-    """Results of all jobs: the first is done here, every other in a thread."""
-    here, *others = jobs
-    waiting = [_threads(len(others)).submit(job) for job in others]
-    return [here(), *(job.result() for job in waiting)]
 
 
 def vectors_alone() -> AbstractContextManager[Any]:
