@@ -24,9 +24,11 @@ from study.forward.system import Assembly, State, System
 
 Array = NDArray[np.float64]
 
-#: relative residual of the rates: where derivatives of the force are left with its square, where
-#: nobody asks for more than dF/dd, and where places that hold a point inherit it
-_SQUARED, _STIFFNESS, _INHERITED = 1e-5, 1e-4, 1e-10
+#: Relative residual of the rates, of which dF/dd and dF/dtheta keep the square. It is the same
+#: whatever is asked for: a curve has one slope.
+RATE_TOLERANCE = 1e-5
+#: The same where a bonded indenter holds points: their places inherit the error itself.
+INHERITED_RATE_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def step_gradients(
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
     loads = _loads(system, state, assembly, wanted)
-    tolerance = _INHERITED if system.sticks else _SQUARED if wanted else _STIFFNESS
+    tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)
     scale = system.force_scale
     return StepGradients(

@@ -71,12 +71,21 @@ class ClosedPoints:
 
     def take_over(self, x: Array) -> None:
         """Let the pressures carry what the springs do."""
-        self.pressure[:] += self.eps * self.missed(x)
+        self.pressure[:] = self.carried(x)
+
+    def carried(self, x: Array) -> Array:
+        """Rates of the pressures, those that the springs carry included, shape (m, k)."""
+        return np.asarray(self.pressure + self.eps * self.missed(x))
 
     def push(self, left: Array, pressure: Array) -> None:
         """Add N' W pressure to ``left``, shape (n, k)."""
         forces = (self.weights[:, None] * pressure)[:, None, :] * self.normals[:, :, None]
         np.add.at(left, self.dofs.ravel(), forces.reshape(self.dofs.size, left.shape[1]))
+
+    def force(self, pressure: Array) -> Array:
+        """Norm of the forces that rates of the pressures make, one a column, shape (k,)."""
+        lengths = np.linalg.norm(self.normals, axis=1) * self.weights
+        return np.asarray(np.linalg.norm(lengths[:, None] * pressure, axis=0))
 
 
 @dataclass(frozen=True)
@@ -109,24 +118,28 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     Parameters
     ----------
     tolerance : float
-        On each residual over its largest so far.
+        On each residual over the forces that it balances: those of the loads, or those of the
+        closed contact points. The springs of the contact are stiffer than the specimen by
+        several powers of ten, and no measure of it.
     """
     free, x = system.pattern.free, loads.start.copy()
     closed = _closed_points(system, assembly, loads.targets)
     older, springs = system.factors_serve(), any(each.among.size for each in closed)
     if not older:
         system.factorize()
-    scale, sizes = np.zeros(x.shape[1]), list[Array]()
+    loaded, sizes = np.zeros(x.shape[1]), list[Array]()
     for corrections in range(_CORRECTIONS + 1):
         left = loads.right - np.column_stack([system.tangent_product(column) for column in x.T])
+        if corrections == 0:
+            loaded = np.linalg.norm(left[free], axis=0)
         for each in closed:
             each.push(left, each.eps * each.target + each.pressure)
         size = np.linalg.norm(left[free], axis=0)
-        scale = np.maximum(scale, size)
-        if corrections == _CORRECTIONS or (size <= tolerance * scale).all():
+        wanted = tolerance * _scale(loaded, closed, x)
+        if corrections == _CORRECTIONS or (size <= wanted).all():
             break
-        sizes.append(size / np.where(scale > 0, scale, 1.0))
-        if older and _cost_ahead(sizes, tolerance, springs) > system.solver.worth():
+        sizes.append(size)
+        if older and _cost_ahead(sizes, wanted, springs) > system.solver.worth():
             system.factorize()
             older = False
         elif corrections == _DULL and not system.solver.exact:
@@ -155,8 +168,16 @@ def _closed_points(
     return tuple(found)
 
 
-def _cost_ahead(sizes: list[Array], tolerance: float, springs: bool) -> float:
+def _scale(loaded: Array, closed: tuple[ClosedPoints, ...], x: Array) -> Array:
+    """Forces that the residual of each column is compared with, shape (k,)."""
+    contact = [each.force(each.carried(x)) for each in closed]
+    return np.asarray(np.max([loaded, *contact], axis=0))
+
+
+def _cost_ahead(sizes: list[Array], wanted: Array, springs: bool) -> float:
     """Back-substitutions that the corrections still cost at their speed so far.
+
+    ``sizes`` are residuals, ``wanted`` what they are to fall to, one a column.
 
     With springs two corrections make one: the first loads them, the second hands their load
     over to the pressures. Of the very first one only the loading's column tells anything, as
@@ -165,10 +186,11 @@ def _cost_ahead(sizes: list[Array], tolerance: float, springs: bool) -> float:
     if len(sizes) < 2:
         return 0.0
     each, columns = (2, slice(0, 1)) if springs else (1, slice(None))
-    before, left = sizes[0][columns], sizes[1][columns]
+    before, left, to = sizes[0][columns], sizes[1][columns], wanted[columns]
     if len(sizes) > 2:
-        each, before, left = 2, sizes[-3], sizes[-1]
+        each, before, left, to = 2, sizes[-3], sizes[-1], wanted
     left = np.maximum(left, 1e-300)
     rate = np.minimum(left / np.maximum(before, 1e-300), 1.0 - 1e-9)
-    many = each * np.log(np.minimum(tolerance / left, 1.0)) / np.log(rate)
+    share = np.clip(to / left, 1e-300, 1.0)
+    many = each * np.log(share) / np.log(rate)
     return float(sizes[0].size * many.max())

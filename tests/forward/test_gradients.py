@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.forward.problem import Cone, Cylinder, Model, Problem
+from study.forward.mesh import build_mesh
+from study.forward.problem import Block, Cone, Cylinder, Flat, Model, Problem, Sphere
 from study.forward.problem import Test as Loading
 from study.forward.solve import solve
 from study.material import Material
@@ -69,7 +70,7 @@ def test_errors_of_the_rates_are_squared(
     problem = Problem(Cylinder(25.0, 50.0), test, MATERIALS[0], model)
     found = []
     for tolerance in (1e-3, 1e-11):
-        monkeypatch.setattr(gradients, "_SQUARED", tolerance)
+        monkeypatch.setattr(gradients, "RATE_TOLERANCE", tolerance)
         found.append(solve(problem).curve)
     rough, exact = found
     assert rough.stiffness_N_per_mm is not None
@@ -79,3 +80,42 @@ def test_errors_of_the_rates_are_squared(
     for name, slope in exact.force_gradient.items():
         atol = 1e-5 * np.abs(slope).max()
         np.testing.assert_allclose(rough.force_gradient[name], slope, rtol=0, atol=atol)
+
+
+CONFIGURATIONS = {
+    "needle": (Cone(30.0, 1.0, 3.0), 3.0, "axisymmetric", "simplex"),
+    "rounded punch": (Flat(3.0, 0.3), 2.0, "axisymmetric", "simplex"),
+    "sphere": (Sphere(5.0), 3.0, "axisymmetric", "tensor"),
+    "needle in 3D": (Cone(30.0, 1.0), 1.5, "3d", "simplex"),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
+    """dF/dd of a second specimen, warm and without gradients, is that of forces on one mesh.
+
+    The tangent is exact, so that what differs is the curvature over 2e-5 of the depth (some
+    1e-6), and where a point of the contact opens or closes between the three forces.
+    """
+    indenter, depth, space, shape = CONFIGURATIONS[name]
+    order = "linear" if space == "3d" else "quadratic"
+    model = Model(space, order, shape, mesh="coarse")  # type: ignore[arg-type]
+    test = Loading("indentation", depth, "frictionless", "bonded", steps=4, indenter=indenter)
+    first = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
+    problem = Problem(Block(60.0, 60.0, 40.0), test, first, model)
+    mesh = build_mesh(problem)
+    base = solve(problem, mesh=mesh)
+    second = replace(problem, material=first.with_constants([5.4e-3]))
+    later = solve(second, gradients=False, warm=base, mesh=mesh).curve.stiffness_N_per_mm
+    alone = solve(second, gradients=False, mesh=mesh).curve.stiffness_N_per_mm
+    asked = solve(second, mesh=mesh).curve.stiffness_N_per_mm
+    assert later is not None
+    assert alone is not None
+    assert asked is not None
+    np.testing.assert_allclose(alone, asked, rtol=1e-6)
+    np.testing.assert_allclose(later, asked, rtol=1e-6)
+    nearby = [
+        replace(second, test=replace(test, displacement_mm=depth * (1 + h))) for h in (-1e-5, 1e-5)
+    ]
+    low, high = (solve(p, gradients=False, mesh=mesh).curve.force_N[-1] for p in nearby)
+    np.testing.assert_allclose(asked[-1], (high - low) / (2e-5 * depth), rtol=1e-4)
