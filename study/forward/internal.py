@@ -16,6 +16,7 @@ from study.forward import kernels
 from study.forward.elements import Discretization
 from study.forward.handed import Elements, Energy, Sums
 from study.forward.slabs import Slabs, slabs
+from study.forward.stored_energy import stored_energy
 from study.forward.tangent import Tangent
 from study.forward.threads import smallest
 from study.material import Material
@@ -33,6 +34,26 @@ EVENNESS, EVENNESS_OF_SOLIDS = 20.0, 100.0
 _SMALLEST = 1e-6
 #: where no tangent is asked for
 _NOWHERE = Sums(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros((0, 0)))
+
+
+class StoredEnergy(NamedTuple):
+    """Energy of the elements, N mm.
+
+    Parameters
+    ----------
+    material : float
+        Of the material.
+    stabilization : float
+        Of the resistance to uneven volume, which is none of the material's.
+    """
+
+    material: float
+    stabilization: float
+
+    @property
+    def total(self) -> float:
+        """What the work of the test goes into."""
+        return self.material + self.stabilization
 
 
 class Law(NamedTuple):
@@ -111,13 +132,24 @@ class Internal:
         Where it is not positive nothing else is valid. For small strain it is the smallest
         1 + tr(eps), kept above zero: a linear body cannot be inverted.
         """
-        everywhere, held = self._shares(material.bulk)
-        uneven = self._unevenness(material, material.mu0)
-        energy = Energy(*law_of(material), everywhere, 1 / held, uneven)
+        energy = self._energy(material)
         if into is not None:
             into.data[:] = 0.0
         min_j = self._elements(x, energy, into)
         return max(min_j, _SMALLEST) if energy.family == kernels.LINEAR else min_j
+
+    def stored(self, material: Material, x: Array) -> StoredEnergy:
+        """Energy that all elements store at unknowns ``x``, shape (n,)."""
+        shapes, energy = self.space.shapes, self._energy(material)
+        out = np.zeros((self.space.n_elements, 2))
+        smallest(self.phases, lambda e: float(stored_energy(e, shapes, energy, x, out)))
+        return StoredEnergy(*(float(part) for part in out.sum(axis=0)))
+
+    def _energy(self, material: Material) -> Energy:
+        """What the compiled loops are told of a material."""
+        everywhere, held = self._shares(material.bulk)
+        uneven = self._unevenness(material, material.mu0)
+        return Energy(*law_of(material), everywhere, 1 / held, uneven)
 
     def _shares(self, K: float) -> tuple[float, float]:
         """Bulk modulus at every point, and that of the pressures."""

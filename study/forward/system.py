@@ -330,7 +330,8 @@ class System:
                 blocks.add_beside(v, out)
             return out
         with ExitStack() as without:
-            for blocks in self._contact_blocks:
+            # last in, first out: each remembers the entries as those before it left them
+            for blocks in reversed(self._contact_blocks):
                 without.enter_context(blocks.taken_out(self.data))
             return self.tangent.product(v)
 
