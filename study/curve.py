@@ -26,12 +26,16 @@ class Curve:
         Tangent dF/dd; with it the curve is interpolated by cubic Hermite polynomials.
     force_gradient : mapping of str to ndarray, shape (n,)
         dF/dtheta for each material constant, in N per MPa (N for a plain exponent).
+    work_Nmm : ndarray, shape (n,), optional
+        Work done from the unloaded state; with it each interval's polynomial is one of fourth
+        degree that does just this work.
     """
 
     displacement_mm: Array
     force_N: Array
     stiffness_N_per_mm: Array | None = None
     force_gradient: Mapping[str, Array] = field(default_factory=dict)
+    work_Nmm: Array | None = None
 
     def __len__(self) -> int:
         return int(self.displacement_mm.size)
@@ -52,10 +56,78 @@ class Curve:
             )
         if slope is None:
             return np.asarray(np.interp(d, knots, force))
-        return _hermite(np.clip(d, 0, knots[-1]), knots, force, slope)
+        places = np.clip(d, 0, knots[-1])
+        return _hermite(places, knots, force, slope) + self._bulge(places)
+
+    def interpolation_error_N(self) -> Array:  # noqa: N802
+        """Estimate how far the force between neighboring points is off.
+
+        Returns
+        -------
+        ndarray, shape (n,), or (n - 1,) where the first point is the origin
+            One number for each interval, from the unloaded origin on: the mean distance between
+            the cubic through forces and slopes and the curve that does the known work. The
+            polynomial of fourth degree that :meth:`force_at` evaluates is nearer to the curve
+            than that. Zero where the work is not known.
+        """
+        off = np.abs(self._missed_mean())
+        if off.size > 1 and len(self) == off.size:  # there the work gives the slope at the origin
+            off[0] = off[1]
+        return off
+
+    def relative_interpolation_error(self) -> float:
+        """Estimated error of the interpolation over the force, both root mean square."""
+        size = self._mean_square_force()
+        return float(np.sqrt(self._square_errors().sum() / size)) if size > 0 else 0.0
+
+    def coarse_intervals(self, error: float) -> list[float]:
+        """Middles of the intervals, the worst first, without which ``error`` would be kept.
+
+        Parameters
+        ----------
+        error : float
+            Allowed :meth:`relative_interpolation_error`.
+        """
+        squares = self._square_errors()
+        order = np.argsort(-squares, kind="stable")
+        left = squares.sum() - np.cumsum(squares[order])
+        allowed = error**2 * self._mean_square_force()
+        if squares.sum() <= allowed:
+            return []
+        # an interval in halves keeps a part of its error: half of what is allowed is for those
+        worst = order[: int(np.argmax(left <= 0.5 * allowed)) + 1]
+        knots = self._with_origin()[0]
+        return [float(0.5 * (knots[k] + knots[k + 1])) for k in worst]
+
+    def _square_errors(self) -> Array:
+        """Integral of the squared error of every interval, N^2 mm."""
+        return np.asarray(self.interpolation_error_N() ** 2 * np.diff(self._with_origin()[0]))
+
+    def _mean_square_force(self) -> float:
+        """Integral of the squared force, linear between the points, N^2 mm."""
+        knots, force, _ = self._with_origin()
+        a, b = force[:-1], force[1:]
+        return float((np.diff(knots) * (a * a + a * b + b * b) / 3).sum())
+
+    def every_other_point(self) -> Curve:
+        """Return the curve of half as many load steps, the last one kept."""
+        kept = np.arange(len(self))[::-2][::-1]
+        return Curve(
+            self.displacement_mm[kept],
+            self.force_N[kept],
+            None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[kept],
+            {name: slope[kept] for name, slope in self.force_gradient.items()},
+            None if self.work_Nmm is None else self.work_Nmm[kept],
+        )
+
+    def without_gradients(self) -> Curve:
+        """Return the curve without its derivatives by the constants."""
+        return Curve(
+            self.displacement_mm, self.force_N, self.stiffness_N_per_mm, work_Nmm=self.work_Nmm
+        )
 
     def gradient_at(self, name: str, displacement_mm: ArrayLike) -> Array:
-        """dF/dtheta at given displacements (monotone cubic through the solved steps)."""
+        """dF/dtheta at given displacements (cubic spline through the solved steps)."""
         from scipy.interpolate import CubicSpline
 
         knots, values = self.displacement_mm, self.force_gradient[name]
@@ -74,6 +146,8 @@ class Curve:
         }
         if self.stiffness_N_per_mm is not None:
             out["stiffness_N_per_mm"] = self.stiffness_N_per_mm.tolist()
+        if self.work_Nmm is not None:
+            out["work_Nmm"] = self.work_Nmm.tolist()
         if self.force_gradient:
             out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
         return out
@@ -81,22 +155,64 @@ class Curve:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Curve:
         """Inverse of :meth:`as_dict`."""
-        stiffness = data.get("stiffness_N_per_mm")
+        stiffness, work = data.get("stiffness_N_per_mm"), data.get("work_Nmm")
         return cls(
             np.asarray(data["displacement_mm"], float),
             np.asarray(data["force_N"], float),
             None if stiffness is None else np.asarray(stiffness, float),
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
+            None if work is None else np.asarray(work, float),
         )
 
     def _with_origin(self) -> tuple[Array, Array, Array | None]:
         d, f, s = self.displacement_mm, self.force_N, self.stiffness_N_per_mm
-        if d[0] <= 0:
+        if not len(self) or d[0] <= 0:
             return d, f, s
         if s is None:
             return np.r_[0.0, d], np.r_[0.0, f], None
-        # the slope at the origin that makes the first interval's cubic a parabola
-        return np.r_[0.0, d], np.r_[0.0, f], np.r_[2 * f[0] / d[0] - s[0], s]
+        return np.r_[0.0, d], np.r_[0.0, f], np.r_[self._slope_at_origin(), s]
+
+    def _slope_at_origin(self) -> float:
+        """dF/dd with which the first interval's cubic does its work.
+
+        Where the work is not known, the one that makes it a parabola.
+        """
+        d, f = float(self.displacement_mm[0]), float(self.force_N[0])
+        slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
+        if self.work_Nmm is None:
+            return 2 * f / d - slope
+        return slope + 12 * (float(self.work_Nmm[0]) - f * d / 2) / d**2
+
+    def _missed_mean(self) -> Array:
+        """Mean force that each interval's cubic lacks of the known work, N."""
+        knots, force, slope = self._with_origin()
+        if slope is None or self.work_Nmm is None:
+            return np.zeros(max(knots.size - 1, 0))
+        work = self.work_Nmm if knots.size == len(self) else np.r_[0.0, self.work_Nmm]
+        return (np.diff(work) - hermite_work(knots, force, slope)) / np.diff(knots)
+
+    def _bulge(self, places: Array) -> Array:
+        """Return what the fourth degree adds: 30 m t^2 (1 - t)^2, whose mean is m."""
+        knots = self._with_origin()[0]
+        missed = self._missed_mean()
+        if not missed.any():
+            return np.zeros(places.shape)
+        k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, missed.size - 1)
+        t = (places - knots[k]) / np.diff(knots)[k]
+        return np.asarray(30.0 * missed[k] * (t * (1.0 - t)) ** 2)
+
+
+def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
+    """Integral of the cubic Hermite polynomial of every interval, shape (n - 1,).
+
+    Examples
+    --------
+    >>> d = np.array([0.0, 2.0])
+    >>> hermite_work(d, d**3, 3 * d**2)
+    array([4.])
+    """
+    h = np.diff(knots)
+    return np.asarray(h / 2 * (force[1:] + force[:-1]) + h**2 / 12 * (slope[:-1] - slope[1:]))
 
 
 def _hermite(x: Array, knots: Array, value: Array, slope: Array) -> Array:

@@ -146,7 +146,7 @@ class Internal:
         return StoredEnergy(*(float(part) for part in out.sum(axis=0)))
 
     def _energy(self, material: Material) -> Energy:
-        """What the compiled loops are told of a material."""
+        """Return what the compiled loops are told of a material."""
         everywhere, held = self._shares(material.bulk)
         uneven = self._unevenness(material, material.mu0)
         return Energy(*law_of(material), everywhere, 1 / held, uneven)

@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.curve import Curve
+from study.forward.energy_balance import LoadedState, balanced, jumped
 from study.forward.gradients import StepGradients
+from study.forward.internal import StoredEnergy
 from study.forward.problem import Problem, Surface
 from study.forward.solution import Solution, Warm, WarmStep
 from study.forward.system import Assembly, State, System
+
+Array = NDArray[np.float64]
 
 #: what a user can do about an energy that is stretched too far
 _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
@@ -26,6 +31,11 @@ class Logbook:
     ----------
     wanted : tuple of str
         Constants by which the force is differentiated.
+    requested : int
+        How many of the steps so far were asked for; others were added where energy was missing
+        or the curve bends.
+    states : list of LoadedState
+        Force and stored energy of every step.
     snaps : list of float
         Displacements at which the surface snapped to another equilibrium, mm.
     """
@@ -33,7 +43,9 @@ class Logbook:
     system: System
     problem: Problem
     wanted: tuple[str, ...]
+    requested: int = 0
     rows: list[StepGradients] = field(default_factory=list)
+    states: list[LoadedState] = field(default_factory=list)
     reached: list[float] = field(default_factory=list)
     reactions: list[float] = field(default_factory=list)
     iterations: list[int] = field(default_factory=list)
@@ -44,24 +56,69 @@ class Logbook:
     @property
     def complete(self) -> bool:
         """Whether every requested step is there."""
-        return len(self.rows) == self.problem.test.steps
+        return self.requested == self.problem.test.steps
 
-    def add(self, state: State, assembly: Assembly, row: StepGradients, iterations: int) -> None:
-        """Write down a requested step that converged."""
-        self.rows.append(row)
-        self.reached.append(state.displacement_mm)
-        self.reactions.append(_base_reaction(self.system, assembly))
-        self.iterations.append(iterations)
+    def loaded(self, state: State, row: StepGradients) -> LoadedState:
+        """Force and stored energy of a converged state."""
+        stored, scale = self.system.stored_energy(state), self.system.force_scale
+        energy = StoredEnergy(scale * stored.material, scale * stored.stabilization)
+        return LoadedState(state.displacement_mm, row.force_N, row.stiffness_N_per_mm, energy)
+
+    def jumped_to(self, loaded: LoadedState) -> bool:
+        """Whether energy is missing, or too much, since the last step written down.
+
+        The first step has none before it: the slope at first touch is not known.
+        """
+        if not self.states:
+            return False
+        return jumped(self.states[-1], loaded, self._whole_mm)
+
+    def add(
+        self, state: State, assembly: Assembly, row: StepGradients, loaded: LoadedState, spent: int
+    ) -> None:
+        """Write down a step that converged, in the order of displacements."""
+        at = int(np.searchsorted(self.reached, state.displacement_mm))
+        self.rows.insert(at, row)
+        self.states.insert(at, loaded)
+        self.reached.insert(at, state.displacement_mm)
+        self.reactions.insert(at, _base_reaction(self.system, assembly))
+        self.iterations.insert(at, spent)
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
-        self.warm_steps.append(WarmStep(state, row.constants))
+        self.warm_steps.insert(at, WarmStep(state, row.constants))
 
-    def curve(self) -> Curve:
+    def around(self, displacement_mm: float) -> tuple[State | None, State]:
+        """States next to a displacement; before the first step there is none."""
+        at = int(np.searchsorted(self.reached, displacement_mm))
+        return self.warm_steps[at - 1].state if at else None, self.warm_steps[at].state
+
+    def lies_between(self, loaded: LoadedState) -> bool:
+        """Whether no energy is missing on the way to a state, and from it to the next."""
+        at, whole = int(np.searchsorted(self.reached, loaded.displacement_mm)), self._whole_mm
+        before = at == 0 or not jumped(self.states[at - 1], loaded, whole)
+        return before and not jumped(loaded, self.states[at], whole)
+
+    def coarse_intervals(self, error: float) -> list[float]:
+        """Middles of the intervals that make interpolation worse than ``error``.
+
+        ``error`` is a share of the force, root mean square over the displacement.
+        """
+        if not self.complete:
+            return []
+        _, work = balanced(self.states, (), self._whole_mm)
+        return self.curve(work).coarse_intervals(error)
+
+    @property
+    def _whole_mm(self) -> float:
+        return self.problem.test.displacement_mm
+
+    def curve(self, work_Nmm: Array) -> Curve:
         """Force-displacement curve with its gradients."""
         return Curve(
             np.array(self.reached),
             np.array([row.force_N for row in self.rows]),
             np.array([row.stiffness_N_per_mm for row in self.rows]),
             {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
+            work_Nmm,
         )
 
     def solution(
@@ -74,10 +131,12 @@ class Logbook:
         """
         system = self.system
         vertices = system.mesh.points.shape[0]
+        balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
         return Solution(
             status="converged" if self.complete else "unstable" if lost else "not-converged",
             message=self._message(state, lost, reason),
-            curve=self.curve(),
+            curve=self.curve(work),
+            energy=balance,
             reached_mm=state.displacement_mm,
             min_j=min_j,
             base_reaction_N=np.array(self.reactions),
@@ -98,7 +157,7 @@ class Logbook:
         """Say how the run ended, and what was mended or is not as it should be."""
         said = ["every step converged"]
         if self.snaps:
-            places = ", ".join(f"{d:.3g}" for d in self.snaps)
+            places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
             said.append(f"past {places} mm the surface snapped to another equilibrium")
         if self.pinned > _UNBALANCED:
             said.append(

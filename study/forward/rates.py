@@ -169,7 +169,7 @@ def _closed_points(
 
 
 def _scale(loaded: Array, closed: tuple[ClosedPoints, ...], x: Array) -> Array:
-    """Forces that the residual of each column is compared with, shape (k,)."""
+    """Find the forces that the residual of each column is compared with, shape (k,)."""
     contact = [each.force(each.carried(x)) for each in closed]
     return np.asarray(np.max([loaded, *contact], axis=0))
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.curve import Curve
+from study.forward.energy_balance import EnergyBalance
 from study.forward.gradients import Rate
 from study.forward.problem import Problem
 from study.forward.system import State, System
@@ -43,15 +44,18 @@ class Solution:
     message : str
         One sentence that says why it ended.
     curve : Curve
-        Requested steps up to the last converged one, with stiffness and gradients.
+        Requested steps up to the last converged one, with stiffness, gradients and work; and
+        steps between them where energy was missing or the curve bends.
     reached_mm : float
         Displacement of the last converged step, sub-steps of a cut-back included.
     min_j : float
         Smallest J of the last converged step.
     base_reaction_N : ndarray, shape (n_steps,)
         Reaction of the base, to be compared with the force.
+    energy : EnergyBalance
+        Stored energy and the work of the test, point by point of the curve.
     newton_iterations : tuple of int
-        Iterations of each requested step (its sub-steps added up).
+        Iterations of each point of the curve (its sub-steps added up).
     points, displacement : ndarray, shape (n_points, dim)
         Vertices of the mesh in mm and their displacements at the last converged step.
     cells : ndarray of int
@@ -64,6 +68,7 @@ class Solution:
     reached_mm: float
     min_j: float
     base_reaction_N: Array
+    energy: EnergyBalance
     newton_iterations: tuple[int, ...]
     dofs: int
     elements: int
@@ -92,6 +97,7 @@ def without_answer(problem: Problem, status: str, message: str, seconds: float) 
         reached_mm=0.0,
         min_j=1.0,
         base_reaction_N=empty,
+        energy=EnergyBalance(empty, empty, empty),
         newton_iterations=(),
         dofs=0,
         elements=0,

@@ -36,6 +36,10 @@ _FARTHEST = 1.7
 _LEAPT, _EXTRAPOLATED, _MOVED = 0.25, 0.3, 0.5
 #: smallest step of an energy that has lost its ellipticity over that of any other
 _BEYOND = 8.0
+#: Times that a step is halved where energy is missing: a jump is found to an eighth of it.
+_HALVINGS = 3
+#: Times that steps are added to a curve whose interpolation is not as near as asked.
+_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,9 @@ class Options:
 
     ``side_contact = False`` lets the free side pass through the plates: wrong physics, kept
     for comparisons with codes and tables that do so. ``snaps = False`` ends a run at the first
-    limit point instead of looking for an equilibrium beyond it.
+    limit point instead of looking for an equilibrium beyond it. ``curve_error`` asks for steps
+    between the requested ones where the curve bends, until the estimated error of its
+    interpolation is below this share of the force (root mean square over the displacement).
     """
 
     newton: NewtonSettings = field(default_factory=NewtonSettings)
@@ -52,6 +58,18 @@ class Options:
     linear_solver: str = "auto"
     side_contact: bool = True
     snaps: bool = True
+    curve_error: float | None = None
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What a load step starts from, so that it can be taken once more in halves."""
+
+    state: State
+    previous: State | None
+    J: Array
+    step_mm: float
+    min_j: float
 
 
 def solve(
@@ -141,6 +159,8 @@ class _Run:
         self.system, self.problem, self.options = system, problem, options
         self.wanted = problem.material.names if gradients else ()
         self.warm = warm.warm if warm is not None else None
+        steps = () if self.warm is None else self.warm.steps
+        self._warm_steps = {step.state.displacement_mm: step for step in steps}
         self.progress = progress or (lambda _: None)
         self.state, self.previous = system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
@@ -153,13 +173,89 @@ class _Run:
 
     def to_the_end(self) -> _Run:
         """Go through the requested steps for as long as they converge."""
-        test = self.problem.test
-        targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
-        for number, target in enumerate(targets):
-            if not self._reach(float(target), number):
+        for target, asked in self._targets():
+            if not self._advance(target, _HALVINGS):
                 break
-            self.progress(float(target) / test.displacement_mm)
+            self.logbook.requested += asked
+            self.progress(target / self.problem.test.displacement_mm)
+        if self.options.curve_error and self.warm is None and not self.system.sticks:
+            self._fill_in(self.options.curve_error)
         return self
+
+    def _targets(self) -> list[tuple[float, bool]]:
+        """Displacements, and whether they are requested; an earlier solve's are gone through too.
+
+        Curves of one problem then have the same points, and their difference is one of forces.
+        """
+        test = self.problem.test
+        asked = [test.displacement_mm * k / test.steps for k in range(1, test.steps + 1)]
+        added = [d for d in self._warm_steps if d < asked[-1]]
+        near = 1e-9 * self.system.height_mm
+        others = [d for d in added if min(abs(d - own) for own in asked) > near]
+        return sorted([(d, True) for d in asked] + [(d, False) for d in others])
+
+    def _advance(self, target: float, halvings: int) -> bool:
+        """Reach a displacement and write it down, in halves where energy does not add up."""
+        place, snaps = self._place(), len(self.logbook.snaps)
+        result, spent = self._reach(target)
+        if result is None:
+            return False
+        loaded = self.logbook.loaded(self.state, self._row(result))
+        known = len(self.logbook.snaps) > snaps
+        jumped = not known and self.logbook.jumped_to(loaded)
+        if jumped and halvings and not self.system.sticks:
+            there, middle = self._place(), 0.5 * (place.state.displacement_mm + target)
+            self._return_to(place)
+            if self._advance(middle, halvings - 1) and self._advance(target, halvings - 1):
+                return True
+            self._return_to(there)  # smaller steps found nothing
+        if jumped:
+            self.logbook.snaps.append(self.logbook.reached[-1])
+        self.logbook.add(self.state, result.equilibrium(), self._row(result), loaded, spent)
+        return True
+
+    def _place(self) -> _Place:
+        return _Place(self.state, self.previous, self.J, self.step_mm, self.min_j)
+
+    def _return_to(self, place: _Place) -> None:
+        """Go back; what was found in between is no start for the steps to come."""
+        self.state, self.J, self.min_j = place.state, place.J, place.min_j
+        self.previous, self.step_mm = place.previous, place.step_mm
+        self.reason = ""
+
+    def _fill_in(self, error: float) -> None:
+        """Add steps in the middle of intervals in which the curve bends."""
+        for _ in range(_ROUNDS):
+            places = self.logbook.coarse_intervals(error)
+            for displacement in places:
+                self._insert(displacement)
+            if not places:
+                return
+
+    def _insert(self, displacement: float) -> None:
+        """Write down an equilibrium between two steps, where it lies on the way between them."""
+        before, after = self.logbook.around(displacement)
+        left = self.system.start() if before is None else before
+        start = replace(
+            left,
+            displacement_mm=displacement,
+            x=0.5 * (left.x + after.x),
+            multipliers=tuple(
+                points.admissible(0.5 * (m + n))
+                for points, m, n in zip(
+                    self.system.contact, left.multipliers, after.multipliers, strict=True
+                )
+            ),
+        )
+        J = self.system.volume_ratios(left.x)
+        guess = self._sound(start, J, _MOVED)
+        result = None if guess is None else solve_step(self.system, guess, self.options.newton)
+        if result is None or not result.converged or not _near(result, J):
+            return
+        row = self._row(result)
+        loaded = self.logbook.loaded(result.state, row)
+        if self.logbook.lies_between(loaded):
+            self.logbook.add(result.state, result.equilibrium(), row, loaded, result.iterations)
 
     def may_do_better(self) -> bool:
         """Whether a run that stopped short is to be tried from the unloaded state.
@@ -168,9 +264,9 @@ class _Run:
         """
         return not self.logbook.complete and not self._lost()
 
-    def _reach(self, target: float, number: int) -> bool:
-        """Advance to a requested step, in sub-steps where needed, and take its gradients."""
-        spent, result = 0, self._from_warm(target, number)
+    def _reach(self, target: float) -> tuple[NewtonResult | None, int]:
+        """Equilibrium at a displacement, in sub-steps where needed, and the iterations spent."""
+        spent, result = 0, self._from_warm(target)
         if result is not None:
             spent += result.iterations
             self._accept(result)
@@ -191,11 +287,10 @@ class _Run:
                 through = self._through(target) if self._may_snap() else None
                 if through is None:
                     self.reason = result.reason
-                    return False
+                    return None, spent
                 result, spent = through, spent + through.iterations
                 self._accept(result)
-        self._record(result, spent)
-        return True
+        return result, spent
 
     def _at(self, target: float) -> bool:
         return abs(self.state.displacement_mm - target) < 1e-9 * self.system.height_mm
@@ -257,11 +352,12 @@ class _Run:
         x = last.x + ratio * (last.x - before.x)
         return self._sound(replace(last, displacement_mm=displacement, x=x), self.J, _EXTRAPOLATED)
 
-    def _from_warm(self, target: float, number: int) -> NewtonResult | None:
+    def _from_warm(self, target: float) -> NewtonResult | None:
         """Start from the same step of an earlier solve, moved along its sensitivities."""
-        if self.warm is None or self.system.sticks or number >= len(self.warm.steps):
+        near = [d for d in self._warm_steps if abs(d - target) < 1e-9 * self.system.height_mm]
+        if self.warm is None or self.system.sticks or not near:
             return None
-        step = self.warm.steps[number]
+        step = self._warm_steps[near[0]]
         x, multipliers = step.state.x.copy(), list(step.state.multipliers)
         for name, rate in step.constants.items():
             change = self.problem.material.constants[name] - self.warm.values[name]
@@ -303,9 +399,6 @@ class _Run:
             row = step_gradients(self.system, result.state, assembly, wanted=self.wanted)
             self._latest = result, row
         return self._latest[1]
-
-    def _record(self, result: NewtonResult, iterations: int) -> None:
-        self.logbook.add(self.state, result.equilibrium(), self._row(result), iterations)
 
     def solution(self, seconds: float) -> Solution:
         return self.logbook.solution(self.state, self.min_j, self._lost(), self._why(), seconds)

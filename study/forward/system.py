@@ -14,7 +14,13 @@ from study.forward.boundary import Constraints, constraints, contact_points, tou
 from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 from study.forward.elements import Discretization, discretize
 from study.forward.glue import TiedPoints, hold, nothing_held
-from study.forward.internal import EVENNESS, EVENNESS_OF_SOLIDS, POINTWISE, Internal
+from study.forward.internal import (
+    EVENNESS,
+    EVENNESS_OF_SOLIDS,
+    POINTWISE,
+    Internal,
+    StoredEnergy,
+)
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -338,6 +344,10 @@ class System:
     def constant_derivative(self, state: State, name: str) -> Array:
         """dR/dconstant at fixed unknowns, shape (n,), K(nu) included."""
         return self.internal.constant_derivative(self.material, state.x, name)
+
+    def stored_energy(self, state: State) -> StoredEnergy:
+        """Energy of the elements of the model, N mm: of a quarter, say, not of the whole."""
+        return self.internal.stored(self.material, state.x)
 
     def displacements(self, x: Array) -> Array:
         """Nodal displacements, shape (n_nodes, dim)."""

@@ -201,7 +201,7 @@ def _predict(
         raise _Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     curve = solution.curve
     return _Prediction(
-        Curve(curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm),
+        curve.without_gradients(),
         predicted.cold_seconds,
         fits.mesh_facts(solution),
         {"name": str(solution.solver), "min_j": float(solution.min_j)},

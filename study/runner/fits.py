@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -29,6 +29,10 @@ METHODS = ("auto", "analytic", "inverse-fem", "none")
 #: smallest load step over the largest: constants that need less are next to having no answer,
 #: and an optimizer that asks there should hear so soon
 _CUTBACKS = 0.12
+#: Share of the force, root mean square, by which the interpolation between load steps may be
+#: off. Measured on needles, punches and spheres, a relative RMS error of 3 % then moves by
+#: 0.001 percentage points where the load steps are halved, one of 0.1 % by 0.02.
+CURVE_ERROR = 5e-4
 #: sections of a configuration that a calibration problem of its own may replace
 _REPLACEABLE = ("specimen", "test")
 
@@ -310,7 +314,8 @@ class InverseFem:
     def _at(self, curve: Curve, grid: Array) -> Curve:
         """Interpolate force and gradient at measured points, each consistent with the other."""
         base = curve if self._base is None else self._base
-        added = _spline(curve.displacement_mm, curve.force_N - base.force_N, grid)
+        here = curve.displacement_mm
+        added = _spline(here, curve.force_N - base.force_at(here), grid)
         gradient = {
             n: _spline(curve.displacement_mm, curve.force_gradient[n], grid) for n in self._names
         }
@@ -361,11 +366,12 @@ def solve(problem: Any, *, cutbacks: float | None = None, **asked: Any) -> Any:
     from study.forward.solve import solve as forward_solve
     from study.forward.steps import StepSettings
 
+    options = asked.pop("options", None) or Options()
     if cutbacks is not None:
-        asked["options"] = Options(steps=StepSettings(smallest=cutbacks), snaps=False)
-    return forward_solve(problem, **asked)
+        options = replace(options, steps=StepSettings(smallest=cutbacks), snaps=False)
+    return forward_solve(problem, options=replace(options, curve_error=CURVE_ERROR), **asked)
 
 
 def _bare(curve: Curve) -> Curve:
     """Curve without its gradients, which nobody reads from the store."""
-    return Curve(curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm)
+    return curve.without_gradients()
