@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.api.credibility import checks_of_spaces
 from study.api.depths import effects_by_depth
+from study.api.equilibrium_paths import checks_of_paths
 from study.curve import Curve
 from study.design import calibration_factors, equivalent_groups, excluded, treatments
 from study.reporting.data import (
@@ -259,6 +260,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)
+    yield from checks_of_paths(study.plain)
 
 
 def _told_apart(design: Design) -> Check:

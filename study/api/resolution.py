@@ -39,6 +39,54 @@ def effect_u_num(
 ) -> float | dict[str, float] | None:
     """Numerical uncertainty of every effect of a response, in its unit.
 
+    That of the mesh, see :func:`mesh_u_num`, and that of the load steps: the largest change of
+    the response in any case where every other load step is left out.
+
+    Returns
+    -------
+    float, dict or None
+        One for all, or one a term (those of the mesh absent); None where nothing is known.
+    """
+    mesh = mesh_u_num(
+        design, numerical, records, table, response, transform,
+        factors=factors, block=block, model=model,
+    )  # fmt: skip
+    steps = u_of_steps(records, response, transform)
+    if isinstance(mesh, dict):
+        return {term: u + steps for term, u in mesh.items()}
+    return None if mesh is None else mesh + steps
+
+
+def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
+    """Largest uncertainty of a response from its load steps, in its unit; 0 where none is known.
+
+    On the log scale it counts by its share of the value, as that of the mesh does.
+    """
+    found = [
+        (float(entry["u_steps"]), entry["value"])
+        for record in records
+        if record.converged and "u_steps" in (entry := record.responses.get(response, {}))
+    ]
+    if transform != "log":
+        return max((u for u, _ in found), default=0.0)
+    shares = [u / abs(value) for u, value in found if value]
+    return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
+
+
+def mesh_u_num(
+    design: Design,
+    numerical: Sequence[Numerical],
+    records: Sequence[Record],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+    *,
+    factors: Sequence[str],
+    block: str | None,
+    model: Any,
+) -> float | dict[str, float] | None:
+    """Uncertainty of every effect of a response from the mesh, in its unit.
+
     The uncertainty of an effect is that of the same contrast. Where the meshes are a factor and
     the study's own cases are the refinement series, each difference between two levels of a term
     is followed from mesh to mesh, over all blocks and all other factors; its uncertainty is that

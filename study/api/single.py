@@ -88,6 +88,12 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "reached_mm": solution.reached_mm,
         "min_j": solution.min_j,
         "base_reaction_N": solution.base_reaction_N.tolist(),
+        "energy": {
+            "stored_Nmm": solution.energy.stored_Nmm.tolist(),
+            "stabilization_Nmm": solution.energy.stabilization_Nmm.tolist(),
+            "mismatch": solution.energy.mismatch.tolist(),
+            "snaps_mm": list(solution.energy.jumps_mm),
+        },
         "mesh_hash": solution.mesh_hash,
         "mesh_size_mm": solution.mesh_size_mm,
     }

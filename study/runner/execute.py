@@ -133,7 +133,11 @@ def _executed(task: Mapping[str, Any]) -> Record:
     seconds = _seconds(predictions, directions)
     means = scoring.averaged(scores)
     means["seconds"] = {"value": seconds["total"], "unit": "s"}
-    wanted = {n: means.get(n, {"value": None, "unit": u}) for n, u in task["responses"].items()}
+    steps = _step_uncertainty(predictions, directions)
+    wanted = {
+        n: {**means.get(n, {"value": None, "unit": u}), **steps.get(n, {})}
+        for n, u in task["responses"].items()
+    }
     return replace(
         record,
         responses=wanted,
@@ -142,9 +146,30 @@ def _executed(task: Mapping[str, Any]) -> Record:
         curves=_curves(predictions, directions),
         timings=seconds,
         mesh=predictions[-1].mesh,
-        solver=predictions[-1].solver,
+        solver=_solver(predictions),
         extra={**record.extra, "directions": _direction_facts(directions, scores)},
     )
+
+
+def _step_uncertainty(
+    predictions: Sequence[_Prediction], directions: Sequence[Mapping[str, Any]]
+) -> dict[str, dict[str, float]]:
+    """Return ``u_steps`` of every response: the mean over the directions, as its value is."""
+    each = [
+        scoring.step_uncertainty(p.curve, Curve.from_dict(d["measured"]))
+        for p, d in zip(predictions, directions, strict=True)
+    ]
+    return {name: {"u_steps": float(np.mean([u[name] for u in each]))} for name in each[0]}
+
+
+def _solver(predictions: Sequence[_Prediction]) -> dict[str, Any]:
+    """Facts of the last direction's solver, with the worst energy balance of all directions."""
+    found = dict(predictions[-1].solver)
+    for name in ("energy_mismatch", "stabilization_share"):
+        shares = [p.solver[name] for p in predictions if name in p.solver]
+        found |= {name: max(shares)} if shares else {}
+    snaps = [place for p in predictions for place in p.solver.get("snaps_mm", ())]
+    return found | ({"snaps_mm": sorted(set(snaps))} if "snaps_mm" in found else {})
 
 
 def _refitted(task: Mapping[str, Any]) -> Record:
@@ -204,7 +229,7 @@ def _predict(
         curve.without_gradients(),
         predicted.cold_seconds,
         fits.mesh_facts(solution),
-        {"name": str(solution.solver), "min_j": float(solution.min_j)},
+        fits.solver_facts(solution),
     )
 
 

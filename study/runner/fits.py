@@ -328,7 +328,7 @@ class InverseFem:
         return {
             "curve": self.curves[np.asarray(values).tobytes()].as_dict(),
             "mesh": mesh_facts(self._last),
-            "solver": {"name": str(self._last.solver), "min_j": float(self._last.min_j)},
+            "solver": solver_facts(self._last),
             "newton_iterations": self._newton,
             "solves": self.solves,
         }
@@ -351,6 +351,17 @@ def mesh_facts(solution: Any) -> dict[str, Any]:
         "elements": int(solution.elements),
         "hash": str(solution.mesh_hash),
         "mesh_size_mm": float(solution.mesh_size_mm),
+    }
+
+
+def solver_facts(solution: Any) -> dict[str, Any]:
+    """Describe how a solution was found, and its energy balance, for the record."""
+    return {
+        "name": str(solution.solver),
+        "min_j": float(solution.min_j),
+        "energy_mismatch": float(solution.energy.largest_mismatch),
+        "stabilization_share": float(solution.energy.stabilization_share),
+        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
     }
 
 

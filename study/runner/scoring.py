@@ -88,5 +88,24 @@ def score(predicted: Curve, measured: Curve) -> dict[str, tuple[float, str]]:
     return {n: (f(predicted, measured), UNITS[n]) for n, f in CURVE_RESPONSES.items()}
 
 
+def step_uncertainty(predicted: Curve, measured: Curve) -> dict[str, float]:
+    """Change of every response where the curve keeps every other load step only.
+
+    The steps that are left out are twice as many as were solved; what is left of their effect in
+    the response itself is a part of this change, since the interpolation between two steps gets
+    better by more than twice when they are halved. Zero where the force is known everywhere
+    (closed form), and nothing where one step is all there is.
+    """
+    if predicted.stiffness_N_per_mm is None:
+        return dict.fromkeys(CURVE_RESPONSES, 0.0)
+    if len(predicted) < 2:
+        return {}
+    rough = predicted.every_other_point()
+    return {
+        name: abs(response(predicted, measured) - response(rough, measured))
+        for name, response in CURVE_RESPONSES.items()
+    }
+
+
 def _residual(predicted: Curve, measured: Curve) -> np.ndarray[Any, np.dtype[np.float64]]:
     return predicted.force_at(measured.displacement_mm) - measured.force_N

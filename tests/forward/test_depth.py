@@ -54,13 +54,28 @@ def in_block(material: Material, depth: float, order: str, mesh: str, space: str
     [
         ("simplex", "quadratic", "coarse"),
         ("tensor", "linear", "fine"),
-        ("tensor", "linear", "medium"),
     ],
 )
 def test_the_softest_energy_reaches_five_millimetres(shape: str, order: str, mesh: str) -> None:
     solution = solve(deep(NEO_HOOKEAN, shape, order, mesh), gradients=False)
     assert solution.converged, solution.message
     assert "snapped" not in solution.message
+
+
+@pytest.mark.parametrize("steps", [10, 30])
+def test_a_jump_between_two_load_steps_is_told_with_its_place(steps: int) -> None:
+    """Plain Newton crosses a limit point at 2.8 mm; the force falls and 1 % of the work is lost.
+
+    All Newton sees is that every step converged. The place does not depend on the load steps.
+    """
+    problem = deep(NEO_HOOKEAN, "tensor", "linear", "medium")
+    problem = replace(problem, test=replace(problem.test, steps=steps))
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped to another equilibrium" in solution.message
+    (place,) = solution.energy.jumps_mm
+    assert place == pytest.approx(2.8, abs=0.1)
+    assert solution.energy.largest_mismatch > 0.005
 
 
 @pytest.mark.parametrize("mesh", ["medium", "fine"])

@@ -112,10 +112,12 @@ def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
     assert later is not None
     assert alone is not None
     assert asked is not None
-    np.testing.assert_allclose(alone, asked, rtol=1e-6)
-    np.testing.assert_allclose(later, asked, rtol=1e-6)
+    # two states within Newton's tolerance of 1e-8 have slopes that differ by up to 1e-5
+    np.testing.assert_allclose(alone, asked, rtol=5e-5)
+    np.testing.assert_allclose(later, asked, rtol=5e-5)
     nearby = [
         replace(second, test=replace(test, displacement_mm=depth * (1 + h))) for h in (-1e-5, 1e-5)
     ]
     low, high = (solve(p, gradients=False, mesh=mesh).curve.force_N[-1] for p in nearby)
+    assert asked.size >= 4
     np.testing.assert_allclose(asked[-1], (high - low) / (2e-5 * depth), rtol=1e-4)
