@@ -187,6 +187,7 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     predict = done.models[0]
     if isinstance(predict, InverseFem) and task["method"] == "inverse-fem":
         result |= predict.provenance(done.fit.values)
+    result |= {"message": done.message, "evaluations": done.evaluations}
     result["method"] = task["method"]
     result["seconds"] = time.perf_counter() - began
     result["start_seconds"] = float((start or {}).get("seconds", 0.0))
