@@ -221,11 +221,7 @@ def start_values(
         return names, np.array([float(given[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
-        # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
-        like = {**section, "incompressible": True, "poisson_ratio": None, "bulk_modulus_MPa": None}
-        neo_hookean = closed_form.neo_hookean_start(
-            {**config, "material": like}, first.displacement_mm, first.force_N
-        )
+        neo_hookean = closed_form.neo_hookean_start(config, first.displacement_mm, first.force_N)
     c10 = float(neo_hookean["C10"])
     terms = max(1, sum(n.startswith("mu") for n in names))
     values = {**neo_hookean, "C10": c10, "youngs_modulus": 6 * c10}
