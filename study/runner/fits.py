@@ -294,15 +294,22 @@ class InverseFem:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
             problem = build.problem(self._config, constants, self._depth)
-            solution = solve(problem, gradients=True, warm=self._last, cutbacks=_CUTBACKS)
+            solution = self._simulated(problem, self._last)
+            if solution.status == "not-converged" and self._last is not None:
+                # the way from the solution before was too long: that says nothing of the constants
+                solution = self._simulated(problem, None)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
-        self.solves += 1
-        self._newton += int(sum(solution.newton_iterations))
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
         self._last = solution
         return cast(Curve, solution.curve)
+
+    def _simulated(self, problem: Any, warm: Any) -> Any:
+        solution = solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
+        self.solves += 1
+        self._newton += int(sum(solution.newton_iterations))
+        return solution
 
     def _at(self, curve: Curve, grid: Array) -> Curve:
         """Interpolate force and gradient at measured points, each consistent with the other."""

@@ -20,7 +20,7 @@ from study.forward.problem import Cone, Flat, Indenter
 Array = NDArray[np.float64]
 
 #: points of the quadrature over the contact, and contact radii that are tabulated
-_POINTS, _RADII = 64, 200
+_POINTS, _RADII = 64, 400
 #: contact radius over height up to which the series of a thick layer holds
 _SERIES_ENDS = 1.0
 #: share of a round indenter's radius up to which contact spreads: at all of it the wall is steep
@@ -72,7 +72,8 @@ def _half_space(indenter: Indenter, depth: Array) -> tuple[Array, Array]:
     """
     deepest = float(depth.max(initial=0.0))
     first, widest = _contact(indenter, deepest)
-    radii = np.linspace(first, widest, _RADII)
+    # closer where contact begins: the force is interpolated, and rises from there as a power
+    radii = first + (widest - first) * np.linspace(0.0, 1.0, _RADII) ** 2
     angles = (np.arange(_POINTS) + 0.5) * (0.5 * np.pi / _POINTS)
     pieces = profile(indenter, far_mm=10 * (deepest + widest))
     slopes = _slope(pieces, radii[:, None] * np.sin(angles))

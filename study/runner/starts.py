@@ -87,7 +87,7 @@ def _softened(names: Sequence[str], start: Array, share: float) -> Array:
         new["C10"] = old["C10"] + (1 - share) * old.get("C01", 0.0)
     else:
         new = old
-    return np.array([new[n] for n in names])
+    return np.array([new[n] for n in names]) + 0.0  # no minus zero
 
 
 def _softened_ogden(old: dict[str, float], share: float) -> dict[str, float]:
