@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,13 +55,13 @@ class Linearization:
         left, singular, right = np.linalg.svd(triangle, full_matrices=False)
         load = left.T @ projected
         kept = singular > max(jacobian.shape) * np.finfo(float).eps * singular.max()
-        full = -(right[kept].T @ (load[kept] / singular[kept])) / norms
+        unit = -(right[kept].T @ (load[kept] / singular[kept]))
         length = float(np.linalg.norm(residual))
         offset = float(np.linalg.norm(load[kept])) / length if length else 0.0
         left, singular, right = np.linalg.svd(triangle * (norms / scale), full_matrices=False)
         return cls(
-            full,
-            float(np.linalg.norm(scale * full)),
+            unit / norms,
+            length_of(scale / norms * unit),
             offset,
             int(kept.sum()),
             scale,
@@ -70,30 +71,39 @@ class Linearization:
         )
 
 
+def length_of(vector: Array) -> float:
+    """Euclidean length without overflow or underflow of the squares."""
+    return math.hypot(*vector)
+
+
 def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
     """Levenberg-Marquardt step of scaled length at most 1.1 ``radius``, and its damping.
 
     The step p minimizes |J p + r|^2 + damping |D p|^2; damping solves |D p| = radius to 10 %
-    by Hebden's iteration
-    (More 1978, sec. 5), safeguarded by a bracket.
+    by Hebden's iteration (More 1978, sec. 5), safeguarded by a bracket. The iteration sees
+    lengths over the gradient's, so that no magnitude of the residual overflows in it.
     """
     if linear.full_length <= 1.1 * radius:
         return linear.full_step, 0.0
-    s2, sl = linear.singular**2, linear.singular * linear.load
-    low, high = 0.0, float(np.linalg.norm(sl)) / radius
+    gradient = linear.singular * linear.load
+    steepness = length_of(gradient)
+    if steepness == 0:  # the gradient is too small for a number: there is no direction to go
+        return np.zeros_like(linear.scale), 0.0
+    s2, unit, target = linear.singular**2, gradient / steepness, radius / steepness
+    low, high = 0.0, 1 / target
     damping = 1e-3 * high
     for _ in range(60):
-        terms = sl / (s2 + damping)
-        length = float(np.linalg.norm(terms))
-        if abs(length - radius) <= 0.1 * radius:
+        terms = unit / (s2 + damping)
+        length = length_of(terms)
+        if abs(length - target) <= 0.1 * target:
             break
-        low, high = (damping, high) if length > radius else (low, damping)
-        slope = -float(terms**2 @ (1 / (s2 + damping))) / length
-        damping -= (length - radius) / radius * length / slope
+        low, high = (damping, high) if length > target else (low, damping)
+        slope = float((terms / length) ** 2 @ (1 / (s2 + damping)))
+        damping += (length / target - 1) / slope
         if not low < damping < high:
-            damping = max(1e-3 * high, np.sqrt(low * high))
-    scaled = -linear.right.T @ (sl / (s2 + damping))
-    return scaled / linear.scale, damping
+            damping = max(1e-3 * high, math.sqrt(low) * math.sqrt(high))
+    scaled = -linear.right.T @ (unit / (s2 + damping))
+    return steepness * scaled / linear.scale, damping
 
 
 def bounded_step(

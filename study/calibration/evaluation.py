@@ -16,6 +16,8 @@ Function = Callable[[Array], tuple[Array, Array]]
 
 def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
     """Call a function for its residual and Jacobian; None where there is no finite answer."""
+    if not np.all(np.isfinite(x)):
+        return None
     try:
         with np.errstate(all="ignore"):  # a far trial point may overflow: that is a rejection
             residual, jacobian = function(x.copy())
@@ -23,10 +25,12 @@ def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
         return None
     residual = np.asarray(residual, float).ravel()
     jacobian = np.asarray(jacobian, float).reshape(residual.size, x.size)
-    finite = np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))
-    # beyond 1e150 the squares overflow
-    big = max(np.max(np.abs(residual), initial=0), np.max(np.abs(jacobian), initial=0)) > 1e150
-    return (residual, jacobian) if finite and not big else None
+    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+        return None
+    # beyond 1e150 the squares overflow, also those of a parameter's influence on the residual
+    with np.errstate(over="ignore"):
+        sizes = [np.abs(part).max(initial=0) for part in (residual, jacobian, jacobian * x)]
+    return (residual, jacobian) if max(sizes) <= 1e150 else None
 
 
 def checked_bounds(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from study.calibration.damped import Linearization, bounded_step
+from study.calibration.damped import Linearization, bounded_step, length_of
 from study.calibration.evaluation import Function, checked_bounds, evaluate
 from study.calibration.kinks import SHARES, SHORT, SMALL, step_along, turned
 from study.calibration.search import (
@@ -30,6 +30,7 @@ from study.calibration.search import (
     first_state,
     gain_of,
     held_by_bounds,
+    negligible,
     size_of,
     snapshot,
     steepest,
@@ -151,9 +152,10 @@ def levenberg_marquardt(
         none = np.zeros(first.size, bool)
         return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
     state = first_state(first, *evaluated, resume)
-    status, offset, held = _search(
-        function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
-    )
+    with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
+        status, offset, held = _search(
+            function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
+        )
     return LMResult(
         state.x,
         state.cost,
@@ -237,8 +239,8 @@ def _advance(
             high - state.x, linear,
         )  # fmt: skip
         trial = np.clip(state.x + step, low, high)
-        length = float(np.linalg.norm(state.scale * step))
-        if np.all(np.abs(trial - state.x) <= 2 * EPS * np.abs(state.x)):
+        length = length_of(state.scale * step)
+        if negligible(state, trial - state.x):
             return _no_step(state, linear, held, answered, ftol)
         evaluated = evaluate(function, trial)
         state.evaluations += 1

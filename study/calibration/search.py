@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from study.calibration.damped import Linearization
+from study.calibration.damped import Linearization, length_of
 from study.calibration.status import Status
 
 Array = NDArray[np.float64]
@@ -25,7 +25,11 @@ FAR = 1e8
 
 @dataclass(frozen=True)
 class Iteration:
-    """One accepted point: what a progress line shows and what a resumed fit needs."""
+    """One accepted point: what a progress line shows and what a resumed fit needs.
+
+    ``scale`` is the largest norm of every column of the Jacobian so far, zero where there was
+    no influence.
+    """
 
     iteration: int
     evaluations: int
@@ -44,7 +48,6 @@ class State:
     x: Array
     residual: Array
     jacobian: Array
-    scale: Array
     reach: Array
     peak: Array
     radius: float
@@ -61,16 +64,44 @@ class State:
         """Half the sum of squares."""
         return 0.5 * float(self.residual @ self.residual)
 
+    @property
+    def scale(self) -> Array:
+        """Scale of the parameters: the peak of their columns' norms, 1 before any influence."""
+        return np.where(self.peak > 0, self.peak, 1.0)
+
 
 def first_state(x: Array, residual: Array, jacobian: Array, resume: Iteration | None) -> State:
     """State at the start, or where an earlier search stopped."""
     norms = np.linalg.norm(jacobian, axis=0)
     if resume is not None:
-        scale = np.maximum(resume.scale, norms)
-        return State(x, residual, jacobian, scale, np.abs(x), scale, resume.radius)
-    scale = np.where(norms > 0, norms, 1.0)
-    length = float(np.linalg.norm(scale * x))
-    return State(x, residual, jacobian, scale, np.abs(x), norms, FIRST_RADIUS * (length or 1.0))
+        peak = np.maximum(resume.scale, norms)
+        return State(x, residual, jacobian, np.abs(x), peak, resume.radius)
+    radius = FIRST_RADIUS * size(norms * x, residual)
+    return State(x, residual, jacobian, np.abs(x), norms, radius)
+
+
+def size(influence: Array, residual: Array) -> float:
+    """Length of parameters in the unit of the residual: what steps and radii are relative to.
+
+    Parameters without influence within the rounding of the residual are as good as zero. Their
+    length is that of the residual, which the parameters have yet to explain: any other number,
+    such as More's factor itself (1978, sec. 3), would have a unit.
+
+    Parameters
+    ----------
+    influence : ndarray, shape (p,)
+        Norm of each column of the Jacobian times the parameter.
+    residual : ndarray, shape (n,)
+        Residual.
+    """
+    length, left = length_of(influence), float(np.linalg.norm(residual))
+    return length if length > EPS * left else left
+
+
+def negligible(state: State, step: Array) -> bool:
+    """Whether a step changes the residual by less than the parameters' own rounding does."""
+    norms = np.linalg.norm(state.jacobian, axis=0)
+    return length_of(norms * step) <= 2 * EPS * size(norms * state.x, state.residual)
 
 
 def snapshot(state: State, offset: float) -> Iteration:
@@ -83,15 +114,14 @@ def snapshot(state: State, offset: float) -> Iteration:
         state.radius,
         state.damping,
         offset,
-        state.scale.copy(),
+        state.peak.copy(),
     )
 
 
 def accept(state: State, x: Array, residual: Array, jacobian: Array) -> None:
     """Move to a better point."""
     state.x, state.residual, state.jacobian = x, residual, jacobian
-    norms = np.linalg.norm(jacobian, axis=0)
-    state.scale, state.peak = np.maximum(state.scale, norms), np.maximum(state.peak, norms)
+    state.peak = np.maximum(state.peak, np.linalg.norm(jacobian, axis=0))
     state.reach = np.maximum(state.reach, np.abs(x))
 
 
@@ -115,8 +145,8 @@ def held_by_bounds(state: State, low: Array, high: Array) -> NDArray[np.bool_]:
 
 
 def size_of(state: State, held: NDArray[np.bool_]) -> float:
-    """Scaled length of the parameters that may move."""
-    return float(np.linalg.norm((state.scale * state.x)[~held]))
+    """Scaled length of the parameters that may move, see :func:`size`."""
+    return size((state.peak * state.x)[~held], state.residual)
 
 
 def steepest(state: State, held: NDArray[np.bool_]) -> float:
@@ -128,9 +158,8 @@ def steepest(state: State, held: NDArray[np.bool_]) -> float:
 
 def beside_failure(state: State) -> bool:
     """Whether the model had no answer at constants next to the best ones."""
-    size = float(np.linalg.norm(state.scale * state.x))
-    distances = [float(np.linalg.norm(state.scale * (x - state.x))) for x in state.failed]
-    return min(distances, default=np.inf) <= NEXT_DOOR * size
+    reach = NEXT_DOOR * size_of(state, np.zeros(state.x.size, bool))
+    return any(length_of(state.scale * (x - state.x)) <= reach for x in state.failed)
 
 
 def crawling(state: State, edge: float) -> bool:
@@ -159,13 +188,16 @@ def converged_at(
 
 
 def trusted(status: Status, state: State, linear: Linearization, held: NDArray[np.bool_]) -> Status:
-    """No success where a parameter, or a combination, lost the influence it once had."""
+    """No success where a parameter, or a combination, lost the influence it once had.
+
+    Nor where none has any: the residual is then orthogonal to nothing.
+    """
     first = np.abs(state.history[0].x)
     if status is Status.no_decrease and np.any((np.abs(state.x) > FAR * first) & (first > 0)):
         return Status.running_away
     norms = np.linalg.norm(state.jacobian, axis=0)
     length = float(np.linalg.norm(state.residual))
     lost = (norms * state.reach <= 1e-8 * length) & (state.peak > norms) & ~held
-    singular = linear.rank + int(held.sum()) < state.rank
+    singular = linear.rank + int(held.sum()) < state.rank or not (held | (norms > 0)).any()
     doubtful = status.converged and status is not Status.converged_zero
     return Status.no_influence if doubtful and (singular or np.any(lost)) else status

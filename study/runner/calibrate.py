@@ -28,7 +28,8 @@ from study.runner.fit_tests import (
     warnings_of,
 )
 from study.runner.identity import code_version, digest
-from study.runner.staged import Progress, Staged, cheaper, single_stage, staged_fit
+from study.runner.staged import Progress, Staged, begun_stage, cheaper, staged_fit
+from study.runner.starts import gentler
 
 if TYPE_CHECKING:
     from study.calibration import Fit, Profile
@@ -165,9 +166,10 @@ def _start(
         names, first = fits.start_values(before.config, measured, constants)
         own = replace(part, config=before.config)
         stage = f"start ({before.config['material']['model']}, {len(names)} constants)"
-        found = single_stage(
-            stage, [cheaper(own) or own], names, first, fits.model, None, progress, checkpoint
-        ).fit
+        found = begun_stage(
+            stage, [cheaper(own) or own], names, gentler(names, first), fits.model, None, progress,
+            checkpoint,
+        ).fit  # fmt: skip
         if not found.status.usable:
             message = f"the {stage} did not converge: {found.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
@@ -262,7 +264,7 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
 
     found, section = done.fit, setting.config["material"]
     predictions = _predictions(setting, curves, found)
-    status, message = "converged" if found.converged else "not-converged", found.message
+    status, message = "converged" if found.converged else "not-converged", done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
     if found.converged:

@@ -1,4 +1,4 @@
-"""Closed form of the one homogeneous test: compression between frictionless plates.
+"""Closed form of the one homogeneous test, compression between frictionless plates, and starts.
 
 Force = area x nominal stress at the stretch 1 - d/H, positive in compression, with the
 lateral stretch of the nearly incompressible material where K is finite. The gradient with
@@ -17,7 +17,7 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material import Material
 from study.material.homogeneous import response
-from study.runner import build
+from study.runner import build, halfspace
 
 Array = NDArray[np.float64]
 
@@ -58,14 +58,12 @@ def neo_hookean_start(
 ) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
-    The force is linear in C10 where Poisson's ratio is given, so one linear least
-    squares step is the answer; elsewhere it is close enough for a start.
+    The force is linear in C10 where Poisson's ratio is given, so one linear least squares
+    step is the answer between frictionless plates; elsewhere it is close enough for a start.
     """
-    section = {**config["material"], "constants": None}
-    unit = build.material({**section, "model": "neo-hookean"}, {"C10": 1e-2})
-    model = compression(config["specimen"], unit, displacement_mm).force_N
-    scale = float(model @ force_N / (model @ model))
-    if not np.isfinite(scale) or scale <= 0:
+    model = _force_per_C10(config, np.asarray(displacement_mm, dtype=float))
+    c10 = float(model @ force_N / (model @ model))
+    if not np.isfinite(c10) or c10 <= 0:
         raise InputError(
             Fault(
                 "measurements",
@@ -73,4 +71,28 @@ def neo_hookean_start(
                 "check measurements.sign and the force column",
             )
         )
-    return {"C10": 1e-2 * scale}
+    return {"C10": c10}
+
+
+def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
+    """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
+    # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
+    unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
+    pressed = config["test"].get("indenter")
+    if config["test"]["kind"] != "indentation" or pressed is None:
+        return compression(config["specimen"], unit, d).force_N
+    nu = float(config["material"].get("poisson_ratio") or 0.5)
+    height = build.height_mm(config["specimen"])
+    per_modulus = halfspace.indentation(
+        build.indenter(pressed),
+        np.maximum(d, 0.0),
+        height_mm=np.inf if height is None else height,
+        poisson_ratio=nu,
+        bonded=build.loading(config["test"], 1.0).base == "bonded",
+    )
+    # E = 4 (1 + nu) C10
+    force = 4 * (1 + nu) * per_modulus
+    if height is None or d.max(initial=0.0) >= height:
+        return force
+    # an indenter as wide as the specimen is a plate, and none needs more force than that
+    return np.minimum(force, compression(config["specimen"], unit, d).force_N)

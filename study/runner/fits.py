@@ -191,6 +191,7 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     predict = done.models[0]
     if isinstance(predict, InverseFem) and task["method"] == "inverse-fem":
         result |= predict.provenance(done.fit.values)
+    result |= {"message": done.message, "evaluations": done.evaluations}
     result["method"] = task["method"]
     result["seconds"] = time.perf_counter() - began
     result["start_seconds"] = float((start or {}).get("seconds", 0.0))
@@ -224,11 +225,7 @@ def start_values(
         return names, np.array([float(given[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
-        # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
-        like = {**section, "incompressible": True, "poisson_ratio": None, "bulk_modulus_MPa": None}
-        neo_hookean = closed_form.neo_hookean_start(
-            {**config, "material": like}, first.displacement_mm, first.force_N
-        )
+        neo_hookean = closed_form.neo_hookean_start(config, first.displacement_mm, first.force_N)
     c10 = float(neo_hookean["C10"])
     terms = max(1, sum(n.startswith("mu") for n in names))
     values = {**neo_hookean, "C10": c10, "youngs_modulus": 6 * c10}
@@ -301,15 +298,22 @@ class InverseFem:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
             problem = build.problem(self._config, constants, self._depth)
-            solution = solve(problem, gradients=True, warm=self._last, cutbacks=_CUTBACKS)
+            solution = self._simulated(problem, self._last)
+            if solution.status == "not-converged" and self._last is not None:
+                # the way from the solution before was too long: that says nothing of the constants
+                solution = self._simulated(problem, None)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
-        self.solves += 1
-        self._newton += int(sum(solution.newton_iterations))
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
         self._last = solution
         return cast(Curve, solution.curve)
+
+    def _simulated(self, problem: Any, warm: Any) -> Any:
+        solution = solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
+        self.solves += 1
+        self._newton += int(sum(solution.newton_iterations))
+        return solution
 
     def _at(self, curve: Curve, grid: Array) -> Curve:
         """Interpolate force and gradient at measured points, each consistent with the other."""

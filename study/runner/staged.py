@@ -2,7 +2,8 @@
 
 The first steps of a fit are far from its end, so that the error of a coarse mesh, or of the
 equivalent cylinder in axisymmetric space, does not matter to them; on the wanted mesh one or
-two simulations are left. Start values remain a function of the case alone.
+two simulations are left. A stage that has no answer at its start begins again at a gentler one
+(:mod:`study.runner.starts`). Start values remain a function of the case alone.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from study.calibration import Status
 from study.curve import Curve
 from study.runner.checkpoint import Checkpoint
+from study.runner.starts import Start, gentler
 
 if TYPE_CHECKING:
     from study.calibration import Fit, Iteration, MeasuredCurve
@@ -35,6 +37,8 @@ TOLERANCES: dict[str, dict[str, Any]] = {
 }
 #: name of the stage that gives the start
 FIRST = "cheaper model"
+#: name of the stage that gives the answer
+LAST = "wanted mesh"
 #: coarse over fine of the named meshes
 _COARSER = 2.25
 #: elements over the height below which a mesh is coarse already
@@ -76,16 +80,27 @@ MakeModel = Callable[[str, Config, Sequence[Curve], Sequence[str]], Predict]
 
 @dataclass(frozen=True)
 class Staged:
-    """A fit, the models that made it, one for each part, and the coarse fit before it."""
+    """A fit, the models that made it, one for each part, and the coarse fit before it.
+
+    ``fruitless`` counts the calls of the model in starts that were given up, and ``notes`` say
+    what was begun with instead.
+    """
 
     fit: Fit
     models: tuple[Predict, ...]
     rough: Fit | None = None
+    fruitless: int = 0
+    notes: tuple[str, ...] = ()
 
     @property
     def evaluations(self) -> int:
-        """Calls of the model in all stages."""
-        return self.fit.evaluations + (self.rough.evaluations if self.rough else 0)
+        """Calls of the model in all stages, starts without an answer included."""
+        return self.fit.evaluations + self.fruitless + (self.rough.evaluations if self.rough else 0)
+
+    @property
+    def message(self) -> str:
+        """How the fit ended, and what it was begun with where that was not its own start."""
+        return "; ".join([self.fit.message, *self.notes])
 
 
 def staged_fit(
@@ -119,16 +134,62 @@ def staged_fit(
     """
     kept = checkpoint or Checkpoint()
     cheap = [cheaper(part) for part in parts]
-    before, first = None, start
+    starts = gentler(names, start, bounds)
+    rough: Staged | None = None
     if len(names) > 1 and any(one is not None for one in cheap):
-        rough = [own if own is not None else part for own, part in zip(cheap, parts, strict=True)]
-        before = single_stage(FIRST, rough, names, start, make, bounds, progress, kept).fit
-        first = before.values if before.status.usable else start
-    done = single_stage("wanted mesh", parts, names, first, make, bounds, progress, kept)
-    if done.fit.status is Status.start_failed and first is not start:
-        # what the cheaper problem could solve is beyond the wanted one
-        done = single_stage("wanted mesh", parts, names, start, make, bounds, progress, kept)
-    return replace(done, rough=before)
+        first = [own if own is not None else part for own, part in zip(cheap, parts, strict=True)]
+        rough = begun_stage(FIRST, first, names, starts, make, bounds, progress, kept)
+        if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
+            # what the cheaper problem could solve may be beyond the wanted one
+            starts = [Start(rough.fit.values, f"the constants of the {FIRST}"), *starts]
+    done = begun_stage(LAST, parts, names, starts, make, bounds, progress, kept)
+    if rough is None:
+        return done
+    return replace(
+        done,
+        rough=rough.fit,
+        fruitless=rough.fruitless + done.fruitless,
+        notes=(*rough.notes, *done.notes),
+    )
+
+
+def begun_stage(
+    stage: str,
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    starts: Sequence[Start],
+    make: MakeModel,
+    bounds: Sequence[tuple[float, float]] | None,
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> Staged:
+    """Fit from the first start that leads anywhere; from the last one if none does."""
+    labels = [stage, *(f"{stage}, {one.words}" for one in starts[1:])]
+    # an interrupted fit goes on from the start that it was at; those before it failed at once
+    number = max((k for k, one in enumerate(labels) if checkpoint.last(one)), default=0)
+    fruitless = number
+    while True:
+        done = single_stage(
+            labels[number], parts, names, starts[number].values, make, bounds, progress, checkpoint
+        )
+        if number + 1 == len(starts) or not _nowhere(done.fit):
+            break
+        fruitless, number = fruitless + done.fit.evaluations, number + 1
+    notes = () if number == 0 else (_told(stage, starts[: number + 1], _nowhere(done.fit)),)
+    return replace(done, fruitless=fruitless, notes=notes)
+
+
+def _nowhere(found: Fit) -> bool:
+    """Whether the model had no answer at the start of a fit, or nowhere around it."""
+    stuck = found.status is Status.too_many_failures and len(found.history) <= 1
+    return found.status is Status.start_failed or stuck
+
+
+def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
+    """Say which starts were given up, and what was begun with."""
+    failed = tried if in_vain else tried[:-1]
+    rule = f"the {stage} led nowhere from {', nor from '.join(one.words for one in failed)}"
+    return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
 
 
 def single_stage(
@@ -141,7 +202,11 @@ def single_stage(
     progress: Progress | None,
     checkpoint: Checkpoint,
 ) -> Staged:
-    """Fit on the given meshes; the name of the stage is that of its progress and checkpoint."""
+    """Fit on the given meshes from one start.
+
+    The name of the stage is that of its progress and checkpoint; one that begins with
+    ``FIRST`` is only as exact as a start needs to be.
+    """
     from study.calibration import EvaluationFailed, fit
 
     models = [make(p.method, p.config, [m.curve for m in p.measured], names) for p in parts]
@@ -160,7 +225,7 @@ def single_stage(
         with contextlib.suppress(EvaluationFailed):
             predict(np.asarray(start, float))
     simulated = any(part.method == "inverse-fem" for part in parts)
-    tolerances = "start" if stage == FIRST else "inverse-fem"
+    tolerances = "start" if stage.startswith(FIRST) else "inverse-fem"
     found = fit(
         predict,
         [m for part in parts for m in part.measured],

@@ -136,6 +136,86 @@ def test_named_ends():
     assert all(status.sentence and not status.sentence.endswith(".") for status in Status)
 
 
+MAGNITUDES = [0.0, -0.0, 5e-324, 1e-300, 1e-160, 1e-12, 1.0, -3.0, 1e12, 1e100, 1e200, -1e300]
+PLANE = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0]])
+
+
+def plane(x):
+    return PLANE @ x - np.array([1.0, 2.0, 3.0]), PLANE
+
+
+def nothing(x):
+    return np.ones(3), np.zeros((3, 2))
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.sampled_from([plane, decay, nothing]),
+    st.lists(st.sampled_from(MAGNITUDES) | st.floats(allow_nan=False, allow_infinity=False),
+             min_size=2, max_size=2),
+    st.sampled_from(["answers", "beyond", "after the first", "everywhere"]),
+    st.sampled_from([0.0, 1e-3]),
+)  # fmt: skip
+def test_any_start_ends_with_an_honest_status(function, start, fails, edge):
+    """No start raises: with zeros in it, huge or tiny, whether the model answers later or not."""
+    calls = {"all": 0}
+
+    def model(x):
+        calls["all"] += 1
+        edge_of_answers = fails == "beyond" and abs(x[0]) > 0.7 * max(abs(start[0]), 1.0)
+        if fails == "everywhere" or edge_of_answers or (
+            fails == "after the first" and calls["all"] > 1
+        ):  # fmt: skip
+            raise EvaluationFailed
+        return function(x)
+
+    found = levenberg_marquardt(model, start, edge=edge)
+    assert found.evaluations == calls["all"]
+    if fails == "everywhere":
+        assert found.status is Status.start_failed
+    if found.status is Status.start_failed:
+        return
+    assert np.all(np.isfinite(found.x))
+    if function is nothing:
+        assert found.status is Status.no_influence
+    if function is plane and fails == "after the first" and not found.converged:
+        # 17 tenfold shorter steps are left of the first one when rounding swallows it
+        assert found.status is Status.too_many_failures
+        assert calls["all"] <= 20
+    if function is plane and fails == "answers":
+        assert found.converged
+        influence = np.linalg.norm(PLANE, axis=0) @ np.abs(found.x)
+        slope = PLANE.T @ found.residual
+        assert np.abs(slope).max() <= 1e-7 * (influence + np.linalg.norm(found.residual))
+
+
+@pytest.mark.parametrize("zeros", [[0], [1], [0, 1]], ids=str)
+def test_a_zero_in_the_start_that_cannot_be_left_is_seen_in_few_evaluations(zeros):
+    """A step from zero is judged by its effect: none is small beside a zero itself."""
+    start = np.array([1.0, 1.0])
+    start[zeros] = 0.0
+
+    def only_start(x):
+        if not np.array_equal(x, start):
+            raise EvaluationFailed
+        return plane(x)
+
+    found = levenberg_marquardt(only_start, start)
+    assert found.status is Status.too_many_failures
+    assert found.evaluations <= 20
+
+
+def test_the_first_step_from_zero_has_no_unit():
+    results = []
+    for unit in (1e-9, 1.0, 1e9):
+        found = levenberg_marquardt(
+            lambda x, unit=unit: (unit * decay(x)[0], unit * decay(x)[1]), [0.0, 0.0]
+        )
+        assert found.converged
+        results.append(found.evaluations)
+    assert len(set(results)) == 1
+
+
 def test_wrong_jacobian_is_no_success():
     def wrong(x):
         residual, jacobian = decay(x)

@@ -368,13 +368,28 @@ def test_what_cannot_be_split_is_told(tmp_path: Path, more: str, words: str) -> 
         calibrated(case(tmp_path, [{}], more=f"[calibration]\n{more}\n"))
 
 
-def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> None:
-    """Constants that soften until no load is carried: a status with the reason, no number."""
+def softening(tmp_path: Path, more: str = "") -> Path:
+    """Bonded compression of a start that softens until it carries no load."""
     write(tmp_path / "a.csv", "reduced-polynomial", {"C10": 7e-3, "C20": 0.0}, depth=15.0)
-    path = case(tmp_path, [{"range": '["1 %", "50 %"]', "points": 10}])
+    path = case(tmp_path, [{"range": '["1 %", "50 %"]', "points": 10}], more=more)
     text = path.read_text().replace("order = 2\n", 'C10 = "1 kPa"\nC20 = "-5 kPa"\n')
     path.write_text(text.replace('"frictionless"', '"bonded"'), encoding="utf-8")
-    found = calibrated(path)
+    return path
+
+
+def test_a_start_that_carries_no_load_gives_way_to_a_gentler_one(tmp_path: Path) -> None:
+    found = calibrated(softening(tmp_path))
+    assert found.status == "converged"
+    assert "led nowhere from the start values" in found.message
+    assert "was begun with the neo-Hookean constant alone" in found.message
+    # four starts on the wanted mesh, three of them in vain, and the steps of the last one
+    assert found.evaluations >= 3 + found.fit.evaluations
+
+
+def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> None:
+    """Constants that soften until no load is carried: a status with the reason, no number."""
+    bounds = '[calibration.bounds]\nC20 = ["-9 kPa", "-4.9 kPa"]\n'
+    found = calibrated(softening(tmp_path, more=bounds))
     assert found.status == "not-converged"
     assert "no answer at the start values (unstable: " in found.message
     assert not found.fit.identifiable

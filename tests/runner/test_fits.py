@@ -103,6 +103,27 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
 
+def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def lost(problem: Any, **options: Any) -> SimpleNamespace:
+        found = solve(problem)
+        if options["warm"] is not None:
+            found.status, found.message = "not-converged", "stopped"
+        return found
+
+    truth = {"C10": 8e-3}
+    base = curve("neo-hookean", truth)
+    measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
+    monkeypatch.setattr(fits, "solve", lost)
+    problem = fits.fit_problem(config("neo-hookean", "bonded"))
+    found = fits.perform(fits.payload(problem, [measured], None))
+    assert found["status"] == "converged", found["message"]
+    assert found["values"] == pytest.approx(truth, rel=2e-3)
+    # every simulation after the first is done twice
+    assert found["solves"] == 2 * found["evaluations"] - 1
+
+
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
     problem = fits.fit_problem(config("mooney-rivlin", "bonded"))
     start = {"status": "crashed", "message": "crashed (signal 9), twice"}

@@ -1,0 +1,197 @@
+"""Starts that have no answer: what is tried instead, that it is told, counted and resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.calibration import EvaluationFailed, MeasuredCurve, Status
+from study.curve import Curve
+from study.design import load
+from study.runner import expand, fits
+from study.runner.checkpoint import Checkpoint
+from study.runner.staged import Part, Staged, staged_fit
+from study.runner.starts import gentler
+
+DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
+NAMES = ("C10", "C20", "C30")
+D = np.linspace(0.2, 6.0, 30)
+BASIS = np.array([D, 0.1 * D**3, 0.004 * D**5])
+TRUTH = np.array([3.2, -0.75, 0.8])
+HANDED_ON = np.array([3.17, -0.42, 0.0])
+#: a mesh that is coarse already, so that there is one stage, and one that has a cheaper model
+COARSE: dict[str, Any] = {"specimen": {"shape": "cylinder", "height_mm": 30.0},
+                          "model": {"space": "axisymmetric", "mesh": "coarse"}}  # fmt: skip
+SOLID: dict[str, Any] = {**COARSE, "model": {"space": "3d", "mesh": "coarse"}}
+
+
+def response(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Force, and its slope by a linear one; curved, so that a fit takes several steps."""
+    linear = values @ BASIS
+    return linear * (1 + 0.02 * linear), 1 + 0.04 * linear
+
+
+class Softening:
+    """A model of three constants; no answer from a cold start where they soften too much.
+
+    Wherever it has once had an answer it finds another one, as a warm start does.
+    """
+
+    calls = 0
+    limit = -0.3
+
+    def __init__(self, config: Mapping[str, Any]) -> None:
+        self.limit = config.get("limit", self.limit)
+        self.warm = False
+
+    def __call__(self, values: np.ndarray) -> list[Curve]:
+        Softening.calls += 1
+        if not self.warm and values[1] < self.limit and values[2] < 0.1:
+            raise EvaluationFailed("no longer elliptic")
+        self.warm = True
+        force, slope = response(values)
+        slopes = slope * BASIS
+        return [Curve(D, force, force_gradient=dict(zip(NAMES, slopes, strict=True)))]
+
+
+def fitted(config: dict[str, Any], start: np.ndarray, **options: Any) -> Staged:
+    measured = MeasuredCurve("virtual", Curve(D, response(TRUTH)[0] + 0.01 * np.sin(9 * D)))
+    parts = [Part("inverse-fem", config, (measured,))]
+    Softening.calls = 0
+
+    def make(method: str, own: Mapping[str, Any], *_: Any) -> Callable[..., list[Curve]]:
+        return Softening(own)
+
+    return staged_fit(parts, NAMES, start, make, **options)
+
+
+def test_a_start_without_answer_gives_way_to_halved_constants() -> None:
+    found = fitted(COARSE, HANDED_ON)
+    assert found.fit.converged
+    assert found.fit.values == pytest.approx(TRUTH, rel=1e-2)
+    assert found.fit.history[0].x == pytest.approx([3.17, -0.21, 0.0])
+    assert found.fruitless == 1
+    assert found.evaluations == Softening.calls == found.fit.evaluations + 1
+    assert found.message.endswith(
+        "; the wanted mesh led nowhere from the start values: "
+        "it was begun with the higher constants halved"
+    )
+
+
+@pytest.mark.parametrize(
+    ("limit", "tries", "words"),
+    [
+        (-0.15, 2, "the higher constants halved twice"),
+        (-0.05, 3, "the neo-Hookean constant alone"),
+    ],
+)
+def test_what_is_tried_next(limit: float, tries: int, words: str) -> None:
+    found = fitted({**COARSE, "limit": limit}, HANDED_ON)
+    assert found.fruitless == tries
+    assert found.message.endswith(words)
+    assert found.evaluations == Softening.calls
+
+
+def test_a_start_that_has_an_answer_is_kept_and_nothing_is_said() -> None:
+    found = fitted(COARSE, np.array([3.17, -0.2, 0.0]))
+    assert (found.fruitless, found.notes, found.message) == (0, (), found.fit.message)
+
+
+def test_where_nothing_has_an_answer_every_start_is_told() -> None:
+    found = fitted({**COARSE, "limit": 1.0}, HANDED_ON)
+    assert found.fit.status is Status.start_failed
+    assert found.evaluations == Softening.calls == 4
+    assert "no longer elliptic" in found.message
+    assert found.message.endswith("nor from the neo-Hookean constant alone")
+
+
+def test_the_cheaper_model_falls_back_too_and_every_call_counts() -> None:
+    found = fitted(SOLID, HANDED_ON)
+    assert found.fit.converged
+    assert found.rough is not None
+    assert found.rough.history[0].x == pytest.approx([3.17, -0.21, 0.0])
+    assert found.evaluations == Softening.calls
+    assert "the cheaper model led nowhere" in found.message
+
+
+def test_an_interrupted_fit_goes_on_from_the_start_that_it_had_fallen_back_to(
+    tmp_path: Path,
+) -> None:
+    through = fitted(COARSE, HANDED_ON)
+
+    def stop(step: Any) -> None:
+        if step.iteration.iteration == 2:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "fit.json"
+    with pytest.raises(KeyboardInterrupt):
+        fitted(COARSE, HANDED_ON, checkpoint=Checkpoint(path, "key"), progress=stop)
+    resumed = fitted(COARSE, HANDED_ON, checkpoint=Checkpoint(path, "key"))
+    assert resumed.fit.values.tolist() == through.fit.values.tolist()
+    assert resumed.message == through.message
+    assert resumed.fruitless == 1
+
+
+@pytest.mark.parametrize(
+    ("names", "start", "expected"),
+    [
+        (("C10", "C01"), [2.0, 1.0], [[2.0, 1.0], [2.5, 0.5], [2.75, 0.25], [3.0, 0.0]]),
+        (("C10",), [2.0], [[2.0]]),
+        (("youngs_modulus",), [2.0], [[2.0]]),
+        (("C10", "C20"), [2.0, 0.0], [[2.0, 0.0]]),
+        (("mu1", "alpha1", "mu2", "alpha2"), [4.0, 6.0, -2.0, -4.0],
+         [[4.0, 6.0, -2.0, -4.0], [3.0, 4.0, -1.0, -4.0], [2.5, 3.0, -0.5, -4.0],
+          [2.0, 2.0, 0.0, -4.0]]),
+    ],
+)  # fmt: skip
+def test_gentler_starts_keep_the_initial_shear_modulus(
+    names: Sequence[str], start: list[float], expected: list[list[float]]
+) -> None:
+    found = gentler(names, np.array(start))
+    assert [one.values.tolist() for one in found] == expected
+
+
+def test_gentler_starts_stay_inside_the_bounds() -> None:
+    bounds = [(0.0, 9.0), (-1.0, -0.15)]
+    found = gentler(("C10", "C20"), np.array([3.0, -0.4]), bounds)
+    assert [one.values[1] for one in found] == [-0.4, -0.2, -0.15]
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) -> None:
+    """The one of its 288 cases whose start, the fit of one order less, softens too much.
+
+    C20 = -0.42 kPa has no answer beyond 4.2 of 6 mm on the solid's mesh, without C30.
+    """
+    if not (data_dir / "ecoflex_compression").is_dir():
+        pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
+    work = expand.expand(load(DESIGN), data_dir)
+    solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
+    assert solid["status"] == "converged", solid["message"]
+    assert "was begun with the higher constants halved" in solid["message"]
+    # the equivalent axisymmetric fit of the same curve: C10 to 0.1 %, and the same fit of it
+    assert solid["values"]["C10"] == pytest.approx(round_["values"]["C10"], rel=2e-3)
+    assert solid["values"]["C20"] == pytest.approx(round_["values"]["C20"], rel=0.1)
+    assert solid["values"]["C30"] == pytest.approx(round_["values"]["C30"], rel=0.2)
+    assert solid["rss"] == pytest.approx(round_["rss"], rel=0.05)
+
+
+def _third_order_fit(work: expand.Work, space: str) -> dict[str, Any]:
+    wanted = {"material": "reduced-polynomial-3", "plates": "bonded", "model.space": space,
+              "model.element_order": "quadratic"}  # fmt: skip
+    (job,) = (j for j in work.jobs
+              if dict(j.case.levels) == wanted and j.case.block == "EF10_25T")  # fmt: skip
+    (key,) = (d.fit_key for d in job.directions if d.fit_label == "B")
+    assert key is not None
+    return _performed(work, key)
+
+
+def _performed(work: expand.Work, key: str) -> dict[str, Any]:
+    job = work.fits[key]
+    start = None if job.start is None else _performed(work, job.start)
+    return fits.perform(fits.payload(job.problem, job.measured, start))
