@@ -26,52 +26,21 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 if not __package__:  # run as a script: the folder above holds this one
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from study.errors import Fault, InputError, StudyError
 from validation.apart import Apart
+from validation.recompute_forward import MORE_STEPS, averaged, recomputed
+from validation.recompute_records import RESPONSES, Job, jobs_of
 
-Array = NDArray[np.float64]
-Config = Mapping[str, Any]
-
-#: load steps here over those of the record
-MORE_STEPS = 4
 #: largest difference that passes: pp of a response in %, else % of the measured force
 BAR = 0.05
-RESPONSES = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
-_CLOSED_FORM = "closed form"
-
-
-@dataclass(frozen=True)
-class Direction:
-    """One scored curve of a record: constants in MPa (None: those of the design), and curves."""
-
-    label: str
-    responses: dict[str, float]
-    constants: dict[str, float] | None
-    measured: tuple[list[float], list[float]]
-    predicted: tuple[list[float], list[float]]
-
-
-@dataclass(frozen=True)
-class Job:
-    """One record, in plain values."""
-
-    study: str
-    case_id: str
-    levels: str
-    config: dict[str, Any]
-    responses: dict[str, float]
-    directions: tuple[Direction, ...]
-    closed_form: bool
-    mesh_hash: str
 
 
 @dataclass(frozen=True)
@@ -121,234 +90,6 @@ class Outcome:
 
 def _size(line: Line) -> float:
     return math.inf if math.isnan(line.difference) else abs(line.difference)
-
-
-# What the records hold
-
-
-def jobs_of(folder: Path, data: Path | None, outcome: Outcome) -> list[Job]:
-    """List the records of a results folder that can be computed again.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no study, or ``data`` not its measurements.
-    """
-    from study.api.places import results_folder
-    from study.design import loads
-    from study.record import Store
-
-    home = results_folder(folder)
-    store = Store(home)
-    manifest = store.read_manifest()
-    if manifest is None:
-        raise InputError(f"{home}: its manifest is damaged; run the design again")
-    records = store.records(manifest["cases"])
-    outcome.left_out["not computed yet"] += len(manifest["cases"]) - len(records)
-    design = loads(manifest["design"], manifest["source"])
-    configs = _configs(design, manifest["blocks"], data)
-    found = [_job(record, configs, data, outcome) for record in records]
-    return sorted((job for job in found if job is not None), key=lambda job: job.case_id)
-
-
-def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
-    """Resolve every case, by its levels, its block and the number of its mesh."""
-    from study.design import cases
-    from study.runner.replicates import mesh_seeded
-    from study.runner.surfaces import located
-
-    places = () if data is None else (data.resolve(),)
-    return {
-        _name(case.levels, case.block, extra): located(case.config, places)
-        for case, extra in mesh_seeded(cases(design, blocks), design)
-    }
-
-
-def _name(levels: Mapping[str, str], block: str | None, extra: Mapping[str, Any]) -> Any:
-    return tuple(sorted(levels.items())), block, extra.get("mesh_seed")
-
-
-def _job(
-    record: Any, configs: Mapping[Any, Config], data: Path | None, outcome: Outcome
-) -> Job | None:
-    """Job of a record; None where there is nothing to compute, which is counted."""
-    why = _unfit(record)
-    if why:
-        outcome.left_out[why] += 1
-        return None
-    config = configs.get(_name(record.levels, record.block, record.extra))
-    if config is None:
-        raise InputError(f"case {record.case_id}: the stored design has no such cell")
-    outcome.finished += 1
-    return Job(
-        record.study,
-        record.case_id,
-        " / ".join([*record.levels.values(), *([record.block] if record.block else [])]),
-        _plain(config),
-        {name: record.response(name) for name in RESPONSES if name in record.responses},
-        tuple(_directions(record, config, data)),
-        record.solver.get("name") == _CLOSED_FORM,
-        str(record.mesh.get("hash", "")),
-    )
-
-
-def _unfit(record: Any) -> str:
-    """Why a record cannot be computed again; empty where it can."""
-    if not record.converged:
-        return f"without an answer ({record.status})"
-    if record.extra.get("noise_seed"):
-        return "fits to resampled noise, which hold no curve"
-    facts = record.extra.get("directions") or ()
-    if not facts or not all(f"predicted:{fact['score']}" in record.curves for fact in facts):
-        return "without a predicted curve"
-    fits = [fact["fit"] or "all" for fact in facts]
-    if record.fit is not None and len(set(fits)) < len(fits):
-        return "two fits under one name, of which the record holds one"
-    return ""
-
-
-def _plain(config: Config) -> dict[str, Any]:
-    from study.design import plain
-
-    made: dict[str, Any] = plain(config)
-    return made
-
-
-def _directions(record: Any, config: Config, data: Path | None) -> Iterator[Direction]:
-    for number, fact in enumerate(record.extra["directions"]):
-        label = fact["score"]
-        fit = None if record.fit is None else record.fit[fact["fit"] or "all"]
-        measured = record.curves[f"measured:{label}"]
-        if data is not None:
-            measured = _read(config, record.block, data, number)
-        yield Direction(
-            label,
-            {name: float(found["value"]) for name, found in fact["responses"].items()},
-            None if fit is None else dict(fit["values"]),
-            _lists(measured),
-            _lists(record.curves[f"predicted:{label}"]),
-        )
-
-
-def _lists(curve: Any) -> tuple[list[float], list[float]]:
-    return curve.displacement_mm.tolist(), curve.force_N.tolist()
-
-
-def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
-    """Read the measured curve that a direction is scored on; the second is the first's reverse."""
-    from study.design import MeasurementSpec
-    from study.record import read_measurements
-
-    spec, height = config["measurements"], config["specimen"].get("height_mm")
-    made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
-    found = read_measurements(made, data, height, config["test"].get("displacement_mm"))
-    sides = [found.score or found.fit, found.fit]
-    where = dict(sides[number] or {})
-    return found.curve(block if found.block is not None else None, **where).curve
-
-
-# One record again, in a process of its own
-
-
-def recomputed(job: Job) -> dict[str, Any]:
-    """Responses of a record from forward solutions made here.
-
-    Returns
-    -------
-    dict
-        ``responses`` of every direction, ``monotone`` (the same with the other interpolation),
-        ``steps`` (largest difference of force at the record's own steps, % of the largest) and
-        ``same_mesh``.
-    """
-    spline, monotone, at_steps, meshes = [], [], 0.0, set()
-    for one in job.directions:
-        measured, recorded = np.array(one.measured), np.array(one.predicted)
-        dense, mesh = solved(job, one, float(measured[0].max()))
-        meshes.add(mesh)
-        spline.append(scores(between(dense, measured[0]), measured))
-        monotone.append(scores(between(dense, measured[0], monotone=True), measured))
-        gap = np.abs(between(dense, recorded[0]) - recorded[1]).max()
-        at_steps = max(at_steps, 100 * float(gap / np.abs(recorded[1]).max()))
-    return {
-        "responses": spline,
-        "monotone": monotone,
-        "steps": at_steps,
-        "same_mesh": job.closed_form or meshes == {job.mesh_hash},
-    }
-
-
-def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
-    """Displacements and forces of a cold solution with more load steps, shape (2, n).
-
-    Raises
-    ------
-    RuntimeError
-        If it has no answer.
-    """
-    from study.forward.solve import solve
-    from study.runner import build
-
-    problem = build.problem(job.config, one.constants, depth_mm)
-    if job.closed_form:
-        problem = _on_two_elements(problem, build.area_mm2(job.config["specimen"]))
-    test = replace(problem.test, steps=MORE_STEPS * problem.test.steps)
-    found = solve(replace(problem, test=test), gradients=True)
-    if found.status != "converged":
-        raise RuntimeError(f"{found.status}: {found.message}")
-    return np.array([found.curve.displacement_mm, found.curve.force_N]), found.mesh_hash
-
-
-def _on_two_elements(problem: Any, area_mm2: float) -> Any:
-    """Cylinder of the same cross-section on a coarse mesh: homogeneous, so any mesh is exact."""
-    from study.forward.problem import Cylinder, Model
-
-    height = problem.specimen.height_mm
-    cylinder = Cylinder(math.sqrt(area_mm2 / math.pi), height)
-    return replace(problem, specimen=cylinder, model=Model(mesh_size_mm=height / 2))
-
-
-def between(curve: Array, at: Array, *, monotone: bool = False) -> Array:
-    """Interpolate forces between the solved steps and the unloaded origin by a cubic.
-
-    Examples
-    --------
-    >>> curve = np.array([[1.0, 2.0, 3.0], [1.0, 8.0, 27.0]])
-    >>> between(curve, np.array([0.5, 2.5])).round(9).tolist()
-    [0.125, 15.625]
-    """
-    from scipy.interpolate import CubicSpline, PchipInterpolator
-
-    knots, force = curve
-    if knots[0] > 0:
-        knots, force = np.r_[0.0, knots], np.r_[0.0, force]
-    make = PchipInterpolator if monotone else CubicSpline
-    return np.asarray(make(knots, force)(np.clip(at, 0.0, knots[-1])), dtype=float)
-
-
-def scores(force: Array, measured: Array) -> dict[str, float]:
-    """Responses of predicted forces at the measured displacements.
-
-    Examples
-    --------
-    >>> found = scores(np.array([3.3, 4.4]), np.array([[1.0, 2.0], [3.0, 4.0]]))
-    >>> [round(found[name], 9) for name in RESPONSES]
-    [10.0, 0.353553391, 0.4, 10.0]
-    """
-    d, known = measured
-    gap = force - known
-    widths = np.diff(d)
-    work = widths @ (known[1:] + known[:-1])
-    return {
-        "relative_rms_force_error": 100 * math.sqrt(float(gap @ gap) / float(known @ known)),
-        "rms_force_error": math.sqrt(float(gap @ gap) / gap.size),
-        "peak_force_error": abs(float(force.max()) - float(known.max())),
-        "work_error": 100 * abs(float(widths @ (gap[1:] + gap[:-1])) / float(work)),
-    }
-
-
-def averaged(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Mean of each response over the directions."""
-    return {name: math.fsum(one[name] for one in found) / len(found) for name in found[0]}
 
 
 # Both beside each other
@@ -427,7 +168,8 @@ def verify(
     outcome = Outcome()
     drawn: list[Job] = []
     for folder in folders:
-        jobs = jobs_of(folder, data, outcome)
+        jobs = jobs_of(folder, data, outcome.left_out)
+        outcome.finished += len(jobs)
         if not jobs:
             reasons = ", ".join(f"{n} {why}" for why, n in outcome.left_out.items() if n)
             rule = f"holds no record that can be computed again ({reasons or 'it is empty'})"
@@ -452,6 +194,11 @@ def _take(outcome: Outcome, job: Job, answer: Any) -> None:
         outcome.failed[f"{job.case_id} ({job.levels})"] = f"{answer.status}: {answer.message}"
         return
     outcome.lines += compare(job, answer.value)
+    if job.sticks:
+        outcome.notes.append(
+            f"{job.case_id}: its indenter holds each point where a load step first finds it, so "
+            "more load steps are a finer answer and not the same one"
+        )
     outcome.steps[job.case_id] = answer.value["steps"]
     if not answer.value["same_mesh"]:
         outcome.notes.append(f"{job.case_id}: its mesh is not the one of the record")

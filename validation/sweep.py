@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 if not __package__:  # run as a script: the folder above holds this one
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from study.errors import InputError
+from study.forward.expected import expected_unknowns
 from study.forward.problem import Cylinder, Problem
 from validation.apart import Apart
 from validation.sweep_problems import drawn, references, sized
@@ -46,8 +47,10 @@ Ask = Callable[[Problem], Found]
 
 #: error that matters, and force over the largest below which it does not
 FAR, FIRST_TOUCH = 0.05, 0.1
-#: ratio and number of the meshes of a series; the third where it is predicted to be cheap
-RATIO, MESHES, CHEAP_S = 1.5, 3, 20.0
+#: an error that is none: the solver's own tolerance, with a margin
+NOTHING_OFF = 1e-6
+#: ratio and number of the meshes of a series, and unknowns from which on there is no third one
+RATIO, MESHES, THIRD_UNKNOWNS = 1.5, 3, 2.5e4
 #: what the message of a run is that has nothing to report
 NOTHING = "every step converged"
 SILENT = "silent miss"
@@ -136,15 +139,14 @@ def _errors(own: Found, reference: Found) -> Found:
 def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
     """Numerical uncertainty of the force at every load step, over that force.
 
-    As a study claims it for its own mesh: from two finer meshes, or one where the second is
-    predicted to take long.
+    As a study claims it for its own mesh: from two finer meshes, or one where the second would
+    be dear.
     """
     from study.forward.mesh import mesh_size
 
     series, size = [own], mesh_size(problem)
     for level in range(1, MESHES):
-        dearer = RATIO ** (3 if problem.model.space == "3d" else 2)
-        if level > 1 and series[-1]["seconds"] * dearer**1.5 > CHEAP_S:
+        if level > 1 and expected_unknowns(sized(problem, size / RATIO**level)) > THIRD_UNKNOWNS:
             break
         finer = ask(sized(problem, size / RATIO**level))
         if finer["status"] != "converged":
@@ -332,7 +334,7 @@ def shown(rows: Sequence[Mapping[str, Any]], count: int) -> Iterator[str]:
     if right:
         yield f"largest error over the load steps: median {100 * float(np.median(right)):.2g} %"
     steps = [one for row in rows if row["own"]["status"] == "converged" and "claimed" in row
-             for one in _steps(row) if one[0] > 0]  # fmt: skip
+             for one in _steps(row) if one[0] > NOTHING_OFF]  # fmt: skip
     if steps:
         yield f"U covers the error at {sum(ok for _, ok in steps)} of {len(steps)} load steps"
     yield f"silent misses: {verdicts[SILENT]}"

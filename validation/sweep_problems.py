@@ -28,6 +28,7 @@ from study.forward.problem import (
     Sphere,
     Test,
 )
+from study.forward.sizes import sharp_edge
 from study.forward.steps import StepRule, StepSettings
 from study.material import Material
 
@@ -45,6 +46,8 @@ STEPS = 6
 #: unknowns of a problem and of its reference, by space
 MOST_UNKNOWNS = {"axisymmetric": 4e3, "3d": 5e3}
 REFERENCE_UNKNOWNS = {"axisymmetric": 2.5e4, "3d": 2.2e4}
+#: unknowns up to which a reference is refined further, and the fine mesh's size over its own
+ENOUGH_UNKNOWNS, FINEST = 8e3, 4.0
 #: load steps that the step rule makes of them, by space
 MOST_PIECES = {"axisymmetric": 90, "3d": 45}
 #: sizes of a mesh over the coarse one, of those that are too large otherwise
@@ -132,10 +135,18 @@ def references(problem: Problem) -> list[Problem]:
 
 
 def _finest(problem: Problem) -> Problem:
-    """Problem on two thirds of the fine mesh's size, or on the finest that is affordable."""
-    size, most = mesh_size(problem) / 1.5, REFERENCE_UNKNOWNS[problem.model.space]
+    """Problem on two thirds of the fine mesh's size, or finer, or the finest that is affordable.
+
+    At a sharp edge no finer than that: the smaller an element is there, the sooner it collapses.
+    """
+    fine, most = mesh_size(problem), REFERENCE_UNKNOWNS[problem.model.space]
+    size = fine / 1.5
     while expected_unknowns(sized(problem, size)) > most:
         size *= 1.1
+    if sharp_edge(problem.test.indenter):
+        return sized(problem, size)
+    while size > fine / FINEST and expected_unknowns(sized(problem, size / 1.1)) < ENOUGH_UNKNOWNS:
+        size /= 1.1
     return sized(problem, size)
 
 

@@ -18,7 +18,7 @@ from study.curve import Curve
 from study.record import Record, Store
 from tests.cli.small import DESIGN, study, write_files
 from tests.conftest import ROOT
-from validation import recompute
+from validation import recompute, recompute_forward, recompute_records
 
 #: closed form between frictionless plates, finite elements between bonded ones, both directions
 TINY = (
@@ -242,13 +242,25 @@ def test_bad_input(finished: Path, tmp_path: Path, arguments: list[str], message
     assert "Traceback" not in found.stderr
 
 
+@pytest.mark.parametrize(
+    ("shape", "interface", "sticks"),
+    [("sphere", "bonded", True), ("sphere", "frictionless", False), ("flat", "bonded", False)],
+)
+def test_which_indenters_make_load_steps_matter(shape: str, interface: str, sticks: bool) -> None:
+    # a flat end takes hold of its whole face at once, whatever the steps
+    test = {"kind": "indentation", "interface": interface,
+            "indenter": {"shape": shape, "radius_mm": 2.0}}  # fmt: skip
+    assert recompute_records._sticks(test) is sticks
+    assert not recompute_records._sticks({"kind": "compression", "interface": "bonded"})
+
+
 def test_its_scores_are_those_of_the_definitions() -> None:
     from study.runner import scoring
 
     rng = np.random.default_rng(2011)
     d = np.sort(rng.uniform(0.1, 3, 40))
     known, force = d**1.5 + rng.normal(0, 0.05, 40), d**1.4
-    found = recompute.scores(force, np.array([d, known]))
+    found = recompute_forward.scores(force, np.array([d, known]))
     for name, function in scoring.CURVE_RESPONSES.items():
         assert found[name] == pytest.approx(function(Curve(d, force), Curve(d, known)), rel=1e-12)
 
@@ -257,6 +269,6 @@ def test_its_scores_are_those_of_the_definitions() -> None:
 def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
     knots = np.linspace(0, 2, 21)[1:]
     at = np.linspace(0.25, 2, 50)
-    found = recompute.between(np.array([knots, knots**1.5]), at, monotone=monotone)
+    found = recompute_forward.between(np.array([knots, knots**1.5]), at, monotone=monotone)
     # a tenth of the bar: what cannot be told apart is far below what is looked for
     assert np.abs(found - at**1.5).max() < 0.1 * recompute.BAR / 100 * 2**1.5
