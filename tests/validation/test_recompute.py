@@ -1,0 +1,274 @@
+"""Records computed once more: an honest study agrees, and a falsified record is found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.curve import Curve
+from study.record import Record, Store
+from tests.cli.small import DESIGN, study, write_files
+from tests.conftest import ROOT
+from validation import recompute, recompute_forward, recompute_records
+
+#: closed form between frictionless plates, finite elements between bonded ones, both directions
+TINY = (
+    DESIGN.replace('name = "small"', 'name = "tiny"')
+    .replace('interface = "frictionless"', "steps = 4")
+    .replace('score = { specimen = "B" }', 'score = { specimen = "B" }\nswap = true')
+    .replace('[calibration]\nmethod = "analytic"', "[calibration]\n" 'method = "auto"')
+    .replace('material = ["neo-hookean", "mooney-rivlin"]\nrange = ["small", "large"]',
+             'plates = ["closed", "bonded"]')
+    .replace("incompressible = true", 'model = "neo-hookean"\npoisson_ratio = 0.49')
+    .replace("[presets.range.small]\n", "")
+    .replace('measurements.range = ["1 %", "10 %"]\n', "")
+    .replace("[presets.range.large]\n", "")
+    .replace('measurements.range = ["1 %", "20 %"]\n', "")
+    .replace('[presets.material.neo-hookean]\nmodel = "neo-hookean"\n', "")
+    .replace('[presets.material.mooney-rivlin]\nmodel = "mooney-rivlin"\n', "")
+    .replace("points = 30", 'points = 30\nrange = ["1 %", "15 %"]')
+    + """
+[model]
+element_order = "linear"
+mesh_size = "8 mm"
+[presets.plates.closed]
+test.interface = "frictionless"
+calibration.method = "analytic"
+[presets.plates.bonded]
+test.interface = "bonded"
+"""
+)  # fmt: skip
+#: constants of the design, none of a fit, on five meshes
+SEEDS = (
+    TINY.replace('name = "tiny"', 'name = "seeded"')
+    .replace('calibration.method = "analytic"\n', "")
+    .replace('method = "auto"', 'method = "none"')
+    .replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "8 kPa"')
+    .replace("swap = true\n", "")
+    + "[replicates]\nmesh_seeds = 5\n"
+)  # fmt: skip
+
+
+def run(home: Path, text: str) -> Path:
+    """Results of a design that was run in a folder."""
+    name = text.split('name = "')[1].split('"')[0]
+    (home / f"{name}.toml").write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        answer = study("run", f"{name}.toml", "--data", "data", "--jobs", 1, "--no-refine")
+    assert answer.code == 0, answer.err
+    return home / "results" / name
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recompute")
+    write_files(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(home: Path) -> Path:
+    return run(home, TINY)
+
+
+@pytest.fixture
+def results(finished: Path, tmp_path: Path) -> Path:
+    """Copy of the results, to falsify."""
+    return Path(shutil.copytree(finished, tmp_path / "tiny"))
+
+
+def recomputed(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "validation.recompute", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def records(results: Path, plates: str) -> list[Record]:
+    return [r for r in Store(results).read_all() if r.levels["plates"] == plates]
+
+
+def falsify(results: Path, plates: str, change: Callable[[Record], Record]) -> Record:
+    """Change one record as the program itself would write it, its checksum with it.
+
+    An honest one is left beside it; the others go, for they cost time and show nothing.
+    """
+    first, second, *_ = records(results, plates)
+    for other in Store(results).read_all():
+        if other.case_id not in (first.case_id, second.case_id):
+            shutil.rmtree(results / "cases" / other.case_id)
+    store = Store(results)
+    with store.lock():
+        store.write(change(first))
+    return first
+
+
+def moved(name: str, by: float) -> Callable[[Record], Record]:
+    def change(record: Record) -> Record:
+        entry: dict[str, Any] = dict(record.responses[name])
+        entry["value"] += by
+        return replace(record, responses={**record.responses, name: entry})
+
+    return change
+
+
+def test_an_honest_study_agrees(finished: Path, home: Path, tmp_path: Path) -> None:
+    file = tmp_path / "found.json"
+    found = recomputed(finished, "--sample", 4, "--data", home / "data", "--json", file)
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "4 of 6 records computed again with 4 times the load steps: worst" in found.stdout
+    written = json.loads(file.read_text())
+    assert written["sampled"] == 4
+    assert len(written["lines"]) == 48  # the mean and two directions
+    assert {line["levels"].split(" / ")[0] for line in written["lines"]} == {"closed", "bonded"}
+    # the forces at the recorded steps are those of the solver to its own tolerance; the closed
+    # form and elements agree to the same digits
+    assert max(written["steps"].values()) < 1e-4
+    # without derivatives of the constants dF/dd is good to its tolerance alone: 0.01 pp is more
+    # than it does between plates
+    assert written["worst"] < 0.01
+    assert written["notes"] == []
+
+
+def test_the_sample_is_a_matter_of_its_seed() -> None:
+    jobs = list(range(50))
+    first, again, other = (recompute.sampled(jobs, 5, seed) for seed in (1, 1, 2))  # type: ignore[type-var]
+    assert first == again
+    assert first != other
+    assert recompute.sampled(jobs, 99, 1) == jobs  # type: ignore[type-var, comparison-overlap]
+
+
+# 0.06 pp where 0.05 are allowed; 1 N of 70 N and more
+@pytest.mark.parametrize(
+    ("plates", "response", "by"),
+    [("bonded", "relative_rms_force_error", 0.06), ("closed", "peak_force_error", 1.0)],
+)
+def test_a_falsified_response_is_found(
+    results: Path, plates: str, response: str, by: float
+) -> None:
+    record = falsify(results, plates, moved(response, by))
+    found = recomputed(results, "--sample", 99)
+    assert found.returncode == 1, found.stdout + found.stderr
+    marked = [line for line in found.stdout.splitlines() if line.endswith("<")]
+    assert len(marked) == 1
+    assert record.case_id in marked[0]
+    assert response in marked[0]
+    assert f"({response} of {record.case_id}, {plates} / " in found.stdout.splitlines()[-1]
+
+
+def test_falsified_constants_are_found(results: Path) -> None:
+    def change(record: Record) -> Record:
+        assert record.fit is not None
+        fits = {
+            k: {**v, "values": {"C10": 1.01 * v["values"]["C10"]}} for k, v in record.fit.items()
+        }
+        return replace(record, fit=fits)
+
+    record = falsify(results, "bonded", change)
+    found = recomputed(results, "--sample", 99)
+    assert found.returncode == 1
+    marked = [line for line in found.stdout.splitlines() if line.endswith("<")]
+    assert marked
+    assert all(record.case_id in line for line in marked)
+
+
+def test_other_measurements_are_found(finished: Path, home: Path, tmp_path: Path) -> None:
+    rows = (home / "data" / "tests.csv").read_text().splitlines()
+    cut = [row.rsplit(",", 1) for row in rows[1:]]
+    raised = [f"{left},{1.02 * float(force):.10f}" for left, force in cut]
+    (tmp_path / "tests.csv").write_text("\n".join([rows[0], *raised]) + "\n")
+    assert recomputed(finished, "--sample", 1, "--data", tmp_path).returncode == 1
+
+
+def test_a_record_without_an_answer_is_left_out_and_counted(results: Path) -> None:
+    falsify(results, "bonded", lambda r: replace(r, status="timeout", message="too late"))
+    found = recomputed(results, "--sample", 1)
+    assert found.returncode == 0
+    assert "left out: 1 without an answer (timeout)" in found.stdout
+    assert "1 of 1 records" in found.stdout
+
+
+def test_constants_that_have_no_answer_now_fail(results: Path) -> None:
+    def change(record: Record) -> Record:
+        assert record.fit is not None
+        fits = {k: {**v, "values": {"C10": -1.0}} for k, v in record.fit.items()}
+        return replace(record, fit=fits)
+
+    record = falsify(results, "bonded", change)
+    found = recomputed(results, "--sample", 99)
+    assert found.returncode == 1
+    assert f"no answer: {record.case_id}" in found.stdout
+
+
+def test_fits_to_resampled_noise_are_left_out_and_counted(results: Path) -> None:
+    falsify(results, "closed", lambda r: replace(r, curves={}, extra={"noise_seed": 3}))
+    found = recomputed(results, "--sample", 9)
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "left out: 1 fits to resampled noise, which hold no curve" in found.stdout
+    assert "left out: 4 not computed yet" in found.stdout
+
+
+def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
+    found = recomputed(run(home, SEEDS), "--sample", 4)
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "4 of 30 records" in found.stdout
+    assert "its mesh is not the one of the record" not in found.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "no results of a study there"),
+        (["RESULTS", "--sample", "0"], "--sample: must be at least 1, got 0"),
+        (["RESULTS", "--bar", "-1"], "--bar: must be positive, got -1"),
+        (["RESULTS", "--data", "nowhere"], "--data: there is no folder 'nowhere'"),
+        (["RESULTS", "--data", "EMPTY"], "no file 'tests.csv' below"),
+    ],
+)
+def test_bad_input(finished: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
+    names = {"RESULTS": str(finished), "EMPTY": str(tmp_path)}
+    found = recomputed(*(names.get(word, word) for word in arguments))
+    assert found.returncode == 2
+    assert "cannot recompute" in found.stderr
+    assert message in found.stderr
+    assert "Traceback" not in found.stderr
+
+
+@pytest.mark.parametrize(
+    ("shape", "interface", "sticks"),
+    [("sphere", "bonded", True), ("sphere", "frictionless", False), ("flat", "bonded", False)],
+)
+def test_which_indenters_make_load_steps_matter(shape: str, interface: str, sticks: bool) -> None:
+    # a flat end takes hold of its whole face at once, whatever the steps
+    test = {"kind": "indentation", "interface": interface,
+            "indenter": {"shape": shape, "radius_mm": 2.0}}  # fmt: skip
+    assert recompute_records._sticks(test) is sticks
+    assert not recompute_records._sticks({"kind": "compression", "interface": "bonded"})
+
+
+def test_its_scores_are_those_of_the_definitions() -> None:
+    from study.runner import scoring
+
+    rng = np.random.default_rng(2011)
+    d = np.sort(rng.uniform(0.1, 3, 40))
+    known, force = d**1.5 + rng.normal(0, 0.05, 40), d**1.4
+    found = recompute_forward.scores(force, np.array([d, known]))
+    for name, function in scoring.CURVE_RESPONSES.items():
+        assert found[name] == pytest.approx(function(Curve(d, force), Curve(d, known)), rel=1e-12)
+
+
+@pytest.mark.parametrize("monotone", [False, True])
+def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
+    knots = np.linspace(0, 2, 21)[1:]
+    at = np.linspace(0.25, 2, 50)
+    found = recompute_forward.between(np.array([knots, knots**1.5]), at, monotone=monotone)
+    # a tenth of the bar: what cannot be told apart is far below what is looked for
+    assert np.abs(found - at**1.5).max() < 0.1 * recompute.BAR / 100 * 2**1.5

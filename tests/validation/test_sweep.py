@@ -1,0 +1,220 @@
+"""The sweep of random problems: what it draws, what it calls a silent miss, how it resumes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.forward.expected import expected_unknowns
+from study.forward.mesh import mesh_size
+from study.forward.problem import Block, Cone, Cylinder, Flat, Problem, Sphere
+from tests.conftest import ROOT
+from validation import sweep
+from validation.sweep_problems import (
+    ELEMENTS,
+    MOST_UNKNOWNS,
+    REFERENCE_UNKNOWNS,
+    drawn,
+    references,
+)
+
+DRAWN = [drawn(2011, number) for number in range(80)]
+
+
+def test_a_problem_is_a_matter_of_its_seed_and_number() -> None:
+    assert drawn(2011, 7) == DRAWN[7]
+    assert drawn(2012, 7) != DRAWN[7]
+
+
+def test_every_kind_of_problem_is_drawn() -> None:
+    models = Counter((p.model.space, p.model.element_order, p.model.element_shape) for p in DRAWN)
+    assert models == dict.fromkeys(
+        ((m.space, m.element_order, m.element_shape) for m in ELEMENTS), 10
+    )
+    assert {type(p.specimen) for p in DRAWN} == {Cylinder, Block}
+    assert {type(p.test.indenter) for p in DRAWN} == {type(None), Cone, Sphere, Flat}
+    assert {p.test.interface for p in DRAWN} == {"frictionless", "bonded"}
+    assert {p.material.model for p in DRAWN} == {
+        "neo-hookean", "mooney-rivlin", "reduced-polynomial", "ogden",
+    }  # fmt: skip
+    assert {p.model.mesh_size_mm is None for p in DRAWN} == {True, False}
+
+
+def test_problems_are_wide_and_within_their_ranges() -> None:
+    ratio = np.array([_half(p) / p.specimen.height_mm for p in DRAWN])
+    depth = np.array([p.test.displacement_mm / p.specimen.height_mm for p in DRAWN])
+    nu = np.array([p.material.poisson_ratio for p in DRAWN])
+    for values, low, high in ((ratio, 0.2, 5.0), (depth, 0.05, 0.5), (nu, 0.45, 0.4999)):
+        # three digits of a size move a ratio by a hundredth of itself
+        assert 0.98 * low <= values.min()
+        assert values.max() <= 1.02 * high
+        assert np.ptp(values) > 0.7 * (high - low)
+
+
+def _half(problem: Problem) -> float:
+    body = problem.specimen
+    return body.radius_mm if isinstance(body, Cylinder) else body.width_mm / 2  # type: ignore[union-attr]
+
+
+def test_references_are_finer_quadratic_and_affordable() -> None:
+    for problem in DRAWN[:24]:
+        assert expected_unknowns(problem) < MOST_UNKNOWNS[problem.model.space]
+        for one in references(problem):
+            assert one.model.element_order == "quadratic"
+            assert one.model.space == (
+                "axisymmetric" if isinstance(problem.specimen, Cylinder) else "3d"
+            )
+            assert (one.specimen, one.test, one.material) == (
+                problem.specimen, problem.test, problem.material,
+            )  # fmt: skip
+            assert expected_unknowns(one) <= REFERENCE_UNKNOWNS[one.model.space]
+            if one.model.element_shape == "simplex":  # solid bricks are dear
+                assert mesh_size(one) < mesh_size(problem)
+
+
+# What is found, with a solver whose errors are known
+
+PROBLEM = DRAWN[0]  # a cylinder in the plane: its references are in the plane too
+
+
+def solver(
+    error: Callable[[Problem], float], message: str = sweep.NOTHING, status: str = "converged"
+) -> sweep.Ask:
+    """Solver with a relative error of the last force; its meshes have 1 / h^2 elements."""
+
+    def ask(problem: Problem) -> sweep.Found:
+        size, own = mesh_size(problem), problem.model.element_order == "linear"
+        force = np.linspace(0.2, 1, 6)
+        force[-1] *= 1 + error(problem)
+        return {
+            "status": status if own else "converged",
+            "message": message if own else sweep.NOTHING,
+            "displacement_mm": [], "force_N": force.tolist(),
+            "dofs": 1, "elements": round(1e4 / size**2), "mesh_size_mm": size, "seconds": 0.01,
+        }  # fmt: skip
+
+    return ask
+
+
+def of_mesh(problem: Problem) -> float:
+    """10 % on the problem's own mesh, of second order, and right on the reference."""
+    if problem.model.element_order == "quadratic":
+        return 0.0
+    return 0.1 * (mesh_size(problem) / mesh_size(PROBLEM)) ** 2
+
+
+def hidden(problem: Problem) -> float:
+    """10 % that no mesh of the series shows."""
+    return 0.0 if problem.model.element_order == "quadratic" else 0.1
+
+
+def test_an_error_that_the_meshes_show_is_covered() -> None:
+    found = sweep.outcome(PROBLEM, solver(of_mesh))
+    assert found["verdict"] == "off, covered"
+    assert found["last"] == pytest.approx(0.1, rel=1e-9)
+    # safety factor 1.25 on the extrapolation of a series of order 2, over a force 10 % too large
+    assert found["claimed"][-1] == pytest.approx(1.25 * 0.1 / 1.1, rel=0.02)
+
+
+def test_an_error_that_no_mesh_shows_is_a_silent_miss() -> None:
+    assert sweep.outcome(PROBLEM, solver(hidden))["verdict"] == sweep.SILENT
+
+
+def test_an_error_that_the_run_speaks_of_is_not_silent() -> None:
+    message = f"{sweep.NOTHING}; past 1 mm the surface snapped to another equilibrium"
+    assert sweep.outcome(PROBLEM, solver(hidden, message))["verdict"] == "off, said"
+
+
+def test_a_run_that_failed_has_its_status_for_a_verdict() -> None:
+    found = sweep.outcome(PROBLEM, solver(hidden, "no", "not-converged"))
+    assert found["verdict"] == "not-converged"
+
+
+def test_a_right_answer_is_right() -> None:
+    assert sweep.outcome(PROBLEM, solver(lambda _: 0.0))["verdict"] == "right"
+
+
+def test_references_that_differ_judge_nothing() -> None:
+    def error(problem: Problem) -> float:
+        # the first reference has simplices, and is wrong itself
+        wrong = problem.model.element_order == "quadratic" and problem == references(PROBLEM)[0]
+        return -0.2 if wrong else 0.0
+
+    assert sweep.outcome(PROBLEM, solver(error))["verdict"] == "references differ"
+
+
+def test_the_first_touch_does_not_count() -> None:
+    own = {"force_N": [0.09, 0.5, 1.0]}
+    found = sweep._errors(own, {"force_N": [0.03, 0.5, 1.0]})
+    assert found["worst"] == 0.0
+
+
+# The file and the program
+
+
+def rows(count: int, error: Callable[[Problem], float]) -> list[dict[str, Any]]:
+    out = []
+    for number in range(count):
+        problem = DRAWN[number]
+        row = {"seed": 2011, "number": number, "problem": repr(problem)}
+        out.append(row | sweep.outcome(problem, solver(error)))
+    return out
+
+
+def written(path: Path, found: list[dict[str, Any]]) -> Path:
+    path.write_text("".join(json.dumps(row) + "\n" for row in found))
+    return path
+
+
+def program(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "validation.sweep", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_what_the_file_holds_is_not_computed_again(tmp_path: Path) -> None:
+    file = written(tmp_path / "sweep.jsonl", rows(1, hidden))
+    found = program("--count", 1, "--file", file)
+    assert found.returncode == 1, found.stderr
+    assert found.stderr == ""
+    assert found.stdout.splitlines()[-1] == "silent misses: 1"
+
+
+def test_without_a_silent_miss_it_ends_well(tmp_path: Path) -> None:
+    file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
+    # no time is left for the second problem
+    found = program("--count", 2, "--budget", 0, "--file", file)
+    assert found.returncode == 0, found.stderr
+    assert "1 of 2 problems: 1 off, covered" in found.stdout
+
+
+def test_a_file_of_another_seed_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
+    found = program("--count", 1, "--seed", 1, "--file", file)
+    assert found.returncode == 2
+    assert "line 1: belongs to another seed or other problems" in found.stderr
+
+
+def test_a_problem_is_written_as_python() -> None:
+    found = program("--show", 3)
+    assert found.returncode == 0
+    names: dict[str, Any] = {}
+    exec(found.stdout.split("for one in")[0], names)  # its own output, of this very test
+    assert names["problem"] == DRAWN[3]
+    assert names["reference"] == references(DRAWN[3])[0]
+
+
+@pytest.mark.slow
+def test_one_problem_from_end_to_end(tmp_path: Path) -> None:
+    found = program("--count", 1, "--file", tmp_path / "one.jsonl")
+    assert found.returncode == 0, found.stdout + found.stderr
+    assert "1 of 1 problems" in found.stdout
+    row = json.loads((tmp_path / "one.jsonl").read_text())
+    assert row["own"]["status"] == row["reference"]["found"]["status"] == "converged"

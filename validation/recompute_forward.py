@@ -1,0 +1,119 @@
+"""One record again: a cold forward solution, a spline through its forces, and the scores."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from validation.recompute_records import Direction, Job
+
+Array = NDArray[np.float64]
+
+#: load steps here over those of the record
+MORE_STEPS = 4
+
+
+def recomputed(job: Job) -> dict[str, Any]:
+    """Responses of a record from forward solutions made here.
+
+    Returns
+    -------
+    dict
+        ``responses`` of every direction, ``monotone`` (the same with the other interpolation),
+        ``steps`` (largest difference of force at the record's own steps, % of the largest) and
+        ``same_mesh``.
+    """
+    spline, monotone, at_steps, meshes = [], [], 0.0, set()
+    for one in job.directions:
+        measured, recorded = np.array(one.measured), np.array(one.predicted)
+        dense, mesh = solved(job, one, float(measured[0].max()))
+        meshes.add(mesh)
+        spline.append(scores(between(dense, measured[0]), measured))
+        monotone.append(scores(between(dense, measured[0], monotone=True), measured))
+        gap = np.abs(between(dense, recorded[0]) - recorded[1]).max()
+        at_steps = max(at_steps, 100 * float(gap / np.abs(recorded[1]).max()))
+    return {
+        "responses": spline,
+        "monotone": monotone,
+        "steps": at_steps,
+        "same_mesh": job.closed_form or meshes == {job.mesh_hash},
+    }
+
+
+def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
+    """Displacements and forces of a cold solution with more load steps, shape (2, n).
+
+    Raises
+    ------
+    RuntimeError
+        If it has no answer.
+    """
+    from study.forward.solve import solve
+    from study.runner import build
+
+    problem = build.problem(job.config, one.constants, depth_mm)
+    if job.closed_form:
+        problem = _on_two_elements(problem, build.area_mm2(job.config["specimen"]))
+    test = replace(problem.test, steps=MORE_STEPS * problem.test.steps)
+    found = solve(replace(problem, test=test), gradients=True)
+    if found.status != "converged":
+        raise RuntimeError(f"{found.status}: {found.message}")
+    return np.array([found.curve.displacement_mm, found.curve.force_N]), found.mesh_hash
+
+
+def _on_two_elements(problem: Any, area_mm2: float) -> Any:
+    """Cylinder of the same cross-section on a coarse mesh: homogeneous, so any mesh is exact."""
+    from study.forward.problem import Cylinder, Model
+
+    height = problem.specimen.height_mm
+    cylinder = Cylinder(math.sqrt(area_mm2 / math.pi), height)
+    return replace(problem, specimen=cylinder, model=Model(mesh_size_mm=height / 2))
+
+
+def between(curve: Array, at: Array, *, monotone: bool = False) -> Array:
+    """Interpolate forces between the solved steps and the unloaded origin by a cubic.
+
+    Examples
+    --------
+    >>> curve = np.array([[1.0, 2.0, 3.0], [1.0, 8.0, 27.0]])
+    >>> between(curve, np.array([0.5, 2.5])).round(9).tolist()
+    [0.125, 15.625]
+    """
+    from scipy.interpolate import CubicSpline, PchipInterpolator
+
+    knots, force = curve
+    if knots[0] > 0:
+        knots, force = np.r_[0.0, knots], np.r_[0.0, force]
+    make = PchipInterpolator if monotone else CubicSpline
+    return np.asarray(make(knots, force)(np.clip(at, 0.0, knots[-1])), dtype=float)
+
+
+def scores(force: Array, measured: Array) -> dict[str, float]:
+    """Responses of predicted forces at the measured displacements.
+
+    Examples
+    --------
+    >>> found = scores(np.array([3.3, 4.4]), np.array([[1.0, 2.0], [3.0, 4.0]]))
+    >>> [round(value, 9) for value in found.values()]
+    [10.0, 0.353553391, 0.4, 10.0]
+    """
+    d, known = measured
+    gap = force - known
+    widths = np.diff(d)
+    work = widths @ (known[1:] + known[:-1])
+    return {
+        "relative_rms_force_error": 100 * math.sqrt(float(gap @ gap) / float(known @ known)),
+        "rms_force_error": math.sqrt(float(gap @ gap) / gap.size),
+        "peak_force_error": abs(float(force.max()) - float(known.max())),
+        "work_error": 100 * abs(float(widths @ (gap[1:] + gap[:-1])) / float(work)),
+    }
+
+
+def averaged(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Mean of each response over the directions."""
+    return {name: math.fsum(one[name] for one in found) / len(found) for name in found[0]}

@@ -1,0 +1,171 @@
+"""What the records of a results folder hold, in plain values: constants, curves, responses."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from study.errors import InputError
+
+Config = Mapping[str, Any]
+
+RESPONSES = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
+_CLOSED_FORM = "closed form"
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One scored curve of a record: constants in MPa (None: those of the design), and curves."""
+
+    label: str
+    responses: dict[str, float]
+    constants: dict[str, float] | None
+    measured: tuple[list[float], list[float]]
+    predicted: tuple[list[float], list[float]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One record, in plain values."""
+
+    study: str
+    case_id: str
+    levels: str
+    config: dict[str, Any]
+    responses: dict[str, float]
+    directions: tuple[Direction, ...]
+    closed_form: bool
+    sticks: bool
+    mesh_hash: str
+
+
+def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job]:
+    """List the records of a results folder that can be computed again.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no study, or ``data`` not its measurements.
+    """
+    from study.api.places import results_folder
+    from study.design import loads
+    from study.record import Store
+
+    home = results_folder(folder)
+    store = Store(home)
+    manifest = store.read_manifest()
+    if manifest is None:
+        raise InputError(f"{home}: its manifest is damaged; run the design again")
+    records = store.records(manifest["cases"])
+    left_out["not computed yet"] += len(manifest["cases"]) - len(records)
+    design = loads(manifest["design"], manifest["source"])
+    configs = _configs(design, manifest["blocks"], data)
+    found = [_job(record, configs, data, left_out) for record in records]
+    return sorted((job for job in found if job is not None), key=lambda job: job.case_id)
+
+
+def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
+    """Resolve every case, by its levels, its block and the number of its mesh."""
+    from study.design import cases
+    from study.runner.replicates import mesh_seeded
+    from study.runner.surfaces import located
+
+    places = () if data is None else (data.resolve(),)
+    return {
+        _name(case.levels, case.block, extra): located(case.config, places)
+        for case, extra in mesh_seeded(cases(design, blocks), design)
+    }
+
+
+def _name(levels: Mapping[str, str], block: str | None, extra: Mapping[str, Any]) -> Any:
+    return tuple(sorted(levels.items())), block, extra.get("mesh_seed")
+
+
+def _job(
+    record: Any, configs: Mapping[Any, Config], data: Path | None, left_out: Counter[str]
+) -> Job | None:
+    """Job of a record; None where there is nothing to compute, which is counted."""
+    why = _unfit(record)
+    if why:
+        left_out[why] += 1
+        return None
+    config = configs.get(_name(record.levels, record.block, record.extra))
+    if config is None:
+        raise InputError(f"case {record.case_id}: the stored design has no such cell")
+    return Job(
+        record.study,
+        record.case_id,
+        " / ".join([*record.levels.values(), *([record.block] if record.block else [])]),
+        _plain(config),
+        {name: record.response(name) for name in RESPONSES if name in record.responses},
+        tuple(_directions(record, config, data)),
+        record.solver.get("name") == _CLOSED_FORM,
+        _sticks(config["test"]),
+        str(record.mesh.get("hash", "")),
+    )
+
+
+def _sticks(test: Config) -> bool:
+    """Whether an indenter holds what it touches where it meets it: load steps matter then."""
+    from study.runner import build
+
+    made = build.loading(test, displacement_mm=1.0)
+    return made.kind == "indentation" and made.interface == "bonded" and not made.holds_face
+
+
+def _unfit(record: Any) -> str:
+    """Why a record cannot be computed again; empty where it can."""
+    if not record.converged:
+        return f"without an answer ({record.status})"
+    if record.extra.get("noise_seed"):
+        return "fits to resampled noise, which hold no curve"
+    facts = record.extra.get("directions") or ()
+    if not facts or not all(f"predicted:{fact['score']}" in record.curves for fact in facts):
+        return "without a predicted curve"
+    fits = [fact["fit"] or "all" for fact in facts]
+    if record.fit is not None and len(set(fits)) < len(fits):
+        return "two fits under one name, of which the record holds one"
+    return ""
+
+
+def _plain(config: Config) -> dict[str, Any]:
+    from study.design import plain
+
+    made: dict[str, Any] = plain(config)
+    return made
+
+
+def _directions(record: Any, config: Config, data: Path | None) -> Iterator[Direction]:
+    for number, fact in enumerate(record.extra["directions"]):
+        label = fact["score"]
+        fit = None if record.fit is None else record.fit[fact["fit"] or "all"]
+        measured = record.curves[f"measured:{label}"]
+        if data is not None:
+            measured = _read(config, record.block, data, number)
+        yield Direction(
+            label,
+            {name: float(found["value"]) for name, found in fact["responses"].items()},
+            None if fit is None else dict(fit["values"]),
+            _lists(measured),
+            _lists(record.curves[f"predicted:{label}"]),
+        )
+
+
+def _lists(curve: Any) -> tuple[list[float], list[float]]:
+    return curve.displacement_mm.tolist(), curve.force_N.tolist()
+
+
+def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
+    """Read the measured curve that a direction is scored on; the second is the first's reverse."""
+    from study.design import MeasurementSpec
+    from study.record import read_measurements
+
+    spec, height = config["measurements"], config["specimen"].get("height_mm")
+    made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
+    found = read_measurements(made, data, height, config["test"].get("displacement_mm"))
+    sides = [found.score or found.fit, found.fit]
+    where = dict(sides[number] or {})
+    return found.curve(block if found.block is not None else None, **where).curve
