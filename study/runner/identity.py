@@ -14,20 +14,17 @@ from typing import Any
 
 import study
 
-#: rooms whose code decides a number; reports and statistics may change without a new run
-_NUMERIC_ROOMS = ("curve.py", "units.py", "material", "forward", "calibration")
-#: files of theirs that foretell what a computation costs, and decide none of its numbers
-_FORETELLING = ("estimate.py", "expected.py")
-_NUMERIC_RUNNER = (
-    "anchors.py",
-    "build.py",
-    "closed_form.py",
-    "described.py",
-    "fits.py",
-    "execute.py",
-    "noise.py",
-    "scoring.py",
-    "staged.py",
+#: Modules that do the tasks of a worker; what they import decides the numbers.
+_TASKS = ("execute", "fits", "noise", "refine_solve")
+#: Rooms in which imports are followed; reports and statistics may change without a new run.
+_NUMERIC_ROOMS = ("curve", "units", "material", "forward", "calibration", "runner")
+#: Modules that name results or foretell what they cost, and decide none of their numbers.
+_WITHOUT_NUMBERS = (
+    "study.forward.estimate",
+    "study.forward.expected",
+    "study.runner.checkpoint",
+    "study.runner.compiled",
+    "study.runner.identity",
 )
 _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
 
@@ -87,11 +84,43 @@ def versions() -> dict[str, str]:
 
 
 def _numeric_files(root: Path) -> Sequence[Path]:
-    files: list[Path] = [root / "runner" / name for name in _NUMERIC_RUNNER]
-    for room in _NUMERIC_ROOMS:
-        path = root / room
-        files += sorted(path.rglob("*.py")) if path.is_dir() else [path]
-    return [path for path in files if path.exists() and path.name not in _FORETELLING]
+    """Files that the tasks of a worker import, one through the other."""
+    found: dict[str, Path] = {}
+    waiting = [f"study.runner.{name}" for name in _TASKS]
+    while waiting:
+        module = waiting.pop()
+        path = _file_of(root, module)
+        parts = module.split(".")
+        if path is None or module in found or module in _WITHOUT_NUMBERS:
+            continue
+        if len(parts) < 2 or parts[1] not in _NUMERIC_ROOMS:
+            continue
+        found[module] = path
+        waiting += _imported(ast.parse(path.read_text(encoding="utf-8")))
+        waiting += [".".join(parts[:k]) for k in range(2, len(parts))]
+    return [found[module] for module in sorted(found)]
+
+
+def _file_of(root: Path, module: str) -> Path | None:
+    """File of a module or package of ours; None where a name is no module."""
+    path = root.joinpath(*module.split(".")[1:])
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def _imported(tree: ast.Module) -> Sequence[str]:
+    """Names of ours that a file imports, in functions too; what is for types alone is left out."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            node.body = []
+    froms = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
+    names = [f"{n.module}.{alias.name}" for n in froms for alias in n.names]
+    names += [str(n.module) for n in froms]
+    plain = [n for n in ast.walk(tree) if isinstance(n, ast.Import)]
+    names += [alias.name for n in plain for alias in n.names]
+    return [name for name in names if name.split(".")[0] == "study"]
 
 
 def _code_only(source: str) -> str:

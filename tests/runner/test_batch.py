@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import study
 from study.design import Design, loads
 from study.errors import InputError, StoreError
 from study.record import Record, Store, table
@@ -198,3 +199,13 @@ def test_treatments_with_different_blocks_are_refused(data: Path) -> None:
     )
     with pytest.raises(InputError, match="missing.csv"):
         expand(loads(text), data)
+
+
+def test_code_version_follows_what_the_tasks_import() -> None:
+    """A list of names would miss the next file; reports must not send a study back to work."""
+    root = Path(study.__file__).parent
+    files = {str(path.relative_to(root)) for path in identity._numeric_files(root)}
+    parts = ("staged", "starts", "halfspace", "scoring", "anchors")
+    needed = {f"runner/{name}.py" for name in parts}
+    assert needed | {"curve.py", "forward/stored_energy.py", "material/homogeneous.py"} <= files
+    assert not any(name.startswith(("reporting", "analysis", "api", "cli")) for name in files)
