@@ -14,7 +14,7 @@ from study.forward.boundary import Constraints, constraints, contact_points, tou
 from study.forward.contact import ContactPoints, ContactState, Glue, Meeting
 from study.forward.elements import Discretization, discretize
 from study.forward.glue import TiedPoints, hold, nothing_held
-from study.forward.internal import EVENNESS, EVENNESS_OF_SOLIDS, POINTWISE, Internal
+from study.forward.internal import EVENNESS, EVENNESS_OF_SOLIDS, LOCAL_BULK, Internal
 from study.forward.linear_solver import LinearSolver, make_solver
 from study.forward.mesh import Mesh
 from study.forward.pattern import Pattern
@@ -69,11 +69,11 @@ class Assembly:
     contact: list[ContactState]
 
 
-def _pointwise(problem: Problem) -> float:
-    """Share of the bulk modulus that acts at every point, see :class:`Internal`."""
+def _local_bulk(problem: Problem) -> float:
+    """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
     model, test = problem.model, problem.test
     solid = model.space == "3d" and model.element_order == "quadratic"
-    return POINTWISE if solid and test.kind == "indentation" else 0.0
+    return LOCAL_BULK if solid and test.kind == "indentation" else 0.0
 
 
 def _evenness(problem: Problem) -> float:
@@ -127,7 +127,7 @@ class System:
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space, _pointwise(problem), _evenness(problem)),
+            internal=Internal.on(space, _local_bulk(problem), _evenness(problem)),
             constraints=held,
             contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
