@@ -17,7 +17,7 @@ from study.forward.glue import TiedPoints, hold, nothing_held
 from study.forward.internal import (
     EVENNESS,
     EVENNESS_OF_SOLIDS,
-    POINTWISE,
+    LOCAL_BULK,
     Internal,
     StoredEnergy,
 )
@@ -75,11 +75,11 @@ class Assembly:
     contact: list[ContactState]
 
 
-def _pointwise(problem: Problem) -> float:
-    """Share of the bulk modulus that acts at every point, see :class:`Internal`."""
+def _local_bulk(problem: Problem) -> float:
+    """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
     model, test = problem.model, problem.test
     solid = model.space == "3d" and model.element_order == "quadratic"
-    return POINTWISE if solid and test.kind == "indentation" else 0.0
+    return LOCAL_BULK if solid and test.kind == "indentation" else 0.0
 
 
 def _evenness(problem: Problem) -> float:
@@ -133,7 +133,7 @@ class System:
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space, _pointwise(problem), _evenness(problem)),
+            internal=Internal.on(space, _local_bulk(problem), _evenness(problem)),
             constraints=held,
             contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),

@@ -39,7 +39,7 @@ def test_the_residual_is_the_derivative_of_the_stored_energy(
     """
     material = MATERIALS[name]
     system = system_of(material, space=space, element_order=order)
-    system.internal = replace(system.internal, evenness=20.0, pointwise=0.01)
+    system.internal = replace(system.internal, evenness=20.0, local_bulk=2.0)
     random = np.random.default_rng(3)
     x, v = (random.normal(size=system.space.n) for _ in range(2))
     n_u = system.space.n_displacement
