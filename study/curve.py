@@ -71,9 +71,23 @@ class Curve:
             than that. Zero where the work is not known.
         """
         off = np.abs(self._missed_mean())
-        if off.size > 1 and len(self) == off.size:  # there the work gives the slope at the origin
-            off[0] = off[1]
+        if len(self) == off.size and self.work_Nmm is not None:
+            off[0] = abs(self._missed_by_a_parabola())
         return off
+
+    def _missed_by_a_parabola(self) -> float:
+        """Mean force that a parabola from the origin lacks of the first interval's work, N.
+
+        The work of this interval gives the slope at the origin, so that nothing is left over to
+        tell how good its cubic is; what the cubic mends in the parabola tells that.
+        """
+        d, f = float(self.displacement_mm[0]), float(self.force_N[0])
+        slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
+        parabola = hermite_work(
+            np.array([0.0, d]), np.array([0.0, f]), np.array([2 * f / d - slope, slope])
+        )
+        work = 0.0 if self.work_Nmm is None else float(self.work_Nmm[0])
+        return (work - float(parabola[0])) / d
 
     def relative_interpolation_error(self) -> float:
         """Estimated error of the interpolation over the force, both root mean square."""

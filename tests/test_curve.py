@@ -32,7 +32,9 @@ def test_the_error_is_estimated_from_the_work() -> None:
     curve, d = sampled(5, 6), np.linspace(0.0, 2.0, 400)
     off = np.sqrt(np.mean((curve.force_at(d) - d**6) ** 2)) / np.sqrt(np.mean(d**12))
     assert 0 < off < curve.relative_interpolation_error() < 0.02
-    assert sampled(5, 3).relative_interpolation_error() == pytest.approx(0.0, abs=1e-12)
+    # of the first interval nothing is left over to judge its cubic by: it counts as a parabola
+    np.testing.assert_allclose(sampled(5, 3).interpolation_error_N()[1:], 0.0, atol=1e-12)
+    assert 0 < sampled(5, 3).relative_interpolation_error() < 1e-3
     assert sampled(5, 3, work=False).relative_interpolation_error() == 0.0
 
 

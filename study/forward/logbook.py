@@ -92,10 +92,14 @@ class Logbook:
         return self.warm_steps[at - 1].state if at else None, self.warm_steps[at].state
 
     def lies_between(self, loaded: LoadedState) -> bool:
-        """Whether no energy is missing on the way to a state, and from it to the next."""
+        """Whether a state is on the way between its neighbors.
+
+        Of another branch energy is missing on the way there, and too much on the way back. Before
+        the first state nothing is known that it could be held against.
+        """
         at, whole = int(np.searchsorted(self.reached, loaded.displacement_mm)), self._whole_mm
-        before = at == 0 or not jumped(self.states[at - 1], loaded, whole)
-        return before and not jumped(loaded, self.states[at], whole)
+        there = at > 0 and jumped(self.states[at - 1], loaded, whole)
+        return not (there and jumped(loaded, self.states[at], whole))
 
     def coarse_intervals(self, error: float) -> list[float]:
         """Middles of the intervals that make interpolation worse than ``error``.

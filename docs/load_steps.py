@@ -1,0 +1,97 @@
+"""How far a curve between its load steps can be trusted: the table of load-steps.md.
+
+    python docs/load_steps.py    solve, print the table (a minute)
+
+Every problem is neo-Hookean, axisymmetric, with quadratic triangles on the medium mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from study.curve import Curve
+from study.forward.mesh import build_mesh
+from study.forward.problem import Block, Cone, Cylinder, Flat, Model, Problem, Sphere, Test
+from study.forward.solve import Options, solve
+from study.material import Material
+from study.runner.fits import CURVE_ERROR
+from study.runner.scoring import relative_rms_force_error
+
+GEL = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
+#: another energy, which stands for a measured curve some per cent away
+MEASURED = Material(
+    "ogden", {"mu1": 5e-3, "alpha1": 3.0, "mu2": 5e-3, "alpha2": 1.5}, poisson_ratio=0.4995
+)
+BLOCK, MODEL = Block(60.0, 60.0, 40.0), Model()
+STEPS, EXACT = (5, 10, 20, 40), 160
+
+
+def problems() -> dict[str, Problem]:
+    """Three indenters and a disc between bonded plates."""
+    pressed = {
+        "needle, 4 mm": (Cone(30.0, 1.0, 3.0), 4.0),
+        "sphere of 5 mm, 3 mm": (Sphere(5.0), 3.0),
+        "rounded punch, 2 mm": (Flat(3.0, 0.3), 2.0),
+    }
+    found = {
+        name: Problem(
+            BLOCK, Test("indentation", depth, "frictionless", "bonded", indenter=tool), GEL, MODEL
+        )
+        for name, (tool, depth) in pressed.items()
+    }
+    disc = Test("compression", 6.0, "bonded", "bonded")
+    return found | {"bonded disc, 20 %": Problem(Cylinder(25.0, 30.0), disc, GEL, MODEL)}
+
+
+def rows(problem: Problem) -> Iterator[tuple[object, ...]]:
+    """Solve with every number of load steps; what is printed, one row a curve."""
+    mesh = build_mesh(problem)
+
+    def curve(steps: int, options: Options, material: Material = GEL) -> tuple[Curve, float]:
+        test = replace(problem.test, steps=steps)
+        found = solve(
+            replace(problem, test=test, material=material), gradients=False, mesh=mesh,
+            options=options,
+        )  # fmt: skip
+        return found.curve, found.energy.largest_mismatch
+
+    d = np.linspace(problem.test.displacement_mm / 16, problem.test.displacement_mm, 100)
+    exact = curve(EXACT, Options())[0].force_at(d)
+    other = curve(EXACT, Options(), MEASURED)[0].force_at(d)
+    measured = Curve(d, other)
+
+    def off(found: Curve) -> float:
+        return float(np.sqrt(np.mean((found.force_at(d) - exact) ** 2) / np.mean(exact**2)))
+
+    for steps in STEPS:
+        for options in (Options(), Options(curve_error=CURVE_ERROR)):
+            found, mismatch = curve(steps, options)
+            cubic = replace(found, work_Nmm=None)
+            yield (
+                steps, len(found), 100 * off(cubic), 100 * off(found),
+                100 * found.relative_interpolation_error(),
+                relative_rms_force_error(found, measured), 100 * mismatch,
+            )  # fmt: skip
+
+
+def main() -> None:
+    """Print the table."""
+    print("| problem | load steps | points | cubic | with the work | estimate | score | energy |")
+    print("|---|---|---|---|---|---|---|---|")
+    for name, problem in problems().items():
+        seen = set()
+        for steps, points, *numbers, mismatch in rows(problem):
+            if (steps, points) not in seen:
+                *errors, score = numbers
+                told = " | ".join(f"{error:.3f} %" for error in errors)
+                print(
+                    f"| {name} | {steps} | {points} | {told} | {score:.3f} % | {mismatch:.3f} % |"
+                )
+            seen.add((steps, points))
+
+
+if __name__ == "__main__":
+    main()
