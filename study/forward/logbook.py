@@ -67,9 +67,11 @@ class Logbook:
     def jumped_to(self, loaded: LoadedState) -> bool:
         """Whether energy is missing, or too much, since the last step written down.
 
-        The first step has none before it: the slope at first touch is not known.
+        Within the first requested step nothing is looked at: contact begins point by point there,
+        and the slope at first touch is not known.
         """
-        if not self.states:
+        first_mm = self._whole_mm / self.problem.test.steps
+        if not self.states or self.states[-1].displacement_mm < (1 - 1e-9) * first_mm:
             return False
         return jumped(self.states[-1], loaded, self._whole_mm)
 
