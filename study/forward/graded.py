@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from study.errors import MeshError
 from study.forward.mesh import Mesh
 from study.forward.problem import Block, Cone, Cylinder, Flat, Problem
+from study.forward.punched import has_room, punched
 from study.forward.sizes import SizeField, size_callback, size_field
 from study.forward.structured import (
     equivalent_radius,
@@ -55,7 +56,10 @@ def indentation_mesh(problem: Problem) -> Mesh:
         raise MeshError("a graded mesh needs a cylinder or a block")
     height, field = specimen.height_mm, sizes_of(problem)
     ring = _edge_of(problem.test.indenter)
-    if model.element_shape == "tensor":
+    solid = model.space == "3d"
+    if model.element_shape == "tensor" and solid and has_room(specimen, ring):
+        points, cells = punched(specimen, field)
+    elif model.element_shape == "tensor":
         points, cells = _grid(problem, specimen, field, ring)
     elif model.space == "axisymmetric":
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
