@@ -35,7 +35,7 @@ _EVEN, _EVEN_GROWTH = 4.0, 0.12
 #: the smaller an element at a sharp edge is, the sooner it collapses
 _SHALLOW = 0.1
 #: growth beyond a ring of hexahedra, and how much finer they are across a sharp edge
-_RING_GROWTH, _RING_FINER = 0.28, 3.0
+_RING_GROWTH, _RING_FINER = 0.27, 3.0
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH, _LARGEST = 0.4, 0.3
 
