@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from study.errors import Fault
 from study.forward.graded import UNDER_CONE, sizes_of
 from study.forward.mesh import mesh_size
-from study.forward.problem import Block, Cone, Problem, Surface
+from study.forward.problem import Block, Cone, Flat, Problem, Surface
+from study.forward.punched import BULGE, CORE, around, has_room, inward
 from study.forward.sizes import SizeField
 from study.forward.structured import CORNER_FRACTION, GROWTH, equivalent_radius
 
@@ -168,11 +169,27 @@ def _grid(problem: Problem, field: SizeField, radius: float) -> float:
         return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
 
     high = _steps(specimen.height_mm, 0.0, field, along_axis)
+    solid = problem.model.space == "3d"
+    if solid and isinstance(pressed, Flat) and has_room(specimen, field.ring_mm):
+        return high * _rings(field, radius)
     if problem.model.space == "axisymmetric":
         return high * along_top(radius)
     if isinstance(specimen, Block):
         return high * along_top(specimen.width_mm / 2) * along_top(specimen.depth_mm / 2)
     return high * _disc(along_top(radius / 2), along_top(radius))
+
+
+def _rings(field: SizeField, radius: float) -> float:
+    """Quadrilaterals of :func:`study.forward.punched.punched` over a cross-section."""
+    n, ring = around(field), field.ring_mm
+    core = 0.5 * (1 + BULGE) * CORE * ring
+
+    def sizes(own: SizeField, start: float, end: float) -> float:
+        places = _places(radius, ring, own)
+        places = np.unique(np.clip(places, start, end))
+        return float(np.trapezoid(1 / own.at(places, own.top_mm), places))
+
+    return n**2 + 2 * n * (sizes(inward(field), core, ring) + sizes(field, ring, radius))
 
 
 def _steps(length: float, at: float, field: SizeField, size: Callable[[Array], Array]) -> float:

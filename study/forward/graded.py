@@ -10,7 +10,7 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from study.errors import MeshError
 from study.forward.mesh import Mesh
 from study.forward.problem import Block, Cone, Cylinder, Flat, Problem
 from study.forward.punched import has_room, punched
-from study.forward.sizes import SizeField, size_callback, size_field
+from study.forward.sizes import SizeField, size_field
 from study.forward.structured import (
     equivalent_radius,
     extrude,
@@ -41,6 +41,16 @@ _FRONTAL, _DELAUNAY = 6, 1
 UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
 #: smallest quality (gmsh's inverse condition number) of a tetrahedron or triangle
 _POOREST = 0.02
+
+
+class Sizes(Protocol):
+    """Sizes of elements, as gmsh asks for them."""
+
+    def numbers(self) -> tuple[float, ...]:
+        """All that the size at a place depends on."""
+
+    def callback(self, dim: int) -> Any:
+        """C function of these numbers and a place."""
 
 
 def indentation_mesh(problem: Problem) -> Mesh:
@@ -146,7 +156,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(field: SizeField, dim: int) -> Iterator[Any]:
+def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -162,7 +172,7 @@ def gmsh_session(field: SizeField, dim: int) -> Iterator[Any]:
         address, failed = numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int()
         # not through gmsh's Python function: its calls back take longer than the mesh
         gmsh.lib.gmshModelMeshSetSizeCallback(
-            size_callback(dim).ctypes, address, ctypes.byref(failed)
+            field.callback(dim).ctypes, address, ctypes.byref(failed)
         )
         if failed.value:
             raise MeshError(f"gmsh: {gmsh.logger.getLastError()}")

@@ -98,6 +98,10 @@ class SizeField:
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
         )  # fmt: skip
 
+    def callback(self, dim: int) -> Any:
+        """C function that tells gmsh the size at a place."""
+        return size_callback(dim)
+
     def scaled(self, factor: float) -> SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
         return replace(
