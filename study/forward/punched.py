@@ -1,7 +1,8 @@
 """Hexahedra under a flat punch: rings of them that follow the edge of its face.
 
 In the middle lies a square block with bulging sides, around it a ring of blocks out to the
-circle of the face, and another out to the sides of the specimen. Nodes lie on the circle
+circle of the face, and another out to the sides of the specimen, or to a square where it is a
+block that is longer than wide. Nodes lie on the circle
 whatever the size, so that what the punch holds is a disc on every mesh of a series.
 """
 
@@ -9,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.problem import Block, Cylinder
+from study.forward.problem import Block, Cylinder, Specimen
 from study.forward.sizes import SizeField
 from study.forward.structured import counted, extrude, line_from, rectangle, spread
 
@@ -36,22 +38,31 @@ _COLUMNS = 65
 
 def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Cells]:
     """Hexahedra of a quarter specimen, one ring of nodes on the circle of radius ``ring_mm``."""
-    depth = line_from(field.top_mm, lambda s: _below(field, field.ring_mm, s))
-    core, rings = _plane(specimen, field, depth)
-    plane, quads = _joined(core, rings[0])
-    points, cells = extrude(plane, quads, -depth[::-1])
-    middle = np.broadcast_to(core.reshape(-1, 2), (depth.size, core.size // 2, 2))
-    around_it = rings[:, 1:].reshape(depth.size, -1, 2)
-    points[:, :2] = np.concatenate([middle, around_it], axis=1)[::-1].reshape(-1, 2)
-    points[:, 2] = field.top_mm - _depths(plane, depth, field)[:, ::-1].T.ravel()
+    depth = line_from(field.top_mm, partial(_below, field, field.ring_mm))
+    core, rings = _rings(specimen, field, depth)
+    beyond = _beyond(specimen, field, rings[0, -1])
+    plane = np.concatenate(
+        [
+            np.broadcast_to(core.reshape(-1, 2), (depth.size, core.size // 2, 2)),
+            rings[:, 1:].reshape(depth.size, -1, 2),
+            np.broadcast_to(beyond.reshape(-1, 2), (depth.size, beyond.size // 2, 2)),
+        ],
+        axis=1,
+    )
+    quads = _quadrilaterals(len(core), rings.shape[1] - 1, beyond)
+    points, cells = extrude(plane[0], quads, -depth[::-1])
+    points[:, :2] = plane[::-1].reshape(-1, 2)
+    points[:, 2] = field.top_mm - _depths(plane[0], depth, field)[:, ::-1].T.ravel()
     return points, cells
 
 
-def has_room(specimen: Cylinder | Block, ring: float) -> bool:
+def has_room(specimen: Specimen, ring: float) -> bool:
     """Whether a circle lies inside a cross-section, so that cells fit in around it."""
     if isinstance(specimen, Cylinder):
         return 0 < ring < specimen.radius_mm * (1 - 1e-6)
-    return 0 < ring < min(specimen.width_mm, specimen.depth_mm) / 2 * (1 - 1e-6)
+    if isinstance(specimen, Block):
+        return 0 < ring < min(specimen.width_mm, specimen.depth_mm) / 2 * (1 - 1e-6)
+    return False
 
 
 def around(field: SizeField) -> int:
@@ -67,21 +78,19 @@ def inward(field: SizeField) -> SizeField:
     return replace(field, growth=INWARD * field.growth)
 
 
-def _plane(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[Array, Array]:
+def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[Array, Array]:
     """Middle block, shape (n, n, 2), and the rings around it at each depth, inside out."""
     ring, n = field.ring_mm, around(field)
     angles = np.linspace(0, np.pi / 2, 2 * n + 1)
-    core, sides = _core(ring, angles), _sides(specimen, angles)
+    ray = np.column_stack([np.cos(angles), np.sin(angles)])
+    ray[0, 1] = ray[-1, 0] = 0.0
+    core, sides = _core(ring, ray), _sides(specimen, ray)
     inner = _rays(ring - np.hypot(*core.T), lambda s: inward(field).at(ring - s, field.top_mm))
     outer = _outer(np.hypot(*sides.T) - ring, field, depth)
     inside = np.broadcast_to(ring - inner[:, ::-1], (depth.size, *inner.shape))
-    radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2)
-    # rays run out from the circle and turn towards where the side is divided
-    turn = np.linspace(0, 1, outer.shape[2])[1:] * (np.arctan2(*sides.T[::-1]) - angles)[:, None]
-    turned = angles[:, None] + np.hstack([np.zeros(inner.shape), turn])
-    rings = np.stack([radii * np.cos(turned), radii * np.sin(turned)], axis=-1).swapaxes(1, 2)
+    radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2).swapaxes(1, 2)
+    rings = radii[..., None] * ray
     rings[:, 0], rings[:, -1] = core, sides
-    rings[:, :, 0, 1] = rings[:, :, -1, 0] = 0.0
     return _filled(core), rings
 
 
@@ -94,35 +103,47 @@ def _rays(lengths: Array, size: Size) -> Array:
 
 def _outer(lengths: Array, field: SizeField, depth: Array) -> Array:
     """Points along rays from the circle outward at each depth, (n_depths, n_rays, n_points)."""
-    straight = _rays(lengths, lambda s: field.at(field.ring_mm + s, field.top_mm))
+    straight = _rays(lengths, partial(_beside, field, 0.0))
     steps = straight.shape[1] - 1
-    asked = [[_even(length, steps, lambda s, down=down: _beside(field, s, down))
-              for length in lengths] for down in depth]  # fmt: skip
-    return np.asarray((1 - _BENT) * straight + _BENT * np.array(asked))
+    asked = np.array(
+        [[_even(length, steps, partial(_beside, field, down)) for length in lengths]
+         for down in depth]
+    )  # fmt: skip
+    return np.asarray((1 - _BENT) * straight + _BENT * asked)
 
 
-def _core(ring: float, angles: Array) -> Array:
-    """Border of the middle block, shape (n, 2)."""
-    ray = np.column_stack([np.cos(angles), np.sin(angles)])
+def _core(ring: float, ray: Array) -> Array:
+    """Border of the middle block along unit vectors, shape (n, 2)."""
     # 0 on the axes, 1 at the corner of a square
     corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
-    border = CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray
-    border[0, 1] = border[-1, 0] = 0.0
-    return np.asarray(border)
+    return np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray)
 
 
-def _sides(specimen: Cylinder | Block, angles: Array) -> Array:
-    """Points on the sides of the quarter specimen, shape (n, 2); that of 45 deg is a corner.
+def _sides(specimen: Cylinder | Block, ray: Array) -> Array:
+    """Outer ends of the rays: on the side of a cylinder, or on a square that fits in a block.
 
     The polygon of a cylinder has the exact area of the quarter disc.
     """
-    ray = np.column_stack([np.cos(angles), np.sin(angles)])
-    ray[0, 1] = ray[-1, 0] = 0.0
     if isinstance(specimen, Cylinder):
-        step = angles[1] - angles[0]
+        step = np.arctan2(ray[1, 1], ray[1, 0])
         return np.asarray(specimen.radius_mm * np.sqrt(step / np.sin(step)) * ray)
-    half = np.array([specimen.width_mm / 2, specimen.depth_mm / 2])
+    half = min(specimen.width_mm, specimen.depth_mm) / 2
     return np.asarray(half * ray / ray.max(axis=1, keepdims=True))
+
+
+def _beyond(specimen: Cylinder | Block, field: SizeField, sides: Array) -> Array:
+    """Points of what a block has beyond that square, shape (n_lines, n + 1, 2)."""
+    n = len(sides) // 2
+    if isinstance(specimen, Cylinder) or specimen.width_mm == specimen.depth_mm:
+        return np.zeros((0, n + 1, 2))
+    axis = 0 if specimen.width_mm > specimen.depth_mm else 1
+    start, end = sides[n, axis], max(specimen.width_mm, specimen.depth_mm) / 2
+    s, count = counted(end - start, partial(_beside, field, 0.0, start=start))
+    line = start + spread(s, count, max(1, round(float(count[-1]))))[1:]
+    side = sides[: n + 1] if axis == 0 else sides[n:]
+    points = np.tile(side, (line.size, 1, 1))
+    points[:, :, axis] = line[:, None]
+    return points
 
 
 def _filled(border: Array) -> Array:
@@ -141,27 +162,33 @@ def _filled(border: Array) -> Array:
     return np.asarray(sides - u * (1 - v) * border[0] - (1 - u) * v * border[-1] - u * v * corner)
 
 
-def _joined(core: Array, rings: Array) -> tuple[Array, Cells]:
-    """Quadrilaterals of the middle block and of the rings; they share the first ring."""
-    n = len(core) - 1
-    _, quads = rectangle(np.arange(n + 1.0), np.arange(n + 1.0), "tensor")
-    index = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
-    border = np.concatenate([index[:, n], index[n, n - 1 :: -1]])
-    new = index.size + np.arange((len(rings) - 1) * border.size).reshape(-1, border.size)
-    number = np.vstack([border, new])
+def _quadrilaterals(side: int, rings: int, beyond: Array) -> Cells:
+    """Corners: of the middle block with ``side`` points, of the rings, and of what is beyond."""
+    _, quads = rectangle(np.arange(float(side)), np.arange(float(side)), "tensor")
+    index = np.arange(side**2).reshape(side, side)
+    border = np.concatenate([index[:, -1], index[-1, -2::-1]])
+    new = index.size + np.arange(rings * border.size).reshape(rings, -1)
+    found = [quads, _strips(np.vstack([border, new]))]
+    if len(beyond):
+        along_x = beyond[0, 0, 1] == 0
+        last = new[-1, :side] if along_x else new[-1, side - 1 :]
+        lines = new.max() + 1 + np.arange(len(beyond) * side).reshape(-1, side)
+        found.append(_strips(np.vstack([last, lines])))
+    return np.vstack(found)
+
+
+def _strips(number: Cells) -> Cells:
+    """Quadrilaterals between numbered lines of points, each further out than the last."""
     near, far = number[:-1], number[1:]
-    cells = np.stack([near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]], axis=-1)
-    points = np.vstack([core.reshape(-1, 2), rings[1:].reshape(-1, 2)])
-    return points, np.vstack([quads, cells.reshape(-1, 4)])
+    cells = [near[:, :-1], far[:, :-1], far[:, 1:], near[:, 1:]]
+    return np.stack(cells, axis=-1).reshape(-1, 4)
 
 
 def _depths(plane: Array, depth: Array, field: SizeField) -> Array:
     """Depths of the layers under each point of the plane mesh, shape (n_points, n_layers + 1)."""
     rho, steps = np.hypot(*plane.T), depth.size - 1
     radii = np.linspace(0, rho.max(), _COLUMNS)
-    own = np.array(
-        [_even(field.top_mm, steps, lambda s, at=at: _below(field, at, s)) for at in radii]
-    )
+    own = np.array([_even(field.top_mm, steps, partial(_below, field, at)) for at in radii])
     place = rho / rho.max() * (_COLUMNS - 1)
     low = np.minimum(place.astype(int), _COLUMNS - 2)
     part = (place - low)[:, None]
@@ -179,6 +206,6 @@ def _below(field: SizeField, radius: float, depth: Array) -> Array:
     return field.at(radius, field.top_mm - depth)
 
 
-def _beside(field: SizeField, away: Array, depth: float) -> Array:
-    """Sizes away from the edge, at a depth."""
-    return field.at(field.ring_mm + away, field.top_mm - depth)
+def _beside(field: SizeField, depth: float, away: Array, start: float | None = None) -> Array:
+    """Sizes away from the edge, or from another radius, at a depth."""
+    return field.at((field.ring_mm if start is None else start) + away, field.top_mm - depth)

@@ -27,8 +27,8 @@ Cells = NDArray[np.int64]
 FEATURE = np.radians(35.0)
 #: reference sizes in one cube root of the volume; coarser than for half or quarter models
 CELLS_PER_LENGTH = 12.0
-#: the same where elements get smaller towards bonded plates: as many elements in all
-GRADED_PER_LENGTH = 8.0
+#: the same where elements get smaller towards bonded plates: as many in all on a medium mesh
+GRADED_PER_LENGTH = 6.5
 #: largest part of the volume that straight-sided elements may cut off
 _LOST = 0.05
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
