@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from study.errors import Fault
 from study.forward.graded import UNDER_CONE, sizes_of
 from study.forward.mesh import mesh_size
-from study.forward.problem import Block, Cone, Problem, Surface
+from study.forward.problem import Block, Cone, Flat, Problem, Specimen, Surface
+from study.forward.punched import BULGE, CORE, around, has_room, inward
 from study.forward.sizes import SizeField
 from study.forward.structured import CORNER_FRACTION, GROWTH, equivalent_radius
 
@@ -168,11 +169,34 @@ def _grid(problem: Problem, field: SizeField, radius: float) -> float:
         return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
 
     high = _steps(specimen.height_mm, 0.0, field, along_axis)
+    solid = problem.model.space == "3d"
+    if solid and isinstance(pressed, Flat) and has_room(specimen, field.ring_mm):
+        return high * _rings(specimen, field)
     if problem.model.space == "axisymmetric":
         return high * along_top(radius)
     if isinstance(specimen, Block):
         return high * along_top(specimen.width_mm / 2) * along_top(specimen.depth_mm / 2)
     return high * _disc(along_top(radius / 2), along_top(radius))
+
+
+def _rings(specimen: Specimen, field: SizeField) -> float:
+    """Quadrilaterals of :func:`study.forward.punched.punched` over a cross-section."""
+    n, ring = around(field), field.ring_mm
+    half = equivalent_radius(specimen)
+    if isinstance(specimen, Block):  # the mean of where rays meet a square
+        half = 0.56 * min(specimen.width_mm, specimen.depth_mm)
+    core = 0.5 * (1 + BULGE) * CORE * ring
+
+    def steps(own: SizeField, start: float, end: float) -> float:
+        places = np.unique(np.clip(_places(end, ring, own), start, end))
+        return float(np.trapezoid(1 / own.at(places, own.top_mm), places))
+
+    around_it = steps(inward(field), core, ring) + steps(field, ring, max(half, ring))
+    beyond = 0.0
+    if isinstance(specimen, Block):
+        ends = sorted((specimen.width_mm / 2, specimen.depth_mm / 2))
+        beyond = steps(field, *ends)
+    return n**2 + 2 * n * around_it + n * beyond
 
 
 def _steps(length: float, at: float, field: SizeField, size: Callable[[Array], Array]) -> float:

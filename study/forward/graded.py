@@ -10,7 +10,7 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from study.errors import MeshError
 from study.forward.mesh import Mesh
 from study.forward.problem import Block, Cone, Cylinder, Flat, Problem
-from study.forward.sizes import SizeField, size_callback, size_field
+from study.forward.punched import has_room, punched
+from study.forward.sizes import SizeField, size_field
 from study.forward.structured import (
     equivalent_radius,
     extrude,
@@ -42,6 +43,16 @@ UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
 _POOREST = 0.02
 
 
+class Sizes(Protocol):
+    """Sizes of elements, as gmsh asks for them."""
+
+    def numbers(self) -> tuple[float, ...]:
+        """All that the size at a place depends on."""
+
+    def callback(self, dim: int) -> Any:
+        """C function of these numbers and a place."""
+
+
 def indentation_mesh(problem: Problem) -> Mesh:
     """Mesh of an indented cylinder or block.
 
@@ -55,7 +66,10 @@ def indentation_mesh(problem: Problem) -> Mesh:
         raise MeshError("a graded mesh needs a cylinder or a block")
     height, field = specimen.height_mm, sizes_of(problem)
     ring = _edge_of(problem.test.indenter)
-    if model.element_shape == "tensor":
+    solid = model.space == "3d"
+    if model.element_shape == "tensor" and solid and has_room(specimen, ring):
+        points, cells = punched(specimen, field)
+    elif model.element_shape == "tensor":
         points, cells = _grid(problem, specimen, field, ring)
     elif model.space == "axisymmetric":
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
@@ -142,7 +156,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(field: SizeField, dim: int) -> Iterator[Any]:
+def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -158,7 +172,7 @@ def gmsh_session(field: SizeField, dim: int) -> Iterator[Any]:
         address, failed = numbers.ctypes.data_as(ctypes.c_void_p), ctypes.c_int()
         # not through gmsh's Python function: its calls back take longer than the mesh
         gmsh.lib.gmshModelMeshSetSizeCallback(
-            size_callback(dim).ctypes, address, ctypes.byref(failed)
+            field.callback(dim).ctypes, address, ctypes.byref(failed)
         )
         if failed.value:
             raise MeshError(f"gmsh: {gmsh.logger.getLastError()}")

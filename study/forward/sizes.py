@@ -34,6 +34,8 @@ _EVEN, _EVEN_GROWTH = 4.0, 0.12
 #: up to this depth over the radius the last of them is halved, and with it the error; deeper,
 #: the smaller an element at a sharp edge is, the sooner it collapses
 _SHALLOW = 0.1
+#: growth beyond a ring of hexahedra, and how much finer they are across a sharp edge
+_RING_GROWTH, _RING_FINER = 0.27, 3.0
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH, _LARGEST = 0.4, 0.3
 
@@ -95,6 +97,10 @@ class SizeField:
             self.top_mm, self.finest_mm, self.largest_mm, self.feature_mm, self.ring_mm,
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
         )  # fmt: skip
+
+    def callback(self, dim: int) -> Any:
+        """C function that tells gmsh the size at a place."""
+        return size_callback(dim)
 
     def scaled(self, factor: float) -> SizeField:
         """Return the field with every size and the growth multiplied by ``factor``."""
@@ -218,6 +224,8 @@ def size_field(
     reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
     if sharp_edge(indenter) and model.space == "axisymmetric":
         reference = _about_sharp_edge(reference, indenter, depth_mm)
+    if isinstance(indenter, Flat) and (model.space, model.element_shape) == ("3d", "tensor"):
+        reference = _of_rings(reference, indenter, depth_mm)
     if isinstance(indenter, Cone) and (model.element_order, model.element_shape) == _STRETCHED:
         reference = _under_tip(reference, indenter, _TIP_CORE[model.space])
     if model.mesh_size_mm is not None:
@@ -232,6 +240,16 @@ def _about_sharp_edge(field: SizeField, indenter: Indenter, depth_mm: float) -> 
     """
     halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
     return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
+
+
+def _of_rings(field: SizeField, indenter: Flat, depth_mm: float) -> SizeField:
+    """Sizes of rings of hexahedra around an edge, which are cheap to be small across it.
+
+    Linear ones need a slower growth; the singular edge takes as much off the force as they do.
+    """
+    shallow = sharp_edge(indenter) and depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm)
+    finest = field.finest_mm / (_RING_FINER if shallow else 1.0)
+    return replace(field, finest_mm=finest, growth=_RING_GROWTH)
 
 
 def _under_tip(field: SizeField, cone: Cone, core: float) -> SizeField:

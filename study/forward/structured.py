@@ -64,12 +64,26 @@ def line_from(length: float, size: Callable[[Array], Array]) -> Array:
     A whole number of steps is off by up to half a step; that is laid where the steps are
     many, with the square of their number, so that a series of sizes is alike at the start.
     """
-    s = length * np.linspace(0.0, 1.0, 8001) ** 2  # sizes may jump next to the start
+    s, count = counted(length, size)
+    return spread(s, count, max(2, round(float(count[-1]))))
+
+
+def counted(
+    length: float, size: Callable[[Array], Array], places: int = 8001
+) -> tuple[Array, Array]:
+    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them."""
+    s = length * np.linspace(0.0, 1.0, places) ** 2  # sizes may jump next to the start
     density = 1 / size(s)
-    count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
-    n = max(2, round(float(count[-1])))
+    return s, np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
+
+
+def spread(s: Array, count: Array, n: int) -> Array:
+    """Points of ``n`` steps, the first of which are as large as those that were counted.
+
+    What there is to gain or to lose grows with the square of the steps, unless it is too much.
+    """
     k, rest = np.arange(n + 1), count[-1] - n
-    steps = k + rest * (k / n) ** 2 if abs(rest) <= 0.5 else k * count[-1] / n
+    steps = k + rest * (k / n) ** 2 if -n / 4 <= rest <= n / 2 else k * count[-1] / n
     points = np.interp(steps, count, s)
     points[0], points[-1] = s[0], s[-1]
     return np.asarray(points)

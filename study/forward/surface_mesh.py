@@ -18,6 +18,7 @@ from study.forward.mesh import Mesh
 from study.forward.problem import Problem, Surface, mesh_level
 from study.forward.sizes import SizeField, size_field
 from study.forward.surface import Body, body
+from study.forward.surface_sizes import SizeTable, expected_cubes, graded_table
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -26,6 +27,8 @@ Cells = NDArray[np.int64]
 FEATURE = np.radians(35.0)
 #: reference sizes in one cube root of the volume; coarser than for half or quarter models
 CELLS_PER_LENGTH = 12.0
+#: the same where elements get smaller towards bonded plates: as many in all on a medium mesh
+GRADED_PER_LENGTH = 6.5
 #: largest part of the volume that straight-sided elements may cut off
 _LOST = 0.05
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
@@ -44,12 +47,14 @@ def surface_mesh(problem: Problem) -> Mesh:
     """
     found = _body_of(problem)
     field = _field(problem, found)
-    points, cells = _tetrahedra(found, field)
+    plates = _bonded(problem, found)
+    sizes = graded_table(found, field.size_mm, plates) if plates else field
+    points, cells = _tetrahedra(found, sizes)
     points = snapped(points, [(2, 0.0), (2, found.height_mm)])
     points = _standing(points, found.height_mm)
     _check_volume(points, cells, found.volume_mm3, field.size_mm)
     points, cells = _same_volume(points, cells, found.volume_mm3), turned(points, cells)
-    return Mesh(points, cells, False, field.size_mm, field.finest_mm)
+    return Mesh(points, cells, False, field.size_mm, sizes.finest_mm)
 
 
 def surface_mesh_size(problem: Problem) -> float:
@@ -66,7 +71,9 @@ def expected_unknowns(problem: Problem) -> float:
     found = _body_of(problem)
     field = _field(problem, found)
     if problem.test.kind == "compression":
-        cubes = found.volume_mm3 / field.size_mm**3
+        plates = _bonded(problem, found)
+        uniform = found.volume_mm3 / field.size_mm**3
+        cubes = expected_cubes(found, field.size_mm, plates) if plates else uniform
     else:
         reach = (3 * found.volume_mm3 / (2 * np.pi)) ** (1 / 3)  # a half ball of the same volume
         s = np.linspace(0, reach, 2001)
@@ -82,15 +89,27 @@ def _body_of(problem: Problem) -> Body:
 
 
 def _field(problem: Problem, found: Body) -> SizeField:
+    """Sizes of an indented surface; of a compressed one before bonded plates are looked at."""
     test, model = problem.test, problem.model
     if test.kind == "compression" or test.indenter is None:
-        usual = found.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH
+        per_length = GRADED_PER_LENGTH if _bonded(problem, found) else CELLS_PER_LENGTH
+        usual = found.volume_mm3 ** (1 / 3) / per_length
         return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
     extent = min(found.height_mm, found.half_width_mm)
     return size_field(model, test.indenter, test.displacement_mm, found.height_mm, extent)
 
 
-def _tetrahedra(found: Body, field: SizeField) -> tuple[Array, Cells]:
+def _bonded(problem: Problem, found: Body) -> tuple[float, ...]:
+    """Heights of the bonded faces of a compressed surface."""
+    test, plates = problem.test, []
+    if test.kind == "compression" and test.base == "bonded" and found.touches("base"):
+        plates.append(0.0)
+    if test.kind == "compression" and test.interface == "bonded" and found.touches("top"):
+        plates.append(found.height_mm)
+    return tuple(plates)
+
+
+def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Cells]:
     with gmsh_session(field, 3) as gmsh:
         try:
             _enclose(gmsh, found)
