@@ -163,7 +163,7 @@ class Internal:
     @property
     def _mixed(self) -> bool:
         """Whether there are pressure unknowns."""
-        return self.space.pressure_shape.shape[2] > 0
+        return bool(self.space.pressure_shape.shape[2] > 0)
 
     def pointwise_bulk(self, material: Material) -> float:
         """Bulk modulus that acts on J at every quadrature point, MPa."""
