@@ -133,9 +133,9 @@ def test_linear_hexahedra_converge_from_above() -> None:
 
 
 def test_quadratic_hexahedra_are_right_on_a_coarse_mesh() -> None:
-    """Measured: 0.6 %, of which the linear ones on it have 3.8 %."""
+    """Measured: -0.1 %, about as much as the reference is uncertain; linear ones have 3.8 %."""
     found = force(punch(mesh="coarse", element_order="quadratic")) / FORCE - 1
-    assert 0 < found < 0.007
+    assert abs(found) < 0.003
 
 
 @pytest.mark.slow
