@@ -111,3 +111,17 @@ def test_a_solid_under_a_flat_end_goes_on_to_its_radius(element_order: str, mesh
     assert np.all(np.diff(found.curve.force_N) > 0)
     # equilibrium of the specimen alone: what drags on the way is gone
     np.testing.assert_allclose(found.base_reaction_N, found.curve.force_N, rtol=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_a_neo_hookean_solid_under_a_flat_end_goes_on_to_its_radius() -> None:
+    """The run that asks most of the local bulk modulus: with 3 shear moduli 420 s did not do."""
+    soft = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.4995)
+    problem = indentation(
+        Flat(3, 0.3), 3.0, material=soft, mesh="coarse", space="3d", steps=8,
+        element_order="quadratic",
+    )  # fmt: skip
+    found = solve(problem, gradients=False)
+    assert found.converged, found.message
+    assert np.all(np.diff(found.curve.force_N) > 0)
