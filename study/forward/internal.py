@@ -31,7 +31,8 @@ LOCAL_BULK = 5.0
 #: kappa over the shear modulus, of linear simplices, whose bubbles collapse without it
 EVENNESS = 20.0
 #: kappa over the shear modulus, of quadratic tetrahedra: a softening energy under a cone stops at
-#: 3.2 to 3.4 mm of 4 with 100 (bounds of 0 to 3 mu0); a neo-Hookean one has the same force at 2 mm within 0.01 %
+#: 3.2 to 3.4 mm of 4 with 100 (bounds of 0 to 3 mu0); a neo-Hookean one has the same force at
+#: 2 mm within 0.01 %
 EVENNESS_OF_SOLIDS = 1000.0
 #: stands for a volume measure that is not positive, where that means nothing
 _SMALLEST = 1e-6

@@ -277,14 +277,15 @@ def _fit_summary(directions: Sequence[Mapping[str, Any]]) -> dict[str, Any] | No
         "usable", "stability",
         "evaluations", "newton_iterations", "solves", "seconds", "mu0", "resampling",
     )  # fmt: skip
-    found = {
-        d["fit_label"] or "all": {
-            "key": d["fit_key"],
-            **{k: d["fit"][k] for k in keep if k in d["fit"]},
-        }
-        for d in directions
-        if d["fit"] is not None
-    }
+    found: dict[str, Any] = {}
+    for d in directions:
+        if d["fit"] is None:
+            continue
+        name = d["fit_label"] or "all"
+        if name in found and found[name]["key"] != d["fit_key"]:
+            # with one specimen left out, both directions fit "all but" it, to other curves
+            name = f"{name}, to score {d['label']}"
+        found[name] = {"key": d["fit_key"], **{k: d["fit"][k] for k in keep if k in d["fit"]}}
     return found or None
 
 
