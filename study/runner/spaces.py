@@ -159,7 +159,8 @@ def compared(pair: Pair, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]
     if failed:
         return row | {"message": failed[0]}
     flat, solid = (Curve.from_dict(result["curve"]) for result in results)
-    apart = solid.force_N / flat.force_N - 1
-    deep = flat.displacement_mm >= flat.displacement_mm.max() / 2
+    # each may have load steps of its own, where its curve bends
+    apart = solid.force_N / flat.force_at(solid.displacement_mm) - 1
+    deep = solid.displacement_mm >= solid.displacement_mm.max() / 2
     largest = apart[deep][abs(apart[deep]).argmax()]
     return row | {"at_end": float(apart[-1]), "largest": float(largest)}

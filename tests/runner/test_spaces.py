@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -127,6 +128,19 @@ def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Reco
     (check,) = checks_of_spaces((row,))
     assert "1 mm" in check.finding
     assert check.outcome in ("pass", "caution")
+
+
+def test_each_space_may_have_load_steps_of_its_own(work: Work, records: dict[str, Record]) -> None:
+    """Steps are added where a curve bends, and two spaces bend at different places."""
+    (pair,) = pairs(work, records)
+
+    def solution(d: list[float], stiffer: float) -> dict[str, Any]:
+        curve = {"displacement_mm": d, "force_N": [stiffer * v for v in d]}
+        return {"status": "converged", "dofs": 9, "curve": curve}
+
+    row = compared(pair, [solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02)])
+    assert row["at_end"] == pytest.approx(0.02)
+    assert row["largest"] == pytest.approx(0.02)
 
 
 def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) -> None:
