@@ -75,9 +75,9 @@ def influence(fit: Factored) -> Influence:
 def _regression(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
     """Fit on its orthonormal columns, with the response less its reference value.
 
-    Without that shift statsmodels keeps 0 to 2 of the 4 digits of F on NIST's SmLs09, whose
-    values are 1e12 with a spread of 0.1. The pseudo-inverse of orthonormal columns is their
-    transpose, so nothing is factored again.
+    The values of NIST's SmLs09 are 1e12 with a spread of 0.1: with the shift the largest Cook's
+    distance has 14.9 digits, without it statsmodels leaves 0.5. The pseudo-inverse of
+    orthonormal columns is their transpose, so nothing is factored again.
     """
     from statsmodels.regression.linear_model import OLS, OLSResults
 

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from study.analysis import analyze
 from study.analysis.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
 from study.analysis.matrix import model_matrix, terms_of
 from study.analysis.power import detectable, power_of
@@ -97,6 +98,23 @@ def test_influence_and_hc3_against_statsmodels(table: pd.DataFrame) -> None:
     wald = robust.wald_test_terms(scalar=True).table
     for term, name in [("a", "C(a, Sum)"), ("b", "C(b, Sum)"), ("a:b", "C(a, Sum):C(b, Sum)")]:
         assert hc3(fit)[term].f == pytest.approx(float(wald.loc[name, "statistic"]), rel=1e-8)
+
+
+def test_press_is_the_error_at_a_row_left_out(table: pd.DataFrame) -> None:
+    _, fit = fitted(table)
+    y, cell = table["y"].to_numpy(), (table["a"] + table["b"]).to_numpy()
+    left_out = [y[i] - np.delete(y, i)[np.delete(cell, i) == cell[i]].mean() for i in range(y.size)]
+    assert influence(fit).press == pytest.approx(left_out, rel=1e-10)
+
+
+def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
+    """Deterministic runs repeat exactly: the covariance of a contrast between them is zero."""
+    still = table["a"] != "z"
+    table.loc[still, "y"] = table[still].groupby(["a", "b"])["y"].transform("first")
+    _, fit = fitted(table)
+    test = hc3(fit)["a:b"]
+    assert (test.p, test.reason) == (None, "cells without spread: a singular covariance")
+    assert analyze(table, "y", ["a", "b"], exact=False).robustness.p["a:b"]["HC3 Wald"] is None
 
 
 def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:
