@@ -31,3 +31,19 @@ def test_import_is_light(module: str) -> None:
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert run.stdout.split() == []
+
+
+def test_an_analysis_without_a_fit_loads_no_statsmodels() -> None:
+    """It takes a few tenths of a second, and only influence, PRESS, HC3 and Holm need it."""
+    code = """
+import sys
+import pandas as pd
+from study.analysis import analyze
+rows = [(a, b, c) for a in "xy" for b in "pq" for c in "mn"]
+table = pd.DataFrame(rows, columns=list("abc")).assign(y=[1.0, 4, 2, 8, 5, 7, 3, 9])
+analyze(table, "y", list("abc"), exact=False)
+print(*sorted(name for name in sys.modules if name == "statsmodels"))
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split() == []

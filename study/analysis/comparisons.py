@@ -150,12 +150,9 @@ def holm(p: ArrayLike) -> Array:
     >>> holm([0.01, 0.04, 0.03]).tolist()
     [0.03, 0.06, 0.06]
     """
-    raw = np.asarray(p, dtype=float)
-    order = np.argsort(raw)
-    stepped = np.maximum.accumulate(raw[order] * np.arange(raw.size, 0, -1))
-    adjusted = np.empty_like(raw)
-    adjusted[order] = np.minimum(stepped, 1.0)
-    return adjusted
+    from statsmodels.stats.multitest import multipletests
+
+    return np.asarray(multipletests(np.asarray(p, dtype=float), method="holm")[1])
 
 
 def _family(

@@ -102,6 +102,8 @@ def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: flo
     def gap(d: float) -> float:
         return _power(n * d**2 / 2, df, alpha) - power
 
+    # statsmodels 0.15 would end here, without a warning, at a power of 0.05 for 3 or 5 blocks:
+    # its solve_power takes a root of f^2 between -1 and 1
     high = 1.0
     while gap(high) < 0:
         high *= 2

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from study.analysis.checks import eta_interval
-from study.analysis.matrix import Array, term_name
+from study.analysis.matrix import term_name
 from study.analysis.outcome import Outcome
+from study.analysis.remedies import influence
 from study.analysis.results import ModelSummary, Row
 from study.analysis.sums import Factored, TermSum
 
@@ -95,16 +96,11 @@ def summary_of(fit: Factored) -> ModelSummary | None:
     df, n = fit.df_residual, fit.q.shape[0]
     if df == 0 or fit.tss <= 0:
         return None
-    left = 1 - leverage_of(fit)
-    press = float(np.sum((fit.residual / left) ** 2)) if left.min() > 1e-10 else None
+    predictable = float(fit.leverage.max()) < 1 - 1e-10
+    press = float(np.sum(influence(fit).press ** 2)) if predictable else None
     return ModelSummary(
         float(np.sqrt(fit.rss / df)),
         1 - fit.rss / fit.tss,
         1 - fit.rss / df / (fit.tss / (n - 1)),
         None if press is None else 1 - press / fit.tss,
     )
-
-
-def leverage_of(fit: Factored) -> Array:
-    """Leverage of every row: the diagonal of the hat matrix."""
-    return np.asarray(np.einsum("ij,ij->i", fit.q, fit.q))

@@ -61,6 +61,11 @@ class Factored:
         """Residual degrees of freedom."""
         return int(self.q.shape[0] - self.rank)
 
+    @property
+    def leverage(self) -> Array:
+        """Leverage of every row: the diagonal of the hat matrix, shape (n,)."""
+        return np.asarray(np.einsum("ij,ij->i", self.q, self.q))
+
     def coefficients(self) -> Array:
         """Minimum-norm coefficients of the shifted response, shape (p,)."""
         return np.asarray(np.linalg.pinv(self.r, rcond=ALIAS_TOLERANCE) @ self.z / self.scale)

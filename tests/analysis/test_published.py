@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from statsmodels.regression.linear_model import OLS
+from statsmodels.stats.outliers_influence import OLSInfluence
 
 from study.analysis import analyze, bartlett, grid_convergence, levene, ryan_joiner
-from study.analysis.matrix import terms_of
+from study.analysis.matrix import model_matrix, terms_of
 from study.analysis.normality import critical_values, shapiro_wilk, statistic
+from study.analysis.remedies import influence
+from study.analysis.sums import factor
 from study.analysis.tidy import prepare
 from study.analysis.unreplicated import two_level_effects
 
@@ -58,6 +63,35 @@ def test_nist_anova(data_dir: Path, name: str) -> None:
     r2 = row.share
     assert r2 is not None
     assert log_relative_error(r2, float(certified["r_squared"])) >= DIGITS[name] - 1
+
+
+@pytest.mark.parametrize("name", ["SmLs01", "SmLs04", "SmLs07", "SmLs09"])
+def test_influence_keeps_the_digits_of_nist(data_dir: Path, name: str) -> None:
+    """Cook's distance and PRESS against rational arithmetic on the stored doubles."""
+    table = nist_table(data_dir / "nist_anova" / f"{name}.dat")
+    values = table["y"].to_numpy()
+    groups = [g.to_numpy() for _, g in table.groupby("treatment", sort=False)["y"]]
+    residual = np.concatenate([_deviations(g) for g in groups])
+    left = np.concatenate([np.full(g.size, 1 - 1 / g.size) for g in groups])
+    k = len(groups)
+    mse = math.fsum(residual**2) / (values.size - k)
+    cook = residual**2 * (1 - left) / (mse * k * left**2)
+
+    data = prepare(table, "y", ["treatment"])
+    fit = factor(model_matrix(data.layout, terms_of(["treatment"])), data.y)
+    found = influence(fit)
+    press = math.fsum((residual / left) ** 2)
+    assert log_relative_error(float(found.cook.max()), float(cook.max())) >= 12
+    assert log_relative_error(math.fsum(found.press**2), press) >= 12
+    if name == "SmLs09":
+        plain = OLSInfluence(OLS(values, fit.q).fit()).cooks_distance[0].max()
+        assert log_relative_error(float(plain), float(cook.max())) < 2  # so the shift is needed
+
+
+def _deviations(values: np.ndarray) -> np.ndarray:
+    exact = [Fraction(v) for v in values.tolist()]
+    mean = sum(exact, Fraction(0)) / len(exact)
+    return np.array([float(v - mean) for v in exact])
 
 
 def test_kidney_types_ii_and_iii() -> None:

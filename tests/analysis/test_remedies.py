@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import ttest_ind
+from statsmodels.stats.power import FTestPowerF2
 
+from study.analysis import analyze
 from study.analysis.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
 from study.analysis.matrix import model_matrix, terms_of
 from study.analysis.power import detectable, power_of
@@ -53,6 +56,14 @@ def test_games_howell_against_scipy() -> None:
         assert pair.p == pytest.approx(theirs.pvalue[i, j], abs=1e-8)
 
 
+def test_games_howell_of_two_groups_is_the_welch_interval() -> None:
+    pair = games_howell({k: GROUPS[k] for k in "ab"}).pairs[0]
+    theirs = ttest_ind(GROUPS["a"], GROUPS["b"], equal_var=False)
+    interval = theirs.confidence_interval(0.95)
+    assert (pair.lower, pair.upper) == pytest.approx((interval.low, interval.high), rel=1e-10)
+    assert pair.p == pytest.approx(theirs.pvalue, rel=1e-10)
+
+
 def test_dunnett_and_holm() -> None:
     result = dunnett(GROUPS, "a")
     assert [p.first for p in result.pairs] == ["b", "c"]
@@ -97,6 +108,32 @@ def test_influence_and_hc3_against_statsmodels(table: pd.DataFrame) -> None:
     wald = robust.wald_test_terms(scalar=True).table
     for term, name in [("a", "C(a, Sum)"), ("b", "C(b, Sum)"), ("a:b", "C(a, Sum):C(b, Sum)")]:
         assert hc3(fit)[term].f == pytest.approx(float(wald.loc[name, "statistic"]), rel=1e-8)
+
+
+@pytest.mark.parametrize(("levels", "n", "blocked"), [(2, 3, True), (4, 6, True), (5, 8, False)])
+def test_power_of_many_levels_against_statsmodels(levels: int, n: int, blocked: bool) -> None:
+    df1, df2 = levels - 1, (levels - 1 if blocked else levels) * (n - 1)
+    # the noncentrality n d^2 / (2 sd^2) is f^2 (df1 + df2) there
+    f_squared = n * 1.3**2 / 2 / (df1 + df2)
+    theirs = FTestPowerF2().power(f_squared, df1, df2, 0.05, ncc=0)
+    assert power_of(1.3, 1.0, n, levels=levels, blocked=blocked) == pytest.approx(theirs, rel=1e-10)
+
+
+def test_press_is_the_error_at_a_row_left_out(table: pd.DataFrame) -> None:
+    _, fit = fitted(table)
+    y, cell = table["y"].to_numpy(), (table["a"] + table["b"]).to_numpy()
+    left_out = [y[i] - np.delete(y, i)[np.delete(cell, i) == cell[i]].mean() for i in range(y.size)]
+    assert influence(fit).press == pytest.approx(left_out, rel=1e-10)
+
+
+def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
+    """Deterministic runs repeat exactly: the covariance of a contrast between them is zero."""
+    still = table["a"] != "z"
+    table.loc[still, "y"] = table[still].groupby(["a", "b"])["y"].transform("first")
+    _, fit = fitted(table)
+    test = hc3(fit)["a:b"]
+    assert (test.p, test.reason) == (None, "cells without spread: a singular covariance")
+    assert analyze(table, "y", ["a", "b"], exact=False).robustness.p["a:b"]["HC3 Wald"] is None
 
 
 def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:
