@@ -63,6 +63,8 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
 
 def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a term: its largest difference and interval against the band."""
+    import seaborn as sns
+
     figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
     ax = figure.subplots()
     zero = 1.0 if facts.ratio else 0.0
@@ -82,13 +84,23 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
             fontsize=7.5,
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
-    columns = (frame[name] for name in ("verdict", "difference", "low", "high"))
+    places = np.arange(len(frame))
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
+    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
+    sns.scatterplot(
+        x=frame["difference"].to_numpy(),
+        y=places,
+        hue=colors,
+        palette={color: color for color in colors},
+        s=49,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
     shown = {effect.term: effect for effect in facts.terms}
-    for place, (verdict, value, low, high) in enumerate(zip(*columns, strict=True)):
-        color = _VERDICT_COLOR.get(verdict, MUTED)
-        ax.plot([low, high], [place, place], color=color, linewidth=2.2)
-        ax.plot(value, place, "o", color=color, markersize=6)
-        effect = shown[frame["term"].iloc[place]]
+    for place, term in enumerate(frame["term"]):
+        effect = shown[term]
         ax.annotate(
             size(effect, facts)
             + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
@@ -134,6 +146,8 @@ def draw_level_means(
     frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
 ) -> Canvas:
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    import seaborn as sns
+
     figure = canvas(WIDTH_IN, 3.5)
     ax = figure.subplots()
     if practical is not None:
@@ -143,12 +157,27 @@ def draw_level_means(
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     _at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
-    ticks, names, start = [], [], 0.0
-    for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
-        places = start + np.arange(len(group))
-        _draw_factor(ax, places, group["mean"].tolist(), index)
+    by_factor = frame.groupby("factor", sort=False)
+    # levels are 1 apart, and half a step more parts the factors
+    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * by_factor.ngroup())
+    sns.pointplot(
+        placed,
+        x="place",
+        y="mean",
+        hue="factor",
+        palette=[color_of(index) for index in range(by_factor.ngroups)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=5.5,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
+        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
         ax.text(
-            float(places.mean()),
+            float(group["place"].mean()),
             1.02,
             clean(name_of(str(factor), data.labels), 30),
             transform=ax.get_xaxis_transform(),
@@ -156,28 +185,25 @@ def draw_level_means(
             fontweight="bold",
             color=word_color_of(index),
         )
-        ticks += list(places)
-        names += [wrap(level, 12, 40) for level in group["level"]]
-        start = float(places[-1]) + 1.5
+    names = [wrap(level, 12, 40) for level in frame["level"]]
     many = len(names) > 13
     ax.set_xticks(
-        ticks,
+        placed["place"],
         names,
         rotation=45 if many else 0,
         ha="right" if many else "center",
         fontsize=7.5 if len(names) < 9 else 7,
     )
-    ax.set_xlim(-0.7, start - 0.8)
+    ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
-    ax.set_ylabel(axis_label(facts))
+    ax.set(xlabel="", ylabel=axis_label(facts))
     ax.tick_params(axis="x", length=0)
     return figure
 
 
-def _draw_factor(ax: Axes, places: Any, means: list[float], index: int) -> None:
-    """Draw the level means of one factor, each with its number."""
-    ax.plot(places, means, "o-", color=color_of(index), markersize=5.5)
+def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
+    """Write its number at the mean of every level of one factor."""
     for place, mean, side in zip(places, means, _sides(means), strict=True):
         ax.annotate(
             significant(mean),
@@ -254,6 +280,8 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
+    import seaborn as sns
+
     count = int(frame["rank"].max()) + 1
     figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
     ax = figure.subplots()
@@ -272,25 +300,50 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
             color=MUTED,
         )
     if "block" in frame and frame["block"].nunique() <= 40:
-        for _, group in frame.groupby("block", sort=False):
-            ax.plot(group["value"], group["rank"], color=MUTED, alpha=0.28, linewidth=0.5)
-    ax.plot(
-        frame["value"],
-        frame["rank"],
-        "o",
+        sns.lineplot(
+            frame,
+            x="value",
+            y="rank",
+            units="block",
+            estimator=None,
+            sort=False,
+            color=MUTED,
+            alpha=0.28,
+            linewidth=0.5,
+            ax=ax,
+        )
+    sns.stripplot(
+        frame,
+        x="value",
+        y="rank",
+        orient="y",
+        native_scale=True,
+        jitter=False,
         color="#56B4E9",
-        markersize=3,
+        size=3,
         alpha=0.8,
-        markeredgewidth=0,
+        zorder=2.5,
+        ax=ax,
     )
     means = frame.drop_duplicates("rank")
-    ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
+    sns.scatterplot(
+        means,
+        x="cell_mean",
+        y="rank",
+        marker="D",
+        color=INK,
+        s=30,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
         _at_right(ax, significant(float(mean)), float(place))
     name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
-    ax.set_xlabel(axis_label(facts))
+    ax.set(xlabel=axis_label(facts), ylabel="")
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     _clean_left(ax)
     return figure

@@ -53,29 +53,28 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the four-in-one: normal plot, against fitted, histogram, against the factors."""
+    import seaborn as sns
+
     figure = canvas(WIDTH_IN, 5.6)
     (normal, fitted), (histogram, factors) = figure.subplots(2, 2)
     unit = "log ratio" if facts.ratio else facts.difference_unit
     label = f"residual ({unit})" if unit else "residual"
     _normal_plot(normal, frame, facts, data.seed, label)
     fitted.axhline(0, color=MUTED, linewidth=0.7)
-    fitted.plot(
-        frame["fitted"],
-        frame["residual"],
-        "o",
-        markersize=3.2,
-        alpha=0.7,
-        color=color_of(0),
-        markeredgewidth=0,
+    sns.scatterplot(
+        frame, x="fitted", y="residual", s=10, alpha=0.7, color=color_of(0), linewidth=0, ax=fitted
     )
     where = f"log of {facts.unit}" if facts.ratio else facts.unit
     fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
-    histogram.hist(
-        frame["residual"],
+    sns.histplot(
+        frame,
+        x="residual",
         bins="fd" if len(frame) > 12 else 6,
         color=color_of(5),
+        alpha=1,
         edgecolor="white",
         linewidth=0.6,
+        ax=histogram,
     )
     histogram.set(title="histogram", xlabel=label, ylabel="count")
     _against_factors(factors, frame, data, label)
@@ -110,9 +109,14 @@ def _with_sign(p: str) -> str:
 
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
+    import pandas as pd
+    import seaborn as sns
+
+    # the jitter of a strip plot comes from a global generator: another page at every run
     rng = np.random.default_rng(data.seed)
     ticks: list[float] = []
     names: list[str] = []
+    parts: list[pd.DataFrame] = []
     start = 0.0
     ax.axhline(0, color=MUTED, linewidth=0.7)
     for index, (factor, levels) in enumerate(data.factors.items()):
@@ -122,15 +126,7 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
         for level in levels:
             values = frame.loc[frame[factor].astype(str) == level, "residual"]
             jitter = start + rng.uniform(-0.18, 0.18, len(values))
-            ax.plot(
-                jitter,
-                values,
-                "o",
-                markersize=2.6,
-                alpha=0.7,
-                color=color_of(index),
-                markeredgewidth=0,
-            )
+            parts.append(pd.DataFrame({"place": jitter, "residual": values, "index": index}))
             ticks.append(start)
             names.append(clean(level, 20))
             start += 1
@@ -146,8 +142,21 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
             fontweight="bold",
         )
         start += 0.7
+    points = pd.concat(parts, ignore_index=True)
+    sns.scatterplot(
+        points,
+        x="place",
+        y="residual",
+        hue="index",
+        palette={index: color_of(index) for index in points["index"].unique()},
+        s=7,
+        alpha=0.7,
+        linewidth=0,
+        legend=False,
+        ax=ax,
+    )
     ax.set_xticks(ticks, names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7)
-    ax.set_ylabel(label)
+    ax.set(xlabel="", ylabel=label)
 
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
@@ -181,11 +190,13 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
 
 def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a cell: its standard deviation and interval."""
+    import seaborn as sns
+
     figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
     ax = figure.subplots()
     places = np.arange(len(frame))
     ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
-    ax.plot(frame["sd"], places, "o", color=color_of(0), markersize=5)
+    sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
     name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
