@@ -63,8 +63,6 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
 
 def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     """Draw one row a term: its largest difference and interval against the band."""
-    import seaborn as sns
-
     figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
     ax = figure.subplots()
     zero = 1.0 if facts.ratio else 0.0
@@ -84,20 +82,7 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
             fontsize=7.5,
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
-    places = np.arange(len(frame))
-    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
-    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
-    sns.scatterplot(
-        x=frame["difference"].to_numpy(),
-        y=places,
-        hue=colors,
-        palette={color: color for color in colors},
-        s=49,
-        linewidth=0,
-        zorder=3,
-        legend=False,
-        ax=ax,
-    )
+    _mark_effects(ax, frame)
     shown = {effect.term: effect for effect in facts.terms}
     for place, term in enumerate(frame["term"]):
         effect = shown[term]
@@ -120,6 +105,26 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
     _clean_left(ax)
     return figure
+
+
+def _mark_effects(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw each difference on its interval, in the color of its verdict."""
+    import seaborn as sns
+
+    places = np.arange(len(frame))
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
+    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
+    sns.scatterplot(
+        x=frame["difference"].to_numpy(),
+        y=places,
+        hue=colors,
+        palette={color: color for color in colors},
+        s=49,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
 
 
 def level_means(facts: Facts) -> pd.DataFrame:
@@ -146,8 +151,6 @@ def draw_level_means(
     frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
 ) -> Canvas:
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
-    import seaborn as sns
-
     figure = canvas(WIDTH_IN, 3.5)
     ax = figure.subplots()
     if practical is not None:
@@ -157,23 +160,7 @@ def draw_level_means(
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     _at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
-    by_factor = frame.groupby("factor", sort=False)
-    # levels are 1 apart, and half a step more parts the factors
-    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * by_factor.ngroup())
-    sns.pointplot(
-        placed,
-        x="place",
-        y="mean",
-        hue="factor",
-        palette=[color_of(index) for index in range(by_factor.ngroups)],
-        native_scale=True,
-        errorbar=None,
-        legend=False,
-        linewidth=1.4,
-        markersize=5.5,
-        markeredgewidth=1,
-        ax=ax,
-    )
+    placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
         _number_points(ax, group["place"].tolist(), group["mean"].tolist())
         ax.text(
@@ -200,6 +187,30 @@ def draw_level_means(
     ax.set(xlabel="", ylabel=axis_label(facts))
     ax.tick_params(axis="x", length=0)
     return figure
+
+
+def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
+    """Draw a line a factor through its level means; return them with their places."""
+    import seaborn as sns
+
+    factors = frame.groupby("factor", sort=False)
+    # levels are 1 apart, and half a step more parts the factors
+    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
+    sns.pointplot(
+        placed,
+        x="place",
+        y="mean",
+        hue="factor",
+        palette=[color_of(index) for index in range(factors.ngroups)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=5.5,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    return placed
 
 
 def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
@@ -280,8 +291,6 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
-    import seaborn as sns
-
     count = int(frame["rank"].max()) + 1
     figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
     ax = figure.subplots()
@@ -299,6 +308,23 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
             fontsize=7.5,
             color=MUTED,
         )
+    means = frame.drop_duplicates("rank")
+    _mark_cells(ax, frame, means)
+    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
+        _at_right(ax, significant(float(mean)), float(place))
+    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
+    ax.set_ylim(count - 0.4, -0.8)
+    plain_ticks(ax, "x")
+    ax.set(xlabel=axis_label(facts), ylabel="")
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    _clean_left(ax)
+    return figure
+
+
+def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
+    """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
+    import seaborn as sns
+
     if "block" in frame and frame["block"].nunique() <= 40:
         sns.lineplot(
             frame,
@@ -325,28 +351,18 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
         zorder=2.5,
         ax=ax,
     )
-    means = frame.drop_duplicates("rank")
     sns.scatterplot(
         means,
         x="cell_mean",
         y="rank",
         marker="D",
         color=INK,
-        s=30,
+        s=26,
         linewidth=0,
         zorder=3,
         legend=False,
         ax=ax,
     )
-    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
-        _at_right(ax, significant(float(mean)), float(place))
-    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
-    ax.set_ylim(count - 0.4, -0.8)
-    plain_ticks(ax, "x")
-    ax.set(xlabel=axis_label(facts), ylabel="")
-    ax.grid(axis="y", color=RULE, linewidth=0.4)
-    _clean_left(ax)
-    return figure
 
 
 def _clean_left(ax: Axes) -> None:

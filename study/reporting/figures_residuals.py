@@ -109,54 +109,72 @@ def _with_sign(p: str) -> str:
 
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
-    import pandas as pd
+    """Draw the residuals of every level of every factor, side by side."""
     import seaborn as sns
 
-    # the jitter of a strip plot comes from a global generator: another page at every run
-    rng = np.random.default_rng(data.seed)
-    ticks: list[float] = []
-    names: list[str] = []
-    parts: list[pd.DataFrame] = []
-    start = 0.0
     ax.axhline(0, color=MUTED, linewidth=0.7)
-    for index, (factor, levels) in enumerate(data.factors.items()):
-        if factor not in frame:
-            continue
-        first = start
-        for level in levels:
-            values = frame.loc[frame[factor].astype(str) == level, "residual"]
-            jitter = start + rng.uniform(-0.18, 0.18, len(values))
-            parts.append(pd.DataFrame({"place": jitter, "residual": values, "index": index}))
-            ticks.append(start)
-            names.append(clean(level, 20))
-            start += 1
-        ax.text(
-            (first + start - 1) / 2,
-            1.0,
-            wrap(name_of(factor, data.labels), 16, 24),
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            fontsize=7.5,
-            color=word_color_of(index),
-            fontweight="bold",
-        )
-        start += 0.7
-    points = pd.concat(parts, ignore_index=True)
+    levels = _level_places(frame, data)
+    if levels.empty:
+        return
     sns.scatterplot(
-        points,
+        _jittered(frame, levels, data.seed),
         x="place",
         y="residual",
-        hue="index",
-        palette={index: color_of(index) for index in points["index"].unique()},
+        hue="number",
+        palette={number: color_of(number) for number in levels["number"]},
         s=7,
         alpha=0.7,
         linewidth=0,
         legend=False,
         ax=ax,
     )
-    ax.set_xticks(ticks, names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7)
+    for number, factor in levels.groupby("number"):
+        ax.text(
+            float(factor["place"].mean()),
+            1.0,
+            wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=word_color_of(int(str(number))),
+            fontweight="bold",
+        )
+    names = [clean(level, 20) for level in levels["level"]]
+    ax.set_xticks(
+        levels["place"], names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7
+    )
     ax.set(xlabel="", ylabel=label)
+
+
+def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
+    """Place of every level on the shared axis; 0.7 of a step more parts the factors."""
+    import pandas as pd
+
+    rows: list[tuple[int, str, str, float]] = []
+    start = 0.0
+    for number, (factor, levels) in enumerate(data.factors.items()):
+        if factor in frame:
+            rows += [(number, factor, level, start + i) for i, level in enumerate(levels)]
+            start += len(levels) + 0.7
+    return pd.DataFrame(rows, columns=["number", "factor", "level", "place"])
+
+
+def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
+    """Residuals of every level, spread about its place.
+
+    A strip plot of seaborn would draw its jitter from the global generator, and the same data
+    would give another page at every run.
+    """
+    import pandas as pd
+
+    rng = np.random.default_rng(seed)
+    parts = []
+    for number, factor, level, place in levels.itertuples(index=False):
+        values = frame.loc[frame[factor].astype(str) == level, "residual"]
+        spread = place + rng.uniform(-0.18, 0.18, len(values))
+        parts.append(pd.DataFrame({"place": spread, "residual": values, "number": number}))
+    return pd.concat(parts, ignore_index=True)
 
 
 def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
