@@ -347,6 +347,7 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
         jitter=False,
         color="#56B4E9",
         size=3,
+        clip_on=False,
         alpha=0.8,
         zorder=2.5,
         ax=ax,

@@ -62,7 +62,17 @@ def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canva
     _normal_plot(normal, frame, facts, data.seed, label)
     fitted.axhline(0, color=MUTED, linewidth=0.7)
     sns.scatterplot(
-        frame, x="fitted", y="residual", s=10, alpha=0.7, color=color_of(0), linewidth=0, ax=fitted
+        frame,
+        x="fitted",
+        y="residual",
+        s=10,
+        alpha=0.7,
+        color=color_of(0),
+        linewidth=0,
+        zorder=2,
+        # clipped, each point of a scatter becomes a group of its own: 27 % more SVG
+        clip_on=False,
+        ax=fitted,
     )
     where = f"log of {facts.unit}" if facts.ratio else facts.unit
     fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
@@ -125,6 +135,8 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
         s=7,
         alpha=0.7,
         linewidth=0,
+        zorder=2,
+        clip_on=False,
         legend=False,
         ax=ax,
     )
