@@ -82,13 +82,10 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
             fontsize=7.5,
         )
     ax.axvline(zero, color=MUTED, linewidth=0.7)
-    columns = (frame[name] for name in ("verdict", "difference", "low", "high"))
+    _mark_effects(ax, frame)
     shown = {effect.term: effect for effect in facts.terms}
-    for place, (verdict, value, low, high) in enumerate(zip(*columns, strict=True)):
-        color = _VERDICT_COLOR.get(verdict, MUTED)
-        ax.plot([low, high], [place, place], color=color, linewidth=2.2)
-        ax.plot(value, place, "o", color=color, markersize=6)
-        effect = shown[frame["term"].iloc[place]]
+    for place, term in enumerate(frame["term"]):
+        effect = shown[term]
         ax.annotate(
             size(effect, facts)
             + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
@@ -108,6 +105,26 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
     _clean_left(ax)
     return figure
+
+
+def _mark_effects(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw each difference on its interval, in the color of its verdict."""
+    import seaborn as sns
+
+    places = np.arange(len(frame))
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
+    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
+    sns.scatterplot(
+        x=frame["difference"].to_numpy(),
+        y=places,
+        hue=colors,
+        palette={color: color for color in colors},
+        s=49,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
 
 
 def level_means(facts: Facts) -> pd.DataFrame:
@@ -143,12 +160,11 @@ def draw_level_means(
         ax.axhspan(low, high, color=BAND, zorder=0)
     ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
     _at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
-    ticks, names, start = [], [], 0.0
-    for index, (factor, group) in enumerate(frame.groupby("factor", sort=False)):
-        places = start + np.arange(len(group))
-        _draw_factor(ax, places, group["mean"].tolist(), index)
+    placed = _connect_levels(ax, frame)
+    for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
+        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
         ax.text(
-            float(places.mean()),
+            float(group["place"].mean()),
             1.02,
             clean(name_of(str(factor), data.labels), 30),
             transform=ax.get_xaxis_transform(),
@@ -156,28 +172,49 @@ def draw_level_means(
             fontweight="bold",
             color=word_color_of(index),
         )
-        ticks += list(places)
-        names += [wrap(level, 12, 40) for level in group["level"]]
-        start = float(places[-1]) + 1.5
+    names = [wrap(level, 12, 40) for level in frame["level"]]
     many = len(names) > 13
     ax.set_xticks(
-        ticks,
+        placed["place"],
         names,
         rotation=45 if many else 0,
         ha="right" if many else "center",
         fontsize=7.5 if len(names) < 9 else 7,
     )
-    ax.set_xlim(-0.7, start - 0.8)
+    ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
-    ax.set_ylabel(axis_label(facts))
+    ax.set(xlabel="", ylabel=axis_label(facts))
     ax.tick_params(axis="x", length=0)
     return figure
 
 
-def _draw_factor(ax: Axes, places: Any, means: list[float], index: int) -> None:
-    """Draw the level means of one factor, each with its number."""
-    ax.plot(places, means, "o-", color=color_of(index), markersize=5.5)
+def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
+    """Draw a line a factor through its level means; return them with their places."""
+    import seaborn as sns
+
+    factors = frame.groupby("factor", sort=False)
+    # levels are 1 apart, and half a step more parts the factors
+    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
+    sns.pointplot(
+        placed,
+        x="place",
+        y="mean",
+        hue="factor",
+        palette=[color_of(index) for index in range(factors.ngroups)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=5.5,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    return placed
+
+
+def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
+    """Write its number at the mean of every level of one factor."""
     for place, mean, side in zip(places, means, _sides(means), strict=True):
         ax.annotate(
             significant(mean),
@@ -271,29 +308,62 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
             fontsize=7.5,
             color=MUTED,
         )
-    if "block" in frame and frame["block"].nunique() <= 40:
-        for _, group in frame.groupby("block", sort=False):
-            ax.plot(group["value"], group["rank"], color=MUTED, alpha=0.28, linewidth=0.5)
-    ax.plot(
-        frame["value"],
-        frame["rank"],
-        "o",
-        color="#56B4E9",
-        markersize=3,
-        alpha=0.8,
-        markeredgewidth=0,
-    )
     means = frame.drop_duplicates("rank")
-    ax.plot(means["cell_mean"], means["rank"], "D", color=INK, markersize=4.5)
+    _mark_cells(ax, frame, means)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
         _at_right(ax, significant(float(mean)), float(place))
     name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
     ax.set_ylim(count - 0.4, -0.8)
     plain_ticks(ax, "x")
-    ax.set_xlabel(axis_label(facts))
+    ax.set(xlabel=axis_label(facts), ylabel="")
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     _clean_left(ax)
     return figure
+
+
+def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
+    """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
+    import seaborn as sns
+
+    if "block" in frame and frame["block"].nunique() <= 40:
+        sns.lineplot(
+            frame,
+            x="value",
+            y="rank",
+            units="block",
+            estimator=None,
+            sort=False,
+            color=MUTED,
+            alpha=0.28,
+            linewidth=0.5,
+            ax=ax,
+        )
+    sns.stripplot(
+        frame,
+        x="value",
+        y="rank",
+        orient="y",
+        native_scale=True,
+        jitter=False,
+        color="#56B4E9",
+        size=3,
+        clip_on=False,
+        alpha=0.8,
+        zorder=2.5,
+        ax=ax,
+    )
+    sns.scatterplot(
+        means,
+        x="cell_mean",
+        y="rank",
+        marker="D",
+        color=INK,
+        s=26,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
 
 
 def _clean_left(ax: Axes) -> None:

@@ -12,6 +12,7 @@ from study.reporting.facts import Facts, cells
 from study.reporting.figures_effects import axis_label
 from study.reporting.style import (
     DASHES,
+    INK,
     MARKERS,
     RULE,
     WIDTH_IN,
@@ -55,23 +56,24 @@ def draw_interactions(
     k = len(factors)
     figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)
-    keys = zip(*(frame[name] for name in frame.columns[:4]), strict=True)
-    lookup = dict(zip(keys, frame["mean"].astype(float), strict=True))
     low, high = float(frame["mean"].min()), float(frame["mean"].max())
     pad = 0.08 * (high - low or abs(high) or 1.0)
     names = list(factors)
     for i, first in enumerate(names):
-        for j, second in enumerate(names):
-            ax = axes[i][j]
-            if i == j:
-                _diagonal(ax, name_of(first, data.labels), factors[first])
-            elif i < j:
-                _lines(ax, lookup, (first, factors[first]), (second, factors[second]))
-                ax.set_ylim(low - pad, high + pad)
-                _upper_ticks(ax, i, j, k, factors[second])
-            else:
-                _numbers(ax, lookup, (second, factors[second]), (first, factors[first]), low, high)
-                _lower_ticks(ax, factors[second], i == k - 1)
+        _diagonal(axes[i][i], name_of(first, data.labels), factors[first])
+        for j in range(i + 1, k):
+            second = names[j]
+            pair = frame[(frame["factor"] == first) & (frame["other"] == second)]
+            # a combination that has no mean is NaN: no point, no number
+            table = pair.pivot_table(index="level", columns="other_level", values="mean").reindex(
+                index=list(factors[first]), columns=list(factors[second])
+            )
+            upper, lower = axes[i][j], axes[j][i]
+            _lines(upper, table)
+            upper.set_ylim(low - pad, high + pad)
+            _upper_ticks(upper, i, j, k, factors[second])
+            _numbers(lower, table.T, low, high)
+            _lower_ticks(lower, factors[first], j == k - 1)
     figure.suptitle(axis_label(facts), x=0.01, ha="left", fontsize=8.5)
     return figure
 
@@ -101,24 +103,28 @@ def _dash(index: int) -> Any:
     return DASHES[index % len(DASHES)]
 
 
-def _lines(
-    ax: Axes,
-    lookup: Mapping[Any, float],
-    first: tuple[str, Sequence[str]],
-    second: tuple[str, Sequence[str]],
-) -> None:
-    x = np.arange(len(second[1]))
-    for index, level in enumerate(first[1]):
-        y = [lookup.get((first[0], level, second[0], other), np.nan) for other in second[1]]
-        ax.plot(
-            x,
-            y,
-            color=color_of(index),
-            linestyle=_dash(index),
-            marker=MARKERS[index % 7],
-            markersize=4,
-        )
-    ax.set_xlim(-0.35, x[-1] + 0.35)
+def _lines(ax: Axes, table: pd.DataFrame) -> None:
+    """Draw a line for every row of a table of means, a point for every column."""
+    import seaborn as sns
+
+    rows, columns = table.shape
+    sns.pointplot(
+        x=np.tile(np.arange(columns), rows),
+        y=table.to_numpy(float).ravel(),
+        hue=np.repeat(np.asarray(table.index, dtype=object), columns),
+        hue_order=list(table.index),
+        palette=[color_of(index) for index in range(rows)],
+        markers=[MARKERS[index % 7] for index in range(rows)],
+        linestyles=[_dash(index) for index in range(rows)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=4,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    ax.set_xlim(-0.35, columns - 0.65)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
 
 
@@ -137,37 +143,37 @@ def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> Non
         ax.tick_params(axis="y", length=0, labelright=False)
 
 
-def _numbers(
-    ax: Axes,
-    lookup: Mapping[Any, float],
-    column: tuple[str, Sequence[str]],
-    row: tuple[str, Sequence[str]],
-    low: float,
-    high: float,
-) -> None:
-    ax.set_xlim(-0.5, len(column[1]) - 0.5)
-    ax.set_ylim(len(row[1]) - 0.5, -0.5)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    for a, across in enumerate(column[1]):
-        for b, down in enumerate(row[1]):
-            mean = lookup.get((column[0], across, row[0], down))
-            if mean is None:
-                continue
-            depth = 0.04 + 0.30 * (mean - low) / ((high - low) or 1.0)
-            ax.fill_between(
-                [a - 0.48, a + 0.48], b - 0.46, b + 0.46, color="#0072B2", alpha=depth, linewidth=0
-            )
-            size = 7.5 if len(column[1]) < 5 else 6.5
-            ax.text(a, b, significant(mean), ha="center", va="center", fontsize=size)
-    name_rows(ax, range(len(row[1])), [wrap(v, 12, 24) for v in row[1]], 7)
+def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
+    """Write a table of means, the larger the darker."""
+    import seaborn as sns
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
+
+    shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
+    sns.heatmap(
+        table.to_numpy(float),
+        vmin=low,
+        vmax=high,
+        cmap=LinearSegmentedColormap.from_list("means", shades),
+        annot=table.map(significant).to_numpy(),
+        fmt="",
+        annot_kws={"color": INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
+        linewidths=2,
+        linecolor="white",
+        cbar=False,
+        xticklabels=False,
+        yticklabels=False,
+        ax=ax,
+    )
+    names = [wrap(level, 12, 24) for level in table.index]
+    name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
     ax.tick_params(length=0, pad=2)
 
 
 def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
     narrow = max(27 // len(levels), 6)
     names = [wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
-    ax.set_xticks(range(len(levels)), names if last else [])
+    places = 0.5 + np.arange(len(levels))
+    ax.set_xticks(places, names if last else [])
     if last and len(levels) > 3:
-        ax.set_xticks(range(len(levels)), names, rotation=35, ha="right", rotation_mode="anchor")
+        ax.set_xticks(places, names, rotation=35, ha="right", rotation_mode="anchor")
     ax.tick_params(axis="x", labelsize=7)

@@ -88,9 +88,23 @@ def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
 
 
 def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    import seaborn as sns
+
     places = np.arange(len(frame))
-    colors = [_ACTIVE if active else _PASSIVE for active in frame["active"]]
-    ax.barh(places, frame["size"], color=colors, height=0.66)
+    sns.barplot(
+        x=frame["size"],
+        y=places,
+        hue=frame["active"],
+        orient="y",
+        native_scale=True,
+        dodge=False,
+        palette={True: _ACTIVE, False: _PASSIVE},
+        saturation=1,
+        width=0.66,
+        errorbar=None,
+        legend=False,
+        ax=ax,
+    )
     for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
         limit = float(frame[column].iloc[0])
         ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
@@ -113,14 +127,25 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 
 
 def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    import seaborn as sns
+
     ordered = frame.sort_values("score")
     ax.fill_between(
         ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
     )
-    for active, marker in ((False, "o"), (True, "D")):
-        some = frame[frame["active"] == active]
-        color = _ACTIVE if active else _PASSIVE
-        ax.plot(some["score"], some["size"], marker, color=color, markersize=4.5)
+    sns.scatterplot(
+        frame,
+        x="score",
+        y="size",
+        hue="active",
+        style="active",
+        palette={True: _ACTIVE, False: _PASSIVE},
+        markers={True: "D", False: "o"},
+        s=30,
+        linewidth=0,
+        legend=False,
+        ax=ax,
+    )
     for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
         if size > float(frame["margin"].iloc[0]):
             ax.annotate(

@@ -1,0 +1,170 @@
+"""The statistical figures are drawn by seaborn, and show what stands in their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection, QuadMesh
+
+from study.reporting import (
+    figures_effects,
+    figures_interactions,
+    figures_residuals,
+    figures_unreplicated,
+    style,
+)
+from study.reporting.data import ReportData
+from study.reporting.facts import Facts, facts
+from tests.reporting.example import unreplicated
+
+
+@pytest.fixture(scope="module")
+def error(data: ReportData) -> Facts:
+    return facts(data)[0]
+
+
+@pytest.fixture
+def used(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the functions of seaborn that were called, in their order."""
+    calls: list[str] = []
+
+    def noted(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            calls.append(name)
+            return function(*arguments, **options)
+
+        return call
+
+    for name in (
+        "barplot",
+        "heatmap",
+        "histplot",
+        "lineplot",
+        "pointplot",
+        "scatterplot",
+        "stripplot",
+    ):
+        monkeypatch.setattr(sns, name, noted(name, getattr(sns, name)))
+    return calls
+
+
+def points(ax: Axes) -> list[np.ndarray]:
+    """Places of the points of every scatter that has any, each of shape (n, 2)."""
+    scatters = (found for found in ax.collections if isinstance(found, PathCollection))
+    return [np.asarray(found.get_offsets()) for found in scatters if len(found.get_offsets())]
+
+
+def heights(ax: Axes) -> list[float]:
+    """Finite heights of the lines that have markers."""
+    lines = [line for line in ax.lines if line.get_marker() not in ("None", "", None)]
+    return [y for line in lines for y in line.get_ydata() if np.isfinite(y)]
+
+
+def test_main_effects(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_effects.level_means(error)
+    (ax,) = figures_effects.draw_level_means(frame, error, 5.5, None, data).axes
+    assert used == ["pointplot"]
+    assert heights(ax) == frame["mean"].tolist()
+    assert ax.get_xlabel() == ""
+
+
+def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_effects.effect_sizes(error, data.labels)
+    (ax,) = figures_effects.draw_effect_sizes(frame, error).axes
+    assert used == ["scatterplot"]
+    (drawn,) = points(ax)
+    assert drawn[:, 0].tolist() == frame["difference"].tolist()
+    assert drawn[:, 1].tolist() == list(range(len(frame)))
+
+
+def test_cells(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_effects.cell_points(data, error)
+    (ax,) = figures_effects.draw_cells(frame, error, 0.5).axes
+    assert used == ["lineplot", "stripplot", "scatterplot"]
+    *strips, means = points(ax)
+    assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
+    first = frame.drop_duplicates("rank")
+    assert means.tolist() == first[["cell_mean", "rank"]].to_numpy(float).tolist()
+    assert len(ax.lines) == frame["block"].nunique()
+
+
+def test_interactions(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_interactions.pair_means(data, error)
+    axes = figures_interactions.draw_interactions(frame, error, data.factors, data).axes
+    k = len(data.factors)
+    assert used == ["pointplot", "heatmap"] * (k * (k - 1) // 2)
+    for i, first in enumerate(data.factors):
+        for j, second in list(enumerate(data.factors))[i + 1 :]:
+            pair = frame[(frame["factor"] == first) & (frame["other"] == second)]
+            means = pair.set_index(["level", "other_level"])["mean"]
+            expected = [means[a, b] for a in data.factors[first] for b in data.factors[second]]
+            assert heights(axes[i * k + j]) == expected
+            (numbers,) = (c for c in axes[j * k + i].collections if isinstance(c, QuadMesh))
+            assert np.asarray(numbers.get_array()).T.ravel().tolist() == expected
+
+
+def test_a_combination_without_a_mean_is_a_gap():
+    table = pd.DataFrame(
+        [[1.0, np.nan, 3.0], [2.0, 2.5, np.nan]], ["_$a$", "<b>"], ["1", "2", "_c"]
+    )
+    figure = style.canvas(6, 3)
+    lines, numbers = figure.subplots(1, 2)
+    figures_interactions._lines(lines, table)
+    figures_interactions._numbers(numbers, table, 1.0, 3.0)
+    # the line breaks where the mean is missing
+    assert np.isnan(lines.lines[0].get_ydata()[1])
+    assert heights(lines) == [1.0, 3.0, 2.0, 2.5]
+    shown = [text.get_text() for text in numbers.texts]
+    assert shown == ["1.00", "3.00", "2.00", "2.50", "_$a$", "<b>"]
+
+
+def test_residuals(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_residuals.residual_points(error)
+    figure = figures_residuals.draw_residuals(frame, error, data)
+    _, fitted, histogram, factors = figure.axes
+    assert used == ["scatterplot", "histplot", "scatterplot"]
+    (drawn,) = points(fitted)
+    assert drawn.tolist() == frame[["fitted", "residual"]].to_numpy(float).tolist()
+    counts, edges = np.histogram(frame["residual"], bins="fd")
+    assert [bar.get_height() for bar in histogram.patches] == counts.tolist()
+    assert [bar.get_x() for bar in histogram.patches] == pytest.approx(edges[:-1])
+    (drawn,) = points(factors)
+    # every residual once for each factor
+    expected = np.sort(np.tile(frame["residual"], len(data.factors)))
+    assert np.sort(drawn[:, 1]).tolist() == expected.tolist()
+
+
+def test_spread(data: ReportData, error: Facts, used: list[str]):
+    frame = figures_residuals.spread_of_cells(error, 0.05)
+    (ax,) = figures_residuals.draw_spread(frame, error).axes
+    assert used == ["scatterplot"]
+    (drawn,) = points(ax)
+    assert drawn[:, 0].tolist() == frame["sd"].tolist()
+
+
+def test_contrasts(used: list[str]):
+    once = unreplicated()
+    found = facts(once)[0]
+    frame = figures_unreplicated.contrasts(found, once)
+    pareto, half = figures_unreplicated.draw_contrasts(frame, found).axes
+    assert used == ["barplot", "scatterplot"]
+    bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
+    assert [bar.get_width() for bar in bars] == frame["size"].tolist()
+    (drawn,) = points(half)
+    assert drawn.tolist() == frame[["score", "size"]].to_numpy(float).tolist()
+
+
+def test_the_style_of_the_report_stays_in_force(data: ReportData, error: Facts):
+    before = dict(mpl.rcParams)
+    frame = figures_interactions.pair_means(data, error)
+    style.render(
+        lambda: figures_interactions.draw_interactions(frame, error, data.factors, data), "n", "t"
+    )
+    assert dict(mpl.rcParams) == before
