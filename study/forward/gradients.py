@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 #: Relative residual of the rates, of which dF/dd and dF/dtheta keep the square. It is the same
 #: whatever is asked for: a curve has one slope.
-RATE_TOLERANCE = 1e-5
+RATE_TOLERANCE = 1e-4
 #: The same where a bonded indenter holds points: their places inherit the error itself.
 INHERITED_RATE_TOLERANCE = 1e-8
 

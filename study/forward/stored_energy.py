@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from study.forward.compiled import kernel, part
+from study.forward.compiled import FAST, kernel, part
 from study.forward.forms import deformation_gradient, gather, held_pressure
 from study.forward.handed import Elements, Energy, Shapes
 from study.forward.kernels import LINEAR, POLYNOMIAL
@@ -64,25 +64,28 @@ def ogden_energy(f: Array, terms: Array, c: Array, axes: Array) -> float:
     return energy
 
 
-@part()
+@part(fastmath=FAST)
 def polynomial_energy(f: Array, J: float, table: Array) -> float:
     """Isochoric energy ``sum C_ij (I1bar - 3)^i (I2bar - 3)^j`` per reference volume."""
-    I1, trace = 0.0, 0.0
-    for i in range(3):
-        for j in range(3):
-            c = 0.0
-            for k in range(3):
-                c += f[3 * k + i] * f[3 * k + j]
-            trace += c * c
-            if i == j:
-                I1 += c
+    I1 = 0.0
+    for i in range(9):
+        I1 += f[i] * f[i]
     s1 = J ** (-2.0 / 3.0)
-    a, b = s1 * I1 - 3.0, s1 * s1 * 0.5 * (I1 * I1 - trace) - 3.0
-    energy = 0.0
+    a, b = s1 * I1 - 3.0, 0.0
+    if table.shape[1] > 1:
+        trace = 0.0
+        for i in range(3):
+            for j in range(3):
+                c = f[i] * f[j] + f[3 + i] * f[3 + j] + f[6 + i] * f[6 + j]
+                trace += c * c
+        b = 0.5 * s1 * s1 * (I1 * I1 - trace) - 3.0
+    energy, row = 0.0, 1.0
     for i in range(table.shape[0]):
+        term = row
         for j in range(table.shape[1]):
-            if table[i, j] != 0.0:
-                energy += table[i, j] * a**i * b**j
+            energy += table[i, j] * term
+            term *= b
+        row *= a
     return energy
 
 
