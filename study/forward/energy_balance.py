@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 JUMP_SHARE = 0.005
 #: Energy that is counted at least, over force times the whole displacement: at first touch
 #: a few contact points close one after the other, and next to nothing is stored.
-LEAST_ENERGY = 0.05
+LEAST_ENERGY = 0.1
 
 
 @dataclass(frozen=True)
