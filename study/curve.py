@@ -125,7 +125,10 @@ class Curve:
 
     def every_other_point(self) -> Curve:
         """Return the curve of half as many load steps, the last one kept."""
-        kept = np.arange(len(self))[::-2][::-1]
+        return self.at_points(np.arange(len(self))[::-2][::-1])
+
+    def at_points(self, kept: NDArray[np.int64]) -> Curve:
+        """Return the curve of some of its points, given by their places."""
         return Curve(
             self.displacement_mm[kept],
             self.force_N[kept],

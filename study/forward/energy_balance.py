@@ -83,6 +83,12 @@ class EnergyBalance:
     mismatch: Array
     jumps_mm: tuple[float, ...] = ()
 
+    def at_points(self, kept: NDArray[np.int64]) -> EnergyBalance:
+        """Return the balance at some of the displacements, given by their places."""
+        return EnergyBalance(
+            self.stored_Nmm[kept], self.stabilization_Nmm[kept], self.mismatch[kept], self.jumps_mm
+        )
+
     @property
     def largest_mismatch(self) -> float:
         """Largest share of the stored energy by which the work is off; 0 of an empty run."""

@@ -70,7 +70,8 @@ class LoadPath:
         self.J = system.volume_ratios(self.state.x)
         self.rule = StepRule.of(problem, system.height_mm, options.steps)
         self.step_mm = self.rule.first_mm
-        self.logbook = Logbook(system, problem, self.wanted)
+        every = options.curve_error is not None
+        self.logbook = Logbook(system, problem, self.wanted, every_step=every)
         self.min_j, self.reason = 1.0, ""
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
@@ -93,7 +94,7 @@ class LoadPath:
         """
         test = self.problem.test
         asked = [test.displacement_mm * k / test.steps for k in range(1, test.steps + 1)]
-        added = [d for d in self._warm_steps if d < asked[-1]]
+        added = [d for d in self._warm_steps if d < asked[-1] and self.logbook.every_step]
         near = 1e-9 * self.system.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
         return sorted([(d, True) for d in asked] + [(d, False) for d in others])

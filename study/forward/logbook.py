@@ -31,6 +31,8 @@ class Logbook:
     ----------
     wanted : tuple of str
         Constants by which the force is differentiated.
+    every_step : bool
+        Whether the solution holds the steps that were added, too.
     requested : int
         How many of the steps so far were asked for; others were added where energy was missing
         or the curve bends.
@@ -43,6 +45,7 @@ class Logbook:
     system: System
     problem: Problem
     wanted: tuple[str, ...]
+    every_step: bool = False
     requested: int = 0
     rows: list[StepGradients] = field(default_factory=list)
     states: list[LoadedState] = field(default_factory=list)
@@ -135,18 +138,18 @@ class Logbook:
         ``lost`` says where the energy has lost its ellipticity there, ``reason`` why the run
         went no further.
         """
-        system = self.system
+        system, kept = self.system, self._kept()
         vertices = system.mesh.points.shape[0]
         balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
         return Solution(
             status="converged" if self.complete else "unstable" if lost else "not-converged",
             message=self._message(state, lost, reason),
-            curve=self.curve(work),
-            energy=balance,
+            curve=self.curve(work).at_points(kept),
+            energy=balance.at_points(kept),
             reached_mm=state.displacement_mm,
             min_j=min_j,
-            base_reaction_N=np.array(self.reactions),
-            newton_iterations=tuple(self.iterations),
+            base_reaction_N=np.array(self.reactions)[kept],
+            newton_iterations=self._iterations(kept),
             dofs=system.dofs,
             elements=system.space.n_elements,
             mesh_hash=system.mesh.digest(),
@@ -156,8 +159,24 @@ class Logbook:
             points=system.mesh.points,
             cells=system.mesh.cells,
             displacement=system.displacements(state.x)[:vertices],
-            warm=Warm(system, dict(self.problem.material.constants), tuple(self.warm_steps)),
+            warm=Warm(
+                system,
+                dict(self.problem.material.constants),
+                tuple(self.warm_steps[k] for k in kept),
+            ),
         )
+
+    def _kept(self) -> NDArray[np.int64]:
+        """Places of the steps that the solution holds: those that were requested, or all."""
+        reached = np.array(self.reached)
+        steps = reached * self.problem.test.steps / self._whole_mm
+        asked = np.abs(steps - np.round(steps)) < 1e-6
+        return np.flatnonzero(asked | self.every_step)
+
+    def _iterations(self, kept: NDArray[np.int64]) -> tuple[int, ...]:
+        """Add to the iterations of kept steps those of steps before them that are not kept."""
+        total = np.cumsum(np.r_[0, self.iterations])[np.r_[0, kept + 1]]
+        return tuple(int(n) for n in np.diff(total))
 
     def _message(self, state: State, lost: str, reason: str) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""

@@ -44,8 +44,8 @@ class Solution:
     message : str
         One sentence that says why it ended.
     curve : Curve
-        Requested steps up to the last converged one, with stiffness, gradients and work; and
-        steps between them where energy was missing or the curve bends.
+        Requested steps up to the last converged one, with stiffness, gradients and work; and, if
+        :class:`~study.forward.options.Options` ask for it, steps added where the curve bends.
     reached_mm : float
         Displacement of the last converged step, sub-steps of a cut-back included.
     min_j : float
