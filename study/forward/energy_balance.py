@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 #: before the specimen is said to have jumped. Interpolation over a tenth of a cone's depth
 #: is off by up to 0.2 % of it, jumps begin at about 0.5 %.
 JUMP_SHARE = 0.005
+#: The same under an indenter that sticks. Its steps are a part of the answer and cannot be taken
+#: again in halves, so that what interpolation is off must not look like a jump.
+STICKING_JUMP_SHARE = 0.02
 #: Energy that is counted at least, over force times the whole displacement: at first touch
 #: a few contact points close one after the other, and next to nothing is stored.
 LEAST_ENERGY = 0.1
@@ -55,11 +58,21 @@ def unexplained_work(before: LoadedState, after: LoadedState) -> float:
     return float(work[0]) - (after.stored.total - before.stored.total)
 
 
-def jumped(before: LoadedState, after: LoadedState, whole_mm: float) -> bool:
-    """Whether energy was lost or won between two states; ``whole_mm`` is the whole displacement."""
+def jumped(
+    before: LoadedState, after: LoadedState, whole_mm: float, share: float = JUMP_SHARE
+) -> bool:
+    """Whether energy was lost or won between two states.
+
+    Parameters
+    ----------
+    whole_mm : float
+        Displacement of the whole test.
+    share : float
+        Of the stored energy that may be missing, or too much.
+    """
     least = LEAST_ENERGY * abs(after.force_N) * whole_mm
     held = max(after.stored.total, least)
-    return abs(unexplained_work(before, after)) > JUMP_SHARE * held
+    return abs(unexplained_work(before, after)) > share * held
 
 
 @dataclass(frozen=True)
@@ -103,7 +116,10 @@ class EnergyBalance:
 
 
 def balanced(
-    states: list[LoadedState], jumps_mm: tuple[float, ...], whole_mm: float
+    states: list[LoadedState],
+    jumps_mm: tuple[float, ...],
+    whole_mm: float,
+    share: float = JUMP_SHARE,
 ) -> tuple[EnergyBalance, Array]:
     """Energy balance of a run, and the work done up to each state, shape (n,), N mm.
 
@@ -115,7 +131,10 @@ def balanced(
     pairs = list(zip(states[:-1], states[1:], strict=True))
     missing = np.array([unexplained_work(*pair) for pair in pairs])
     lost = np.array(
-        [m if jumped(*pair, whole_mm) else 0.0 for m, pair in zip(missing, pairs, strict=True)]
+        [
+            m if jumped(*pair, whole_mm, share) else 0.0
+            for m, pair in zip(missing, pairs, strict=True)
+        ]
     )
     largest = float(total.max())
     mismatch = np.r_[0.0, np.cumsum(missing)] / (largest if largest > 0 else np.inf)

@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.curve import Curve
-from study.forward.energy_balance import LoadedState, balanced, jumped
+from study.forward.energy_balance import (
+    JUMP_SHARE,
+    STICKING_JUMP_SHARE,
+    LoadedState,
+    balanced,
+    jumped,
+)
 from study.forward.gradients import StepGradients
 from study.forward.internal import StoredEnergy
 from study.forward.problem import Problem, Surface
@@ -76,7 +82,7 @@ class Logbook:
         first_mm = self._whole_mm / self.problem.test.steps
         if not self.states or self.states[-1].displacement_mm < (1 - 1e-9) * first_mm:
             return False
-        return jumped(self.states[-1], loaded, self._whole_mm)
+        return jumped(self.states[-1], loaded, self._whole_mm, self._share)
 
     def add(
         self, state: State, assembly: Assembly, row: StepGradients, loaded: LoadedState, spent: int
@@ -117,6 +123,11 @@ class Logbook:
         return self.curve(work).coarse_intervals(error)
 
     @property
+    def _share(self) -> float:
+        """Share of the stored energy above which something has jumped."""
+        return STICKING_JUMP_SHARE if self.system.sticks else JUMP_SHARE
+
+    @property
     def _whole_mm(self) -> float:
         return self.problem.test.displacement_mm
 
@@ -140,7 +151,7 @@ class Logbook:
         """
         system, kept = self.system, self._kept()
         vertices = system.mesh.points.shape[0]
-        balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
+        balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
         return Solution(
             status="converged" if self.complete else "unstable" if lost else "not-converged",
             message=self._message(state, lost, reason),

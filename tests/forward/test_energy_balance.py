@@ -120,3 +120,15 @@ def test_missing_energy_is_a_jump() -> None:
     assert not jumped(state(1, 1), state(2, 4), 2.0)
     assert jumped(state(1, 1), state(2, 3.9), 2.0)
     assert jumped(state(1, 1), state(2, 4.1), 2.0)
+
+
+@pytest.mark.parametrize("steps", [6, 24])
+def test_an_indenter_that_sticks_gives_no_false_alarm(steps: int) -> None:
+    """Points are held one after the other; on linear triangles that bends the curve at first."""
+    material = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.499)
+    test = Loading("indentation", 1.0, "bonded", "bonded", steps=steps, indenter=Cone(40.0, 0.5))
+    model = Model("axisymmetric", "linear", "simplex", mesh="coarse")
+    solution = solve(Problem(Cylinder(20.0, 15.0), test, material, model), gradients=False)
+    assert solution.converged
+    assert solution.energy.jumps_mm == ()
+    assert solution.energy.largest_mismatch < 0.01
