@@ -105,7 +105,9 @@ class LoadPath:
         result, spent = self._reach(target)
         if result is None:
             return False
-        loaded = self.logbook.loaded(self.state, self._row(result))
+        # kept, for other steps may be assembled before it is written down
+        row = self._row(result)
+        loaded = self.logbook.loaded(self.state, row)
         known = len(self.logbook.snaps) > snaps
         jumped = not known and self.logbook.jumped_to(loaded)
         if jumped and halvings and not self.system.sticks:
@@ -116,7 +118,7 @@ class LoadPath:
             self._return_to(there)  # smaller steps found nothing
         if jumped:
             self.logbook.snaps.append(self.logbook.reached[-1])
-        self.logbook.add(self.state, result.equilibrium(), self._row(result), loaded, spent)
+        self.logbook.add(self.state, result.equilibrium(), row, loaded, spent)
         return True
 
     def _place(self) -> _Place:
