@@ -55,9 +55,11 @@ class Case:
 
     def task(self) -> Task:
         """Mesh the case; every code gets the same mesh."""
-        from study.forward.mesh import build_mesh
-        from study.forward.problem import Cylinder, Model, Problem, Test
-        from study.material import Material
+        from study.fem.mesh.mesher import build_mesh
+        from study.material.material import Material
+        from study.setup.geometry import Cylinder
+        from study.setup.setup import Model, Problem
+        from study.setup.test_kind import Test
 
         displacement = self.percent / 100 * HEIGHT_MM
         test = Test("compression", displacement, "bonded", "bonded", steps=self.steps)

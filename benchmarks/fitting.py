@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from study.calibration import EvaluationFailed, MeasuredCurve, fit
+from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.iteration import EvaluationFailed
 from study.curve import Curve
-from study.runner import build, fits
-from study.runner.staged import TOLERANCES
+from study.forward import finite_element
+from study.runner import build
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import TOLERANCES
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (
@@ -41,7 +44,7 @@ def ours(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[float,
     """Seconds, simulations and constants of our fit."""
     names = build.calibrated_names(setting["material"])
     began = time.perf_counter()
-    model = fits.InverseFem(setting, [measured], names)
+    model = fit_task.InverseFem(setting, [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     found = fit(model, data, names, start, **TOLERANCES["inverse-fem"])
     if not found.converged:
@@ -65,7 +68,9 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
         solves += 1
         constants = dict(zip(names, values.tolist(), strict=True))
         try:
-            solution = fits.solve(build.problem(setting, constants), gradients=False, warm=last)
+            solution = finite_element.solve(
+                build.problem(setting, constants), gradients=False, warm=last
+            )
         except EvaluationFailed:
             return np.full(len(measured), 1e3)
         if solution.status != "converged":
@@ -86,7 +91,7 @@ def compare(mesh: str) -> None:
     for model, order, true in ENERGIES:
         setting = config(model, order, mesh)
         began = time.perf_counter()
-        solution = fits.solve(build.problem(setting, true), gradients=False)
+        solution = finite_element.solve(build.problem(setting, true), gradients=False)
         forward = time.perf_counter() - began
         measured = Curve(solution.curve.displacement_mm, solution.curve.force_N)
         exact = np.array(list(true.values()))
@@ -113,7 +118,9 @@ def main() -> None:
         f"{'scipy s':>10}{'solves':>8}{'error':>10}{'ratio':>7}{'solves':>8}"
         f"{'iteration':>10}"
     )
-    fits.solve(build.problem(config(*ENERGIES[0][:2], "coarse"), ENERGIES[0][2]))  # compiles
+    finite_element.solve(
+        build.problem(config(*ENERGIES[0][:2], "coarse"), ENERGIES[0][2])
+    )  # compiles
     for mesh in ("coarse", "medium", "fine"):
         compare(mesh)
 

@@ -22,9 +22,11 @@ SIZE_MM = 0.22
 
 def measure() -> dict[str, Any]:
     """Seconds of the first and of later runs, and how many kernels had to be compiled."""
-    from study.forward.problem import Cone, Cylinder, Model, Problem, Test
-    from study.forward.solve import solve
-    from study.material import Material
+    from study.fem.solver.solve import solve
+    from study.material.material import Material
+    from study.setup.geometry import Cone, Cylinder
+    from study.setup.setup import Model, Problem
+    from study.setup.test_kind import Test
 
     test = Test("indentation", 3.0, "frictionless", "bonded", steps=10, indenter=Cone(30.0, 1.0))
     gel = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)

@@ -13,12 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from study.curve import Curve
-from study.forward.mesh import build_mesh
-from study.forward.problem import Block, Cone, Cylinder, Flat, Model, Problem, Sphere, Test
-from study.forward.solve import Options, solve
-from study.material import Material
-from study.runner.fits import CURVE_ERROR
-from study.runner.scoring import relative_rms_force_error
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.options import Options
+from study.fem.solver.solve import solve
+from study.forward.finite_element import CURVE_ERROR
+from study.material.material import Material
+from study.runner.response import relative_rms_force_error
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 GEL = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
 #: another energy, which stands for a measured curve some per cent away

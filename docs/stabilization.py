@@ -10,12 +10,14 @@ import argparse
 
 import numpy as np
 
-from study.forward import system
-from study.forward.fields import deformation_gradient
-from study.forward.problem import Cone, Cylinder, Flat, Model, Problem, Sphere, Test
-from study.forward.solution import Solution
-from study.forward.solve import solve
-from study.material import Material
+from study.fem.element.function_space import deformation_gradient
+from study.fem.solver import internal_force
+from study.fem.solver.solution import Solution
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Cone, Cylinder, Flat, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 GEL = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.4995)
 CASES = {"cone": (Cone(30, 1, 3), 2.0), "sphere": (Sphere(5.0), 2.0), "flat": (Flat(3, 0.3), 1.0)}
@@ -49,12 +51,15 @@ def energies(found: Solution) -> tuple[float, float]:
 
 def row(name: str, mesh: str, change: str) -> str:
     """One line: force, and what each stabilization stores of the isochoric energy."""
-    by, usual = CHANGES[change], (system.LOCAL_BULK, system.EVENNESS_OF_SOLIDS)
-    system.LOCAL_BULK, system.EVENNESS_OF_SOLIDS = by[0] * usual[0], by[1] * usual[1]
+    by, usual = CHANGES[change], (internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS)
+    internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS = (
+        by[0] * usual[0],
+        by[1] * usual[1],
+    )
     try:
         found = solve(pressed(name, "3d", mesh), gradients=False)
     finally:
-        system.LOCAL_BULK, system.EVENNESS_OF_SOLIDS = usual
+        internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS = usual
     local, uneven = (f"{100 * share:.4f} %" for share in energies(found))
     state = f"{found.curve.force_N[-1]:.6f} N" if found.converged else found.message
     return f"{name} | {mesh} | {change} | {state} | {local} | {uneven}"

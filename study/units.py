@@ -27,7 +27,6 @@ INTERNAL: Mapping[str, str] = {
     "stiffness": "N/mm",
     "work": "N mm",
 }
-
 _D = Decimal
 _TABLE: Mapping[str, Mapping[str, Decimal]] = {
     "length": {"mm": _D(1), "cm": _D(10), "m": _D(1000), "um": _D("1e-3"), "in": _D("25.4")},
@@ -65,11 +64,11 @@ _EXAMPLE: Mapping[str, str] = {
 
 #: unit inside -> (unit shown to people, factor); constants are reported in kPa
 TO_DISPLAY: Mapping[str, tuple[str, float]] = {"MPa": ("kPa", 1000.0)}
-
 _NUMBER = re.compile(
     r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
 )
 _QUANTITY = re.compile(rf"({_NUMBER.pattern})[ \t]*(\S(?:.*\S)?)", re.ASCII)
+
 # No brackets and one digit of exponent: a unit is never worth an expression.
 _WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"
 _UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")

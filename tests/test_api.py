@@ -10,7 +10,7 @@ import pytest
 
 import study
 from study import api
-from study.api.places import data_root
+from study.api.folders import data_root
 from study.errors import InputError, RefusedError
 from tests.cli.small import DESIGN, write_files
 
@@ -23,20 +23,20 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def outcome(home: Path) -> api.studies.StudyResult:
+def outcome(home: Path) -> api.study.StudyResult:
     return study.run(
         home / "small.toml", data=home / "data", jobs=1, results=home / "results", reports=None
     )
 
 
-def test_run_gives_every_number_without_a_report(outcome: api.studies.StudyResult) -> None:
+def test_run_gives_every_number_without_a_report(outcome: api.study.StudyResult) -> None:
     assert outcome.report is None
     assert len(outcome.table) == outcome.total == 12
     assert outcome.failed == 0
     assert {row["factor"] for row in outcome.verdicts} >= {"material", "range"}
 
 
-def test_running_again_computes_nothing(home: Path, outcome: api.studies.StudyResult) -> None:
+def test_running_again_computes_nothing(home: Path, outcome: api.study.StudyResult) -> None:
     cases = home / "results" / "small" / "cases"
     before = {p: p.stat().st_mtime_ns for p in cases.rglob("*")}
     steps: list[object] = []
@@ -51,7 +51,7 @@ def test_running_again_computes_nothing(home: Path, outcome: api.studies.StudyRe
     assert again.manifest["timings"] == outcome.manifest["timings"]
 
 
-def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.studies.StudyResult) -> None:
+def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.study.StudyResult) -> None:
     design = study.load_design(home / "small.toml")
     plan = api.plan(design, data=home / "data", results=home / "results")
     assert (plan.total, plan.done, plan.missing, plan.fits) == (12, 12, 0, 0)
@@ -62,15 +62,13 @@ def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.studies.Stud
     assert other.missing == 12
 
 
-def test_a_study_opens_by_name_folder_and_file(
-    home: Path, outcome: api.studies.StudyResult
-) -> None:
+def test_a_study_opens_by_name_folder_and_file(home: Path, outcome: api.study.StudyResult) -> None:
     for path in ("small", home / "results" / "small", home / "small.toml"):
         found = api.open_study(path, home / "results")
         pd.testing.assert_frame_equal(found.table, outcome.table)
 
 
-def test_analyze_a_study_and_a_table_agree(home: Path, outcome: api.studies.StudyResult) -> None:
+def test_analyze_a_study_and_a_table_agree(home: Path, outcome: api.study.StudyResult) -> None:
     own = study.analyze(home / "results" / "small", "work_error")
     named = study.analyze(outcome.folder, "work_error", ["material", "range"])
     assert own.to_json() == named.to_json()
@@ -107,7 +105,7 @@ def test_the_numbers_of_the_readme() -> None:
 
 
 def test_solve_a_file_a_mapping_and_a_problem(home: Path) -> None:
-    from study.design import load_problem
+    from study.design.load import load_problem
     from study.runner import build
 
     config = load_problem(home / "problem.toml")
@@ -132,7 +130,7 @@ def test_calibrate_gives_numbers_with_their_errors(home: Path) -> None:
     assert found["parameters"]["C10"]["value"] == pytest.approx(8.0, rel=2e-3)
 
 
-def test_why_finds_a_case_by_its_beginning(home: Path, outcome: api.studies.StudyResult) -> None:
+def test_why_finds_a_case_by_its_beginning(home: Path, outcome: api.study.StudyResult) -> None:
     record = outcome.records[0]
     assert api.why(record.case_id[:10], results=home / "results").case_id == record.case_id
     ids = [r.case_id for r in outcome.records]
@@ -153,7 +151,7 @@ def test_data_stand_in_the_named_folder_else_beside_the_design(tmp_path: Path) -
 
 
 def test_a_report_that_cannot_be_written_costs_no_number(
-    home: Path, outcome: api.studies.StudyResult
+    home: Path, outcome: api.study.StudyResult
 ) -> None:
     (home / "reports").write_text("a file where the folder should be")
     found = study.report(home / "results" / "small", reports=home / "reports")

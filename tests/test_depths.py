@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import study
-from study.analysis import AnalysisResult
-from study.api.depths import effects_by_depth
+from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.result import AnalysisResult
+from study.api.depth_effects import effects_by_depth
 from study.api.statistics import analyze_records
-from study.api.studies import StudyResult
 from study.curve import Curve
-from study.reporting.page import build
-from study.runner.refine import Numerical
+from study.reporting.output.page import build
+from study.study_result.study_result import StudyResult
 from tests.cli.small import DESIGN, write_files
 
 
@@ -88,6 +88,6 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
         found.append(result.u_num)
         return result
 
-    monkeypatch.setattr("study.api.statistics.analyze_records", noted)
+    monkeypatch.setattr("study.api.depth_effects.analyze_records", noted)
     effects_by_depth(replace(outcome, numerical=(rough,)))
     assert found == [50.0] * 4

@@ -53,7 +53,7 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
     RuntimeError
         If it has no answer.
     """
-    from study.forward.solve import solve
+    from study.fem.solver.solve import solve
     from study.runner import build
 
     problem = build.problem(job.config, one.constants, depth_mm)
@@ -68,7 +68,8 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
 
 def _on_two_elements(problem: Any, area_mm2: float) -> Any:
     """Cylinder of the same cross-section on a coarse mesh: homogeneous, so any mesh is exact."""
-    from study.forward.problem import Cylinder, Model
+    from study.setup.geometry import Cylinder
+    from study.setup.setup import Model
 
     height = problem.specimen.height_mm
     cylinder = Cylinder(math.sqrt(area_mm2 / math.pi), height)

@@ -50,9 +50,9 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
     InputError
         If the folder holds no study, or ``data`` not its measurements.
     """
-    from study.api.places import results_folder
-    from study.design import loads
-    from study.record import Store
+    from study.api.folders import results_folder
+    from study.design.load import loads
+    from study.record.store import Store
 
     home = results_folder(folder)
     store = Store(home)
@@ -69,9 +69,9 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
 
 def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
     """Resolve every case, by its levels, its block and the number of its mesh."""
-    from study.design import cases
+    from study.design.cases import cases
+    from study.runner.provenance import located
     from study.runner.replicates import mesh_seeded
-    from study.runner.surfaces import located
 
     places = () if data is None else (data.resolve(),)
     return {
@@ -132,7 +132,7 @@ def _unfit(record: Any) -> str:
 
 
 def _plain(config: Config) -> dict[str, Any]:
-    from study.design import plain
+    from study.design.cases import plain
 
     made: dict[str, Any] = plain(config)
     return made
@@ -160,8 +160,8 @@ def _lists(curve: Any) -> tuple[list[float], list[float]]:
 
 def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
     """Read the measured curve that a direction is scored on; the second is the first's reverse."""
-    from study.design import MeasurementSpec
-    from study.record import read_measurements
+    from study.design.spec import MeasurementSpec
+    from study.measurement.reading import read_measurements
 
     spec, height = config["measurements"], config["specimen"].get("height_mm")
     made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)

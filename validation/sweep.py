@@ -36,8 +36,9 @@ from numpy.typing import NDArray
 if not __package__:  # run as a script: the folder above holds this one
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from study.errors import InputError
-from study.forward.expected import expected_unknowns
-from study.forward.problem import Cylinder, Problem
+from study.fem.cost import expected_unknowns
+from study.setup.geometry import Cylinder
+from study.setup.setup import Problem
 from validation.apart import Apart
 from validation.sweep_problems import drawn, references, sized
 
@@ -61,7 +62,7 @@ SILENT = "silent miss"
 
 def solution(problem: Problem) -> Found:
     """Solve a problem, in a process of its own; the curve and what the run says of itself."""
-    from study.forward.solve import solve
+    from study.fem.solver.solve import solve
 
     began = time.perf_counter()
     found = solve(problem, gradients=False)
@@ -142,7 +143,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
     As a study claims it for its own mesh: from two finer meshes, or one where the second would
     be dear.
     """
-    from study.forward.mesh import mesh_size
+    from study.fem.mesh.mesher import mesh_size
 
     series, size = [own], mesh_size(problem)
     for level in range(1, MESHES):
@@ -164,7 +165,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
 
 def _sizes(problem: Problem, series: Sequence[Found]) -> list[float]:
     """Sizes by which a study judges a series."""
-    from study.runner.refine_judge import series_sizes
+    from study.runner.numerical.judgement import series_sizes
 
     pressed = problem.test.indenter
     indenter = {
@@ -185,8 +186,12 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.runner.refine import ratio_of, series_uncertainty, two_mesh_uncertainty
-    from study.runner.refine_formal import formal_order
+    from study.runner.numerical.formal_order import formal_order
+    from study.runner.numerical.study_refinement import (
+        ratio_of,
+        series_uncertainty,
+        two_mesh_uncertainty,
+    )
 
     if len(values) < 2:
         return "one mesh", None
@@ -343,11 +348,12 @@ def shown(rows: Sequence[Mapping[str, Any]], count: int) -> Iterator[str]:
 def reproduction(seed: int, number: int) -> str:
     """Lines of Python that solve a problem and its first reference."""
     problem = drawn(seed, number)
-    names = "Block, Cone, Cylinder, Flat, Model, Problem, Sphere, Test"
     return (
-        f"from study.forward.problem import {names}\n"
-        "from study.forward.solve import solve\n"
-        "from study.material import Material\n\n"
+        "from study.fem.solver.solve import solve\n"
+        "from study.material.material import Material\n"
+        "from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere\n"
+        "from study.setup.setup import Model, Problem\n"
+        "from study.setup.test_kind import Test\n\n"
         f"problem = {problem!r}\n"
         f"reference = {references(problem)[0]!r}\n"
         "for one in (problem, reference):\n"

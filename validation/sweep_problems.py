@@ -13,24 +13,15 @@ from dataclasses import replace
 import numpy as np
 
 from study.errors import InputError
-from study.forward.checks import check, instability
-from study.forward.expected import expected_unknowns
-from study.forward.mesh import mesh_size
-from study.forward.problem import (
-    Block,
-    Cone,
-    Cylinder,
-    Flat,
-    Indenter,
-    Interface,
-    Model,
-    Problem,
-    Sphere,
-    Test,
-)
-from study.forward.sizes import sharp_edge
-from study.forward.steps import StepRule, StepSettings
-from study.material import Material
+from study.fem.checks import check, instability
+from study.fem.cost import expected_unknowns
+from study.fem.mesh.mesher import mesh_size
+from study.fem.mesh.size_field import sharp_edge
+from study.material.material import Material
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Interface, Sphere
+from study.setup.load_steps import StepRule, StepSettings
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 Generator = np.random.Generator
 

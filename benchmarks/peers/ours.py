@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from benchmarks.exchange import Answer, NoAnswerError, Task
-from study.forward.mesh import Mesh
-from study.forward.problem import Cylinder, Model, Problem, Test
-from study.forward.solve import Options
-from study.forward.solve import solve as simulate
-from study.forward.steps import StepSettings
-from study.material import Material
+from study.fem.mesh.mesh import Mesh
+from study.fem.solver.options import Options
+from study.fem.solver.solve import solve as simulate
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from study.setup.load_steps import StepSettings
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 #: no step is cut in two, and the free side passes through the plates: as in the other codes
 OPTIONS = Options(side_contact=False, steps=StepSettings(largest=0.06))

@@ -8,27 +8,36 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.analysis import error_term, failed, nested
-from study.analysis.blocks import own
-from study.analysis.copies import CopyGroups, group_cells, refuse_fake_replicates, ulp_floor
+from study.analysis import nested
+from study.analysis.anova_table import Effect
+from study.analysis.assumption import missing_cases
+from study.analysis.assumption.robustness import add_robustness
+from study.analysis.data import Data, Options, prepare, threshold
+from study.analysis.design_matrix import nested_in, number_within, term_name, terms_of
 from study.analysis.effects import Scale
-from study.analysis.groups import own_groups
-from study.analysis.matrix import Array, nested_in, number_within, term_name, terms_of
-from study.analysis.options import Options
-from study.analysis.outcome import Outcome, assemble
-from study.analysis.pooled import pooled
-from study.analysis.practical import threshold
-from study.analysis.results import AnalysisResult, Effect
-from study.analysis.robustness import add_robustness
-from study.analysis.strata import Plots, split_plot, whole_plots
-from study.analysis.threads import one_thread
-from study.analysis.tidy import Data, names_of, prepare
+from study.analysis.error import ledger
+from study.analysis.error.block_groups import own_groups
+from study.analysis.error.blocked import own
+from study.analysis.error.ledger import pooled
+from study.analysis.error.split_plot import Plots, split_plot, whole_plots
+from study.analysis.outcome import Outcome
+from study.analysis.pseudoreplication import (
+    CopyGroups,
+    group_cells,
+    refuse_fake_replicates,
+    ulp_floor,
+)
+from study.analysis.result import AnalysisResult, assemble
+from study.analysis.sums_of_squares import one_thread
+from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
+from study.tidy_csv import names_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _DEFAULT_TOLERANCE = 1e-8
+
 # columns of a study's table that say what the repeats of a cell are
 _SEED_COLUMNS = {"mesh_seed": "mesh-seeds", "noise_seed": "noise"}
 
@@ -81,16 +90,16 @@ def analyze(
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
-        Terms; see :func:`study.analysis.matrix.terms_of`.
+        Terms; see :func:`study.analysis.design_matrix.terms_of`.
     error : {"auto", "pooled", "own"}
-        How the error is found; see :mod:`study.analysis.error_term`.
+        How the error is found; see :mod:`study.analysis.error.ledger`.
     records : bool
         Whether the rows are records of a deterministic study.
     tolerance : float, optional
         Solver tolerance in the unit of the response; default 1e-8 of its largest value for
         records, 0 otherwise.
     practical : optional
-        Smallest difference that matters; see :func:`study.analysis.practical.threshold`.
+        Smallest difference that matters; see :func:`study.analysis.data.threshold`.
     transform : {"none", "log"}
         ``log`` reports effects as ratios.
     u_num : float or mapping to float, optional
@@ -157,8 +166,8 @@ def _complete(
     def effects(completed: pd.DataFrame) -> tuple[Effect, ...]:
         return _found(completed, response, factors, options).effects
 
-    found = failed.bounds(table, response, factors, out.effects, options.alpha, effects)
-    notes = failed.sentences(found, out.data.missing)
+    found = missing_cases.bounds(table, response, factors, out.effects, options.alpha, effects)
+    notes = missing_cases.sentences(found, out.data.missing)
     return replace(result, bounds=found, warnings=(*result.warnings, *notes))
 
 
@@ -218,8 +227,8 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     out = replace(out, y=y, scale=scale, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
     copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
-    how = error_term.method(options.error, data.block, out.records, copies=copied)
-    if how == error_term.OWN:
+    how = ledger.method(options.error, data.block, out.records, copies=copied)
+    if how == ledger.OWN:
         tested = _own(out, options, plots)
         if tested is not None:
             return tested

@@ -13,15 +13,16 @@ from itertools import combinations
 
 import numpy as np
 
-from study.analysis.comparisons import letters
-from study.analysis.matrix import Array, Layout, Term, grid, model_matrix, term_name
-from study.analysis.results import Effect, PairDifference
-from study.analysis.sums import Factored
-from study.analysis.tukey import studentized_range_quantile
+from study.analysis.anova_table import Effect, PairDifference
+from study.analysis.comparisons import letters, studentized_range_quantile
+from study.analysis.design_matrix import Layout, Term, grid, model_matrix, term_name
+from study.analysis.sums_of_squares import Factored
+from study.arrays import Array
 
 MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
 CANNOT_TELL = "cannot tell"
+
 # beyond this nobody reads all pairs
 _MOST_LEVELS = 20
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.analysis.anova_table import Anova, NaiveTerm, NestedUnits
+from study.analysis.data import prepare
 from study.analysis.effects import t_quantile
-from study.analysis.results import AnalysisResult, Anova
-from study.analysis.tidy import prepare
+from study.analysis.result import AnalysisResult
 from study.errors import Fault, InputError, nearest
 
 if TYPE_CHECKING:
@@ -62,49 +62,6 @@ def average_units(
     if transform == "log":
         out[response] = np.exp(out[response])
     return out
-
-
-@dataclass(frozen=True)
-class NaiveTerm:
-    """One term with the units as replicates, and as it would look with every row as one."""
-
-    term: str
-    f: float
-    df: tuple[float, float]
-    p: float
-    naive_f: float
-    naive_df: tuple[float, float]
-    naive_p: float
-
-
-@dataclass(frozen=True)
-class NestedUnits:
-    """How far rows on one unit are from independent, and what taking them so would claim.
-
-    Parameters
-    ----------
-    unit : str
-        Column of the unit.
-    rows, units : int
-        Number of rows, and of units in cells.
-    correlation : float
-        Intraclass correlation of two rows on one unit.
-    effective_rows : float
-        Number of independent rows that tell as much: rows / (1 + (m - 1) correlation).
-    too_narrow : float
-        Width of an honest interval over that of the naive one.
-    naive_size : float
-        How often the naive 5 % test of a factor would reject a true null.
-    """
-
-    unit: str
-    rows: int
-    units: int
-    correlation: float
-    effective_rows: float
-    too_narrow: float
-    naive_size: float
-    terms: tuple[NaiveTerm, ...]
 
 
 def compare_naive(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from study.analysis.results import Row
+from study.analysis.anova_table import Row
 from study.errors import Fault, InputError
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from study.analysis.matrix import Array
+from study.arrays import Array
 
 
 @dataclass(frozen=True)

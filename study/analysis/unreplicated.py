@@ -10,9 +10,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.analysis.matrix import Array, Layout, Term, term_name
-from study.analysis.results import plain
-from study.analysis.sums import Factored, span
+from study.analysis.data import Data
+from study.analysis.design_matrix import Layout, Term, balanced, term_name, terms_of
+from study.analysis.sums_of_squares import Factored, span
+from study.arrays import Array
+from study.canonical import plain
+
+
+def lenth_of(data: Data, y: Array, terms: Sequence[Term], seed: int) -> LenthResult:
+    """Lenth's method on the one-df contrasts of an unreplicated factorial.
+
+    In a two-level design the values are the classical effects. A full grid gives the contrasts
+    of all terms; of a saturated fraction the terms of the model fill the space.
+    """
+    every = terms_of(data.factors) if balanced(data.layout, data.factors) else tuple(terms)
+    names, contrasts = orthonormal_contrasts(data.layout, every)
+    values = contrasts.T @ (y - y[0])
+    if all(len(data.layout.levels[f]) == 2 for f in data.factors):
+        values = 2 * values / np.sqrt(y.size)
+    return lenth(values, names, seed=seed)
 
 
 @dataclass(frozen=True)

@@ -8,24 +8,25 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+#: module of every name, and what it is called there if not the same
 _HOME = {
-    "load_design": "study.api.studies",
-    "run": "study.api.studies",
-    "demo": "study.api.studies",
+    "load_design": "study.api.study",
+    "run": "study.api.study",
+    "demo": "study.api.study",
     "plan": "study.api.planning",
     "status": "study.api.planning",
     "why": "study.api.planning",
-    "report": "study.api.studies",
-    "open_study": "study.api.studies",
+    "report": "study.api.study",
+    "open_study": "study.api.opened_study",
     "diff": "study.api.compare",
-    "analyze": "study.api.statistics",
-    "anova": "study.api.statistics",
-    "ryan_joiner": "study.api.statistics",
-    "bartlett": "study.api.statistics",
-    "grid_convergence": "study.api.statistics",
+    "analyze": "study.api.analysis",
+    "anova": "study.analysis.anova:analyze",
+    "ryan_joiner": "study.analysis.assumption.normality",
+    "bartlett": "study.analysis.assumption.variance",
+    "grid_convergence": "study.analysis.convergence.grid_convergence",
     "solve": "study.api.single",
-    "calibrate": "study.api.calibration",
-    "choose_energy": "study.api.calibration",
+    "calibrate": "study.api.single",
+    "choose_energy": "study.api.single",
     "converge": "study.api.convergence",
     "virtual": "study.api.single",
 }
@@ -35,4 +36,5 @@ __all__ = list(_HOME)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'study.api' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+    module, _, known_as = _HOME[name].partition(":")
+    return getattr(importlib.import_module(module), known_as or name)

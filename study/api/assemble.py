@@ -6,12 +6,15 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from study.api.credibility import checks_of_spaces
-from study.api.depths import effects_by_depth
-from study.api.equilibrium_paths import checks_of_paths
+from study.api.depth_effects import effects_by_depth
+from study.api.uncertainty.credibility import checks_of_spaces
+from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
-from study.design import calibration_factors, equivalent_groups, excluded, treatments
-from study.reporting.data import (
+from study.design.cases import excluded, treatments
+from study.design.overview import calibration_factors, equivalent_groups
+from study.reporting.numbers import name_of
+from study.runner.numerical.judgement import stored_convergence
+from study.study_result.report_data import (
     ANY,
     Check,
     CurvePair,
@@ -22,12 +25,14 @@ from study.reporting.data import (
 )
 
 if TYPE_CHECKING:
-    from study.api.studies import StudyResult
-    from study.design import Design
-    from study.record import Record
+    from study.design.spec import Design
+    from study.record.record import Record
+    from study.study_result.study_result import StudyResult
+
 
 #: cells that must agree physically may differ by the tolerance of the solver
 CONTROL_TOLERANCE = 1e-5
+
 #: sentences about aliases that a report holds
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
@@ -79,16 +84,12 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
 
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
     """Series with enough meshes for an order."""
-    from study.runner.series import stored_convergence
-
     rows = stored_convergence([row for row in study.numerical if len(row.series) >= 3])
     return tuple(_named(row) for row in rows)
 
 
 def _named(row: dict[str, Any]) -> dict[str, Any]:
     """Name a series by its levels and its response."""
-    from study.reporting.text import name_of
-
     return row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}}
 
 

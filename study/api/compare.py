@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.changes import changes
-from study.api.places import RESULTS
+from study.api.design_changes import changes
+from study.api.folders import RESULTS, results_folder
+from study.api.opened_study import open_study
 from study.errors import Fault, InputError
-from study.reporting import data_beside as words
-from study.reporting.data_beside import Beside, Conclusion, Found, OnlyInOne
+from study.reporting.content.comparison import summary
+from study.study_result import comparison
+from study.study_result.comparison import Beside, Conclusion, Found, OnlyInOne, document
 
 if TYPE_CHECKING:
-    from study.analysis import AnalysisResult
-    from study.analysis.results import Effect
-    from study.api.studies import StudyResult
-    from study.reporting.data import ResponseAnalysis
+    from study.analysis.anova_table import Effect
+    from study.analysis.result import AnalysisResult
+    from study.study_result.report_data import ResponseAnalysis
+    from study.study_result.study_result import StudyResult
 
 _MATTERS, _NO_DIFFERENCE, _CANNOT_TELL = "matters", "no practical difference", "cannot tell"
-_HOLDS = {_MATTERS: words.MATTERS, _NO_DIFFERENCE: words.NO_DIFFERENCE}
+_HOLDS = {_MATTERS: comparison.MATTERS, _NO_DIFFERENCE: comparison.NO_DIFFERENCE}
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,6 @@ def diff(first: str | Path, second: str | Path, *, results: Path = RESULTS) -> C
     InputError
         If a study has no results, both are the same, or they have nothing in common.
     """
-    from study.api.places import results_folder
-    from study.api.studies import open_study
-
     folders = [results_folder(path, results) for path in (first, second)]
     _refuse_same(folders[0], folders[1])
     studies = open_study(folders[0], results), open_study(folders[1], results)
@@ -86,43 +85,14 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     conclusions = tuple(row for pair in pairs for row in _conclusions(pair, names))
     if not conclusions:
         raise InputError(_nothing(studies, names))
-    return Beside(
+    found = Beside(
         names,
         changes(first, second),
         conclusions,
         tuple(dict.fromkeys(only)),
         tuple(_warnings(studies, names, pairs)),
     )
-
-
-def document(beside: Beside) -> dict[str, Any]:
-    """Comparison as plain JSON."""
-    from dataclasses import asdict
-
-    from study.reporting.beside import summary
-
-    rows = []
-    for row in beside.conclusions:
-        found = [asdict(f) for f in row.found]
-        for one in found:
-            ends = (one.pop("low"), one.pop("high"))
-            one["ci95"] = None if None in ends else list(ends)
-            one["effect_over_u_num"] = one.pop("over_u_num")
-        rows.append(
-            {
-                "response": row.response, "factor": row.term, "unit": row.unit,
-                "scale": "ratio" if row.ratio else "difference",
-                "conclusion": row.conclusion, "holds": row.holds,
-                "end": row.end or None, "same_best": row.same_best, "found": found,
-            }
-        )  # fmt: skip
-    changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in beside.changes]
-    only = [
-        {"what": o.what, "name": o.name, "study": beside.names[o.study], "why": o.why}
-        for o in beside.only
-    ]
-    said = [text.replace("\N{NO-BREAK SPACE}", " ") for text in summary(beside)]
-    return {"summary": said, "changes": changed, "conclusions": rows, "only_in_one": only}
+    return replace(found, summary=summary(found))
 
 
 _Studies = tuple["StudyResult", "StudyResult"]
@@ -244,17 +214,17 @@ def _judge(
     verdicts = [one.verdict for one in found]
     unknown = [verdict not in _HOLDS for verdict in verdicts]
     if all(unknown):
-        return words.NONE_CAN_TELL, None
+        return comparison.NONE_CAN_TELL, None
     if any(unknown):
-        return words.ONE_CANNOT_TELL, None
+        return comparison.ONE_CANNOT_TELL, None
     if verdicts[0] != verdicts[1]:
         how = "; ".join(f"{v} under {name}" for v, name in zip(verdicts, names, strict=True))
-        return f"{words.DIFFERS}: {how}", False
+        return f"{comparison.DIFFERS}: {how}", False
     if verdicts[0] == _MATTERS and same is False:
         lead = " and ".join(
             f"{one.best} under {name}" for one, name in zip(found, names, strict=True)
         )
-        return f"{words.DIFFERS}: matters in both, but the {end} is with {lead}", False
+        return f"{comparison.DIFFERS}: matters in both, but the {end} is with {lead}", False
     return _HOLDS[verdicts[0]], True
 
 

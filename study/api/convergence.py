@@ -6,12 +6,25 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.places import RESULTS, data_root
+from study.analysis.convergence.grid_convergence import grid_convergence
+from study.api.cell_convergence import design_series
+from study.api.convergence_page import write_page
+from study.api.folders import RESULTS, data_root
+from study.api.opened_study import open_study
+from study.design.load import file_kind, load_problem
 from study.errors import Fault, InputError
+from study.runner import build, provenance
+from study.runner.numerical import curve_quantities, judgement
+from study.runner.numerical.formal_order import FormalOrder
+from study.runner.numerical.formal_order import formal_order as promised
+from study.runner.numerical.input_uncertainty import with_sources
+from study.runner.numerical.judgement import stored_convergence
+from study.runner.numerical.refinement import budget_of, refine, series_of
+from study.runner.numerical.refinement_store import in_process, kept, store_of
 
 if TYPE_CHECKING:
-    from study.analysis import ConvergenceResult
-    from study.runner.refine_series import Budget, Series, Solver
+    from study.analysis.convergence.grid_convergence import ConvergenceResult
+    from study.runner.numerical.refinement import Solver
 
 Progress = Callable[[str], None]
 
@@ -64,9 +77,6 @@ def converge(
     InputError
         If there is nothing to judge.
     """
-    from study.analysis import grid_convergence
-    from study.design import file_kind
-
     say = progress or (lambda _: None)
     if source is None:
         if not len(values) or not len(sizes):
@@ -82,7 +92,6 @@ def converge(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
         )  # fmt: skip
-    from study.api.convergence_cells import design_series
 
     return design_series(
         source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
@@ -98,9 +107,6 @@ def stored(source: str | Path, results: Path = RESULTS) -> dict[str, Any]:
     InputError
         If there are none.
     """
-    from study.api.studies import open_study
-    from study.runner.series import stored_convergence
-
     study = open_study(source, results)
     found = stored_convergence(study.numerical)
     if not found:
@@ -126,18 +132,11 @@ def problem(
     solve: Solver | None = None,
 ) -> dict[str, Any]:
     """Refine one problem until its meshes are enough, and study the other errors beside."""
-    from study.design import load_problem
-    from study.runner import build, refine_judge, surfaces
-    from study.runner.refine_formal import FormalOrder
-    from study.runner.refine_formal import formal_order as promised
-    from study.runner.refine_series import refine, series_of
-    from study.runner.refine_store import in_process, kept, store_of
-
     config = source
     if not isinstance(config, Mapping):
-        places = surfaces.folders(config, data_root(config))
-        config = surfaces.located(load_problem(config, overrides), places)
-    refine_judge.quantity(config["converge"].qoi)
+        places = provenance.folders(config, data_root(config))
+        config = provenance.located(load_problem(config, overrides), places)
+    curve_quantities.quantity(config["converge"].qoi)
     formal = promised(build.problem(config))
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
@@ -145,29 +144,11 @@ def problem(
     solver = solve or kept(in_process, store_of(results, name))
     series = series_of(config, config["converge"])
     budget = budget_of(config["converge"].budget_s, memory_MB)
-    refine([series], solver, budget, lambda one: refine_judge.outlook(one, formal.order), progress)
-    made = refine_judge.document(series, formal, tolerance or None)
+    refine([series], solver, budget, lambda one: judgement.outlook(one, formal.order), progress)
+    made = judgement.document(series, formal, tolerance or None)
     if made["quantities"]:
         progress("load steps and solver tolerance")
         made = with_sources(made, series, solver)
     if reports is not None:
-        from study.api.convergence_report import write_page
-
         made["report"] = str(write_page(name, "", made, [config], reports))
     return made
-
-
-def with_sources(made: dict[str, Any], series: Series, solver: Solver) -> dict[str, Any]:
-    """Add the table of the three errors to the document of a series."""
-    from study.runner.refine_sources import one_table, other_sources, remarks
-
-    rows, said = other_sources(series.config, series.good[0].mesh_size_mm, solver)
-    table = one_table(made, rows)
-    return made | {"sources": table, "warnings": [*made["warnings"], *said, *remarks(table)]}
-
-
-def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
-    """Budget of a command, from now on."""
-    from study.runner.refine_series import Budget
-
-    return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)

@@ -9,6 +9,10 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
+from study.forward import closed_form, finite_element
+from study.runner import build
+from study.runner.pool import Task, run_tasks
+
 _NEEDED = ("numpy", "scipy", "pandas", "numba", "skfem", "meshio", "matplotlib", "statsmodels")
 _SYSTEM_LIBRARIES = (
     "apt-get install libglu1-mesa libgl1 libopengl0 libxcursor1 libxft2 libxinerama1 "
@@ -75,8 +79,6 @@ def _solve() -> tuple[str, str]:
     """Compress a cylinder and compare with the closed form."""
     import numpy as np
 
-    from study.runner import build, closed_form, fits
-
     config = {
         "specimen": {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0},
         "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 1.0,
@@ -84,7 +86,7 @@ def _solve() -> tuple[str, str]:
         "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
         "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
     }  # fmt: skip
-    solution = fits.solve(build.problem(config))
+    solution = finite_element.solve(build.problem(config))
     exact = closed_form.compression(
         config["specimen"], build.material(config["material"]), np.array([1.0])
     )
@@ -94,8 +96,6 @@ def _solve() -> tuple[str, str]:
 
 
 def _worker() -> tuple[str, str]:
-    from study.runner.pool import Task, run_tasks
-
     (outcome,) = run_tasks([Task("ping", lambda _: {"kind": "ping"})], jobs=1, timeout_s=60.0)
     good = outcome.result["status"] == "converged"
     return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"

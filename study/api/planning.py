@@ -7,14 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api import remaining
-from study.api.places import RESULTS, data_root, results_folder
-from study.design import Design, describe, load
+from study.api.folders import RESULTS, data_root, results_folder
+from study.api.remaining_time import control_seconds, controls_of, refinement_seconds, seconds_left
+from study.design.load import load
+from study.design.overview import describe
+from study.design.spec import Design
 from study.errors import Fault, InputError, MissingDataError, nearest
-from study.record import Record, Store
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.batch import default_jobs, missing, open_fits
+from study.runner.cost import Costs
+from study.runner.expansion import expand
 
 if TYPE_CHECKING:
-    from study.runner.expand import Work
+    from study.runner.job import Work
 
 
 @dataclass(frozen=True)
@@ -25,7 +31,7 @@ class Plan:
     ----------
     design : Design
     description : mapping
-        Of :func:`study.design.describe`: matrix, exclusions, what each factor can tell.
+        Of :func:`study.design.overview`: matrix, exclusions, what each factor can tell.
     blocks : tuple of str
         Empty without blocks, or where the data cannot be read.
     total, done, failed, missing : int
@@ -93,9 +99,6 @@ def plan(
     InputError
         For a faulty design or faulty data.
     """
-    from study.runner.batch import default_jobs
-    from study.runner.expand import expand
-
     loaded = design if isinstance(design, Design) else load(design, overrides)
     description = describe(loaded)
     warnings = list(description["warnings"])
@@ -116,18 +119,15 @@ def plan(
 def _counted(
     work: Work, description: Mapping[str, Any], store: Store, workers: int, warnings: list[str]
 ) -> Plan:
-    from study.runner.batch import missing, open_fits
-    from study.runner.costs import Costs
-
     warnings += [*work.cautions, *_idle_replicates(work)]
     found = store.survey(work.input_hashes)
     todo = missing(work, store)
     fits = open_fits(work, todo, store)
     costs = Costs()
-    controls = remaining.controls(work, store)
+    controls = controls_of(work, store)
     seconds = costs.total_seconds(fits, todo, workers)
-    seconds += remaining.refinement_seconds(work, store, workers)
-    seconds += remaining.control_seconds(controls, workers)
+    seconds += refinement_seconds(work, store, workers)
+    seconds += control_seconds(controls, workers)
     memory = workers * max(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )
@@ -179,7 +179,7 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
             "failed": len(found.failed),
             "missing": len(found.missing),
         },
-        "predicted_seconds": remaining.seconds_left(running),
+        "predicted_seconds": seconds_left(running),
         "report": None,
         "verdicts": [],
         "warnings": warnings,

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.places import data_root
+from study.api.folders import data_root
+from study.design.load import load, load_calibration, load_problem, loads
 from study.errors import Fault, InputError
+from study.material.stability import check
+from study.record.atomic_files import write_atomic
+from study.record.record import plain
+from study.reporting.figure.curves import FitPanel, fit_figure
+from study.reporting.figure.meshes import picture
+from study.runner import build, provenance
+from study.runner.calibration.calibrate import calibrate as run_calibration
+from study.runner.calibration.model_selection import choose
+from study.runner.virtual import usual_generator, write_virtual
+from study.setup.setup import Problem
 
 if TYPE_CHECKING:
-    from study.forward.problem import Problem
-    from study.forward.solution import Solution
+    from study.fem.solver.solution import Solution
+    from study.runner.calibration.model_selection import EnergyChoice
+    from study.runner.calibration.result import CalibrationResult
+    from study.runner.fitting.staged_fit import Step
+    from study.setup.setup import Problem
 
 
 def solve(
@@ -35,7 +50,7 @@ def solve(
     InputError
         For a faulty problem, or constants that make an unstable material.
     """
-    from study.forward.solve import solve as forward_solve
+    from study.fem.solver.solve import solve as forward_solve
 
     return forward_solve(_problem(problem, overrides), gradients=gradients, progress=progress)
 
@@ -43,15 +58,11 @@ def solve(
 def _problem(
     problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]
 ) -> Problem:
-    from study.design import load_problem
-    from study.forward.problem import Problem
-    from study.runner import build, surfaces
-
     if not isinstance(problem, Problem):
         config = problem
         if not isinstance(config, Mapping):
-            places = surfaces.folders(config, data_root(config))
-            config = surfaces.located(load_problem(config, overrides), places)
+            places = provenance.folders(config, data_root(config))
+            config = provenance.located(load_problem(config, overrides), places)
         problem = build.problem(config)
     _judge(problem)
     return problem
@@ -61,8 +72,6 @@ def _judge(problem: Problem) -> None:
     """Refuse constants that are unstable on the way, before anything is meshed."""
     import numpy as np
 
-    from study.material import check
-
     height = float(getattr(problem.specimen, "height_mm", 0.0))
     depth = problem.test.displacement_mm
     compressed = problem.test.kind == "compression" and depth < height
@@ -71,8 +80,6 @@ def _judge(problem: Problem) -> None:
 
 def solution_json(solution: Solution) -> dict[str, Any]:
     """Document of ``study solve --json``."""
-    from study.record.record import plain
-
     curve, warm = solution.curve, solution.warm
     content = {
         "status": solution.status,
@@ -127,7 +134,7 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
     InputError
         If no step converged, or the file cannot be written.
     """
-    from study.forward.fields import write_vtu as write
+    from study.fem.fields import write_vtu as write
 
     write(solution, path)
 
@@ -140,8 +147,6 @@ def write_picture(solution: Solution, path: str | Path) -> None:
     InputError
         If there is nothing to draw, or the file cannot be written.
     """
-    from study.reporting.figures_mesh import picture
-
     try:
         svg, _ = picture(solution.points, solution.cells, solution.displacement)
         Path(path).write_text(svg + "\n", encoding="utf-8")
@@ -174,9 +179,6 @@ def virtual(
     """
     from importlib import resources
 
-    from study.design import load, loads
-    from study.runner.virtual import usual_generator, write_virtual
-
     if source is None:
         text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
         design = loads(text, "demo.toml", overrides)
@@ -185,3 +187,90 @@ def virtual(
     return write_virtual(
         design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
     )
+
+
+def calibrate(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    results: Path | None = None,
+    progress: Callable[[Step], None] | None = None,
+    profiles: bool = False,
+) -> CalibrationResult:
+    """Find material constants from one or several measured tests.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    data : str or Path, optional
+        Folder of the measurements.
+    results : Path, optional
+        Where accepted iterations are kept while it runs (an interrupted calibration goes on
+        from there), and the document and the figure in the end; nothing is written without.
+    progress : callable, optional
+        Gets every accepted iteration.
+    profiles : bool
+        Whether profile-likelihood intervals are computed.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data.
+    """
+    config = load_calibration(source, overrides)
+    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
+    folder = None if results is None else results / config["name"]
+    found = run_calibration(
+        config, data_root(source, data), progress=progress, profiles=profiles, folder=folder
+    )
+    if folder is not None:
+        save_calibration(found, folder)
+    return found
+
+
+def choose_energy(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    progress: Callable[[Step], None] | None = None,
+) -> EnergyChoice:
+    """Fit every energy to the tests of a calibration and weigh them by AICc.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data.
+    """
+    config = load_calibration(source, overrides)
+    return choose(config, data_root(source, data), progress=progress)
+
+
+def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
+    """Write the document and the figure of a calibration; returns both paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    document, figure = folder / "calibration.json", folder / "calibration.svg"
+    text: Any = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    write_atomic(document, text.encode())
+    write_atomic(figure, calibration_figure(found).encode())
+    return document, figure
+
+
+def calibration_figure(found: CalibrationResult) -> str:
+    """Every measured curve with its fit, as SVG."""
+    panels = [
+        FitPanel(
+            curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
+            curve.role == "fit",
+            curve.measured.curve.displacement_mm,
+            curve.measured.curve.force_N,
+            None
+            if curve.predicted is None
+            else curve.predicted.force_at(curve.measured.curve.displacement_mm),
+            curve.measured.scatter_N,
+        )
+        for curve in found.curves
+    ]
+    return fit_figure(panels, f"{found.name}: {found.model}, {found.status}")

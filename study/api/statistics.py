@@ -3,69 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from study.analysis import analyze as anova
-from study.analysis import bartlett, grid_convergence, ryan_joiner
-from study.api.gaps import without_gaps
-from study.api.replicates import rows_for
-from study.api.resolution import effect_u_num
-from study.errors import Fault, InputError, nearest
+from study.analysis.anova import analyze as anova
+from study.analysis.design_matrix import terms_of
+from study.api.uncertainty.numerical import effect_u_num
+from study.design.cases import treatments
+from study.design.checks import is_constant
+from study.errors import InputError
+from study.record.table import answered_often, table
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis import AnalysisResult
-    from study.design import Design, Response
-    from study.record import Record
-    from study.runner.refine import Numerical
-
-__all__ = ["analyze", "analyze_records", "anova", "bartlett", "grid_convergence", "ryan_joiner"]
-
-
-def analyze(
-    source: str | Path | pd.DataFrame,
-    response: str | None = None,
-    factors: Sequence[str] = (),
-    *,
-    block: str | Sequence[str] | None = None,
-    results: Path = Path("results"),
-    **options: Any,
-) -> AnalysisResult:
-    """Analyze one response of a finished study, of a CSV file or of a table.
-
-    Parameters
-    ----------
-    source : str, Path or DataFrame
-        Results folder or design of a study, a tidy CSV (one row a run), or a table.
-    response : str, optional
-        Column of the response; that of a study's first response by default.
-    factors : sequence of str
-        Columns of the factors; all factors of a study by default.
-    block : str or sequence of str, optional
-        Column of the blocks, or several that cross.
-    **options
-        As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
-        ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to analyze, or a column does not exist.
-    RefusedError
-        If the answer would be meaningless.
-    """
-    from study.analysis import read_csv
-
-    if not isinstance(source, (str, Path)):
-        return _table(source, response, factors, block, options)
-    if _is_csv(Path(source)):
-        _check_named(response, factors)
-        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"))
-        return _table(frame, response, factors, block, options)
-    return _study(source, response, factors, block, results, options)
+    from study.analysis.convergence.grid_convergence import Numerical
+    from study.analysis.result import AnalysisResult
+    from study.design.spec import Design, Response
+    from study.record.record import Record
 
 
 def analyze_records(
@@ -79,7 +34,7 @@ def analyze_records(
     Parameters
     ----------
     numerical : sequence of Numerical
-        What refinement found; see :func:`study.api.resolution.effect_u_num`.
+        What refinement found; see :func:`study.api.uncertainty.numerical.effect_u_num`.
 
     Raises
     ------
@@ -88,8 +43,6 @@ def analyze_records(
     RefusedError
         If the answer would be meaningless.
     """
-    from study.record import table
-
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
     blocks = [record.block for record in records if record.block is not None]
@@ -127,75 +80,181 @@ def analyze_records(
     return replace(found, warnings=(*found.warnings, *rows.notes, *gaps))
 
 
-def _is_csv(path: Path) -> bool:
-    if path.suffix == ".toml" or path.is_dir():
-        return False
-    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
+#: spread over the meshes of a cell, over the response, below which the mesh does not enter
+_SAME = 1e-12
+_NOISE, _MESH = "noise_seed", "mesh_seed"
 
 
-def _table(
-    frame: pd.DataFrame,
-    response: str | None,
+@dataclass(frozen=True)
+class Rows:
+    """Rows to analyze, and what they are.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    block : str or None
+        Column of the blocks.
+    options : dict
+        Options of the analysis that follow from the replicates.
+    notes : tuple of str
+        What was left out and why.
+    """
+
+    table: pd.DataFrame
+    block: str | None
+    options: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def rows_for(
+    table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
+) -> Rows:
+    """Rows of a study's table for one response.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of :func:`study.record.table`.
+    factors : sequence of str
+        All factors of the study.
+    error : str
+        As the design asks; with ``"replicates"`` they are taken even where there are blocks,
+        over which the response is then averaged.
+    block : str or None
+        Column of the blocks; None where there are none.
+    """
+    asked = error == "replicates"
+    options = {"error": "auto" if asked else error}
+    if _NOISE in table:
+        return _noise_rows(table, response, factors, asked, block, options)
+    if _MESH not in table:
+        return Rows(table, block, options)
+    cells = [*factors, *([block] if block else [])]
+    if not _spread(table, response, cells):
+        first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
+        note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
+        return Rows(first, block, options, (note,))
+    if block and asked:
+        return Rows(_over(table, response, [*factors, _MESH]), None, options)
+    return Rows(table, block, options)
+
+
+def _noise_rows(
+    table: pd.DataFrame,
+    response: str,
     factors: Sequence[str],
-    block: str | Sequence[str] | None,
+    asked: bool,
+    block: str | None,
     options: dict[str, Any],
-) -> AnalysisResult:
-    _check_named(response, factors)
-    return anova(frame, str(response), list(factors), block=block, **options)
+) -> Rows:
+    fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
+    if not is_constant(response):
+        note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
+        return Rows(fits, block, options, (note,))
+    if block and not asked:
+        note = (
+            "several blocks are a better error term than resampled noise (E1 before E2): the fits "
+            'to the measured curves are analyzed; [analysis] error = "replicates" asks for E2'
+        )
+        return Rows(fits, block, options, (note,))
+    again = table[table[_NOISE] > 0]
+    if block:
+        again = _over(again, response, [*factors, _NOISE])
+    # pooled takes cells for independent, and has no resample in common
+    common = None if options["error"] == "pooled" else _NOISE
+    return Rows(again, common, {**options, "replicates": "noise"})
 
 
-def _check_named(response: str | None, factors: Sequence[str]) -> None:
-    faults = []
-    if response is None:
-        faults.append(Fault("--response", "is missing", "name the column of the response"))
-    if not factors:
-        faults.append(Fault("--factors", "is missing", "name the columns of the factors"))
-    if faults:
-        raise InputError(faults)
+def _spread(table: pd.DataFrame, response: str, cells: list[str]) -> bool:
+    """Whether the response differs between the rows of some cell."""
+    groups = table.groupby(cells, sort=False, dropna=False)[response]
+    widest = (groups.max() - groups.min()).max()
+    return bool(widest > _SAME * table[response].abs().max())
 
 
-def _study(
-    source: str | Path,
-    response: str | None,
+def _over(table: pd.DataFrame, response: str, keys: list[str]) -> pd.DataFrame:
+    """Mean of the response over the blocks; missing where one of them is."""
+    groups = table.groupby(keys, sort=False)[response]
+    return groups.agg(lambda values: values.mean(skipna=False)).reset_index()
+
+
+#: levels that a factor needs to be one
+_FEWEST = 2
+Cell = tuple[str, ...]
+
+
+def without_gaps(
+    design: Design,
+    table: pd.DataFrame,
+    response: str,
     factors: Sequence[str],
-    block: str | Sequence[str] | None,
-    results: Path,
-    options: dict[str, Any],
-) -> AnalysisResult:
-    """Analysis of stored records: what is not said is taken from the design."""
-    from study.api.studies import open_study
+    block: str | None,
+    model: Any,
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Rows of the levels between which every effect of the model can be estimated.
 
-    study = open_study(source, results)
-    by_name = {r.name: r for r in study.design.responses}
-    name = response or next(iter(by_name))
-    if not study.records:
-        raise InputError(f"{study.folder}: no case is computed yet")
-    known = list(study.records[0].responses)
-    if name not in known:
-        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
-    asked, spec = by_name.get(name), study.design.analysis
-    blocked = block or ("block" if len(study.manifest["blocks"]) > 1 else None)
-    merged = {
-        "type": spec.type,
-        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
-        "alpha": spec.alpha,
-        "seed": study.design.seed,
-        "practical": None if asked is None else asked.practical,
-        "transform": "none" if asked is None else asked.transform,
-    } | {k: v for k, v in options.items() if v is not None}
-    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+    A combination of levels that the model needs and that has no answer anywhere (an energy that
+    is stretched beyond its ellipticity on every fine mesh) would leave not only its own effect
+    but every other one without an estimate: an average over cells one of which is empty. The
+    level with the largest share of its cells unanswered is then left out, and that is said,
+    until nothing is missing or a factor would be down to one level.
 
-    def u_num(frame: pd.DataFrame, block: str | None) -> Any:
-        return effect_u_num(
-            study.design, study.numerical, study.records, frame, name, merged["transform"],
-            factors=names, block=block, model=merged["model"],
-        )  # fmt: skip
+    Parameters
+    ----------
+    table : DataFrame
+        One row a case, as the analysis takes it.
+    block : str or None
+        Column of the blocks: a cell counts as answered where more than half of them answer.
 
-    if not isinstance(blocked, (str, type(None))):
-        merged = {"u_num": u_num(study.table, None)} | merged
-        return anova(study.table, name, names, block=blocked, records=True, **merged)
-    every = [f.name for f in study.design.factors]
-    rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
-    merged = {"u_num": u_num(rows.table, rows.block)} | rows.options | merged
-    found = anova(rows.table, name, names, block=rows.block, records=True, **merged)
-    return replace(found, warnings=(*found.warnings, *rows.notes))
+    Returns
+    -------
+    table : DataFrame
+    notes : tuple of str
+        One sentence for every level left out.
+    """
+    designed = _designed(design, factors)
+    answered = _answered(table, response, factors, block)
+    terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
+    notes = []
+    while (worst := _worst(designed, answered, terms)) is not None:
+        place, level = worst
+        own = [cell for cell in designed if cell[place] == level]
+        has = sum(cell in answered for cell in own)
+        notes.append(
+            f"{level} ({factors[place]}) has an answer in {has} of {len(own)} cells: it is left "
+            "out of this analysis, whose effects need every combination of levels"
+        )
+        designed = [cell for cell in designed if cell[place] != level]
+        table = table[table[factors[place]].astype(str) != level]
+    return table, tuple(notes)
+
+
+def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
+    found = (tuple(str(t.levels[name]) for name in factors) for t in treatments(design))
+    return list(dict.fromkeys(found))
+
+
+def _answered(
+    table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None
+) -> set[Cell]:
+    known = table.dropna(subset=[response])
+    if block is not None and len(known):
+        known = known[answered_often(known, factors, block, table[block].nunique())]
+    return {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
+
+
+def _worst(
+    designed: Sequence[Cell], answered: set[Cell], terms: Sequence[Sequence[int]]
+) -> tuple[int, str] | None:
+    """Level with most of its cells unanswered, of those that leave a combination empty."""
+    known = [cell for cell in designed if cell in answered]
+    shares: dict[tuple[int, str], float] = {}
+    for term in terms:
+        has = {tuple(cell[i] for i in term) for cell in known}
+        for empty in {tuple(cell[i] for i in term) for cell in designed} - has:
+            for place, level in zip(term, empty, strict=True):
+                if len({cell[place] for cell in designed}) > _FEWEST:
+                    own = [cell in answered for cell in designed if cell[place] == level]
+                    shares[place, level] = 1 - sum(own) / len(own)
+    return max(sorted(shares), key=lambda key: shares[key], default=None)

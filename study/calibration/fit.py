@@ -8,17 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from study.calibration.evaluation import Function
+from study.arrays import Array
+from study.calibration.covariance import Uncertainty, identifiability, uncertainty
+from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
-from study.calibration.search import Iteration
-from study.calibration.status import EvaluationFailed, Status
-from study.calibration.uncertainty import Uncertainty, identifiability, uncertainty
 from study.curve import Curve
 from study.errors import Fault, InputError
 
-Array = NDArray[np.float64]
 Predict = Callable[[Array], Sequence[Curve]]
 Progress = Callable[[Iteration], bool | None]
 
@@ -75,7 +73,7 @@ class Fit:
     n : int
         Fitted points (weight above zero).
     identifiable : bool
-        Verdict of :func:`study.calibration.uncertainty.identifiability`.
+        Verdict of :func:`study.calibration.covariance.identifiability`.
     reason : str
         Why not, or a caution; may be empty.
     status : Status

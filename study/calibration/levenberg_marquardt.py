@@ -16,17 +16,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from study.calibration.damped import Linearization, bounded_step, length_of
-from study.calibration.evaluation import Function, checked_bounds, evaluate
-from study.calibration.kinks import SHARES, SHORT, SMALL, step_along, turned
-from study.calibration.search import (
+from study.arrays import Array
+from study.calibration.iteration import (
     EPS,
+    SHARES,
+    SHORT,
+    SMALL,
+    Function,
     Iteration,
     State,
+    Status,
     accept,
     beside_failure,
+    checked_bounds,
     converged_at,
     crawling,
+    evaluate,
     first_state,
     gain_of,
     held_by_bounds,
@@ -34,18 +39,17 @@ from study.calibration.search import (
     size_of,
     snapshot,
     steepest,
+    step_along,
     trusted,
+    turned,
 )
-from study.calibration.status import Status
-
-Array = NDArray[np.float64]
+from study.calibration.trust_region_step import Linearization, bounded_step, length_of
 
 #: gain from which a step is taken
 ACCEPTED = 1e-4
+
 #: cosine below which a point where no step helps is a minimum with a singular Jacobian
 STATIONARY = 1e-6
-
-
 Callback = Callable[[Iteration], bool | None]
 
 

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 import typer
 
 from study.cli import single, statistics, studies
-from study.cli.show import complain
+from study.cli.output import complain
 from study.errors import StudyError
 
 INTERRUPTED = 130
-
 app = typer.Typer(
     name="study",
     help="Design of experiments and honest statistics for simulations of soft materials.",

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from study.cli import show
+from study.cli import output
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results, Set
 from study.errors import Fault, InputError
 
@@ -50,7 +50,7 @@ def converge(
     document = found if isinstance(found, dict) else found.to_json()
     cells = document.get("cells", [document])
     if as_json:
-        show.print_json(document)
+        output.print_json(document)
     else:
         for cell in cells:
             _print_series(cell)
@@ -75,16 +75,16 @@ def _print_series(cell: Mapping[str, Any]) -> None:
     parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
     title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
     print(title.strip())  # the title of a narrow table would be folded
-    show.table(_mesh_rows(cell))
+    output.table(_mesh_rows(cell))
     print(cell["verdict"])
     if cell.get("formal_reason"):
         print(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
     _print_limit(cell)
     if len(cell.get("quantities") or {}) > 1:
-        show.table(_quantity_rows(cell["quantities"]))
+        output.table(_quantity_rows(cell["quantities"]))
     if cell.get("sources"):
-        show.table(_source_rows(cell["sources"]), "error by source")
-    show.warn(cell.get("warnings") or ())
+        output.table(_source_rows(cell["sources"]), "error by source")
+    output.warn(cell.get("warnings") or ())
     print()
 
 
@@ -98,7 +98,7 @@ def _mesh_rows(cell: Mapping[str, Any]) -> list[list[str]]:
     for (h, v), mesh in zip(pairs, meshes, strict=True):
         rows.append([
             f"{h:.5g}", f"{v:.8g}", str(mesh["elements"]), str(mesh["unknowns"]),
-            f"{mesh['seconds']:.3g}", show.number(mesh["predicted_seconds"], 3),
+            f"{mesh['seconds']:.3g}", output.number(mesh["predicted_seconds"], 3),
             f"{mesh['memory_MB']:.0f}",
         ])  # fmt: skip
     return rows
@@ -106,8 +106,8 @@ def _mesh_rows(cell: Mapping[str, Any]) -> list[list[str]]:
 
 def _print_limit(cell: Mapping[str, Any]) -> None:
     if cell["gci_fine"] is not None:
-        print(f"order {show.number(cell['observed_order'])}, "
-              f"extrapolated {show.number(cell['extrapolated'], 8)}, "
+        print(f"order {output.number(cell['observed_order'])}, "
+              f"extrapolated {output.number(cell['extrapolated'], 8)}, "
               f"GCI {100 * cell['gci_fine']:.4g} %")  # fmt: skip
     given = cell.get("given_mesh")
     if given and given["u_num"] is not None:
@@ -124,7 +124,7 @@ def _quantity_rows(quantities: Mapping[str, Mapping[str, Any]]) -> list[list[str
     for name, q in quantities.items():
         rows.append([
             name, f"{q['value'][0]:.6g}", q["unit"], q["behaviour"],
-            show.number(q["observed_order"], 3), show.number(q["u_num"], 2),
+            output.number(q["observed_order"], 3), output.number(q["u_num"], 2),
         ])  # fmt: skip
     return rows
 
@@ -133,7 +133,7 @@ def _source_rows(sources: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     rows = [["quantity", "source", "u", "unit", "part of the value"]]
     for row in sources:
         part = "-" if row["relative"] is None else f"{row['relative']:.1e}"
-        rows.append([row["quantity"], row["source"], show.number(row["u"], 2), row["unit"], part])
+        rows.append([row["quantity"], row["source"], output.number(row["u"], 2), row["unit"], part])
     return rows
 
 
@@ -146,5 +146,5 @@ def _print_front(front: Mapping[str, Any]) -> None:
             f"{p['memory_MB']:.0f}", f"{100 * p['error']:.2g} %",
         ])  # fmt: skip
     print(title)
-    show.table(rows)
+    output.table(rows)
     print(front["answer"])

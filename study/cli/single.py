@@ -5,22 +5,24 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from study.cli import show
-from study.cli.calibration import calibrate
+from study.cli import output
 from study.cli.convergence import converge
-from study.cli.studies import Json, Set
+from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.runner.fitting.staged_fit import Step
 
 
 def new(
     file: Annotated[Path, typer.Argument(help="Design file to be written.")],
 ) -> None:
     """Write a commented design to start from."""
-    from study.design import template
+    from study.design.load import template
 
     try:
         with file.open("x", encoding="utf-8") as stream:
@@ -60,12 +62,12 @@ def solve(
     if vtu is not None:
         write_vtu(solution, vtu)
     if as_json:
-        show.print_json(found)
+        output.print_json(found)
     else:
         rows = [["displacement [mm]", "force [N]", "stiffness [N/mm]"]]
         columns = (found["displacement_mm"], found["force_N"], found["stiffness_N_per_mm"])
         rows += [[f"{v:.6g}" for v in row] for row in zip(*columns, strict=True)]
-        show.table(rows)
+        output.table(rows)
         print(f"{found['status']}: {found['message']}")
         total = found["seconds"]["total"]
         print(f"{found['dofs']} unknowns, {total:.2f} s, {found['solver']}")
@@ -100,13 +102,159 @@ def doctor(as_json: Json = False) -> None:
 
     found = examine()
     if as_json:
-        show.print_json(found)
+        output.print_json(found)
     else:
         rows = [["check", "outcome", "finding"]]
         rows += [[c["name"], c["outcome"], c["finding"]] for c in found["checks"]]
-        show.table(rows)
+        output.table(rows)
     if not found["ok"]:
         raise typer.Exit(1)
 
 
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="Calibration file.")],
+    data: Data = None,
+    settings: Set = None,
+    convention: Annotated[
+        str,
+        typer.Option(help="Also print the constants as: abaqus, febio, ogden-classical."),
+    ] = "study",
+    profiles: Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals.")] = (
+        False
+    ),
+    energies: Annotated[
+        bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
+    ] = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find material constants from one or several measured tests."""
+    from study import api
+
+    line = _Line()
+    if energies:
+        choice = api.choose_energy(
+            file, data=data, overrides=settings or (), progress=line.show
+        ).to_json()
+        line.end()
+        output.print_json(choice) if as_json else _print_energies(choice)
+        return
+    found = api.calibrate(
+        file, data=data, overrides=settings or (), results=results, progress=line.show,
+        profiles=profiles,
+    )  # fmt: skip
+    line.end()
+    document = found.to_json()
+    if convention != "study":
+        converted = found.converted(convention)
+        document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
+    folder = results / found.name
+    if as_json:
+        output.print_json(document)
+    else:
+        _print_calibration(document)
+        print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
+    if not found.converged:
+        raise typer.Exit(1)
+
+
 VERBS: tuple[Callable[..., None], ...] = (new, solve, calibrate, converge, virtual, doctor)
+
+
+class _Line:
+    """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
+
+    def __init__(self) -> None:
+        self.width = 0
+
+    def show(self, step: Step) -> None:
+        """Show an accepted iteration."""
+        it = step.iteration
+        values = ", ".join(
+            f"{n} {v:.5g}" if n.startswith("alpha") else f"{n} {1e3 * v:.5g} kPa"
+            for n, v in zip(step.names, it.x, strict=True)
+        )
+        text = f"{step.stage}: iteration {it.iteration}, cost {it.cost:.6g}, {values}"
+        if not sys.stderr.isatty():
+            print(text, file=sys.stderr)
+            return
+        print("\r" + text[:160].ljust(self.width), end="", file=sys.stderr, flush=True)
+        self.width = min(len(text), 160)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self.width:
+            print(file=sys.stderr)
+
+
+def _print_calibration(found: dict[str, Any]) -> None:
+    rows = [["constant", "value", "unit", "standard error", "95 % interval", "profile interval"]]
+    for name, entry in found["parameters"].items():
+        profile = found["profiles"].get(name, {}).get("interval")
+        rows.append(
+            [name, output.number(entry["value"], 6), entry["unit"],
+             output.number(entry["standard_error"]), _between(entry["ci95"]), _between(profile)]
+        )  # fmt: skip
+    if not found["profiles"]:
+        rows = [row[:-1] for row in rows]
+    output.table(rows, found["model"])
+    if "converted" in found:
+        _print_converted(found["converted"])
+    _print_curves("", found["curves"])
+    for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
+        for one in found[kind]:
+            values = ", ".join(f"{n} {output.number(e['value'], 5)} {e['unit']}".rstrip()
+                               for n, e in one["parameters"].items())  # fmt: skip
+            print(f"{one['label']} {title}: {values} ({one['status']})")
+            _print_curves("  ", one["curves"])
+    if found["same_constants_p"] is not None:
+        print(f"all specimens share their constants: p = {found['same_constants_p']:.3g}")
+    if found["lack_of_fit"]:
+        lack = found["lack_of_fit"]
+        print(
+            f"{lack['verdict']}: F = {lack['statistic']:.4g}, p = {lack['p_independent']:.3g} "
+            f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
+        )
+    print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    verdict = "identifiable" if found["identifiable"] else "not identifiable"
+    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
+    print(found["stability"])
+    for note in found["notes"]:
+        print(f"data: {note}")
+    output.warn(found["warnings"])
+
+
+def _between(pair: Any) -> str:
+    if pair is None:
+        return "-"
+    return " to ".join("-" if v is None else f"{v:.5g}" for v in pair)
+
+
+def _print_converted(found: dict[str, Any]) -> None:
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in found["constants"].items())
+    note = f" ({found['note']})" if found["note"] else ""
+    print(f"{found['convention']}: {found['keyword']}: {values} in MPa{note}")
+
+
+def _print_curves(indent: str, curves: list[dict[str, Any]]) -> None:
+    for curve in curves:
+        name = f"{curve['file']}, {curve['specimen']}" if curve["specimen"] else curve["file"]
+        if curve["rms_force_error"] is None:
+            print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
+            continue
+        print(f"{indent}{curve['role']}: {name}: RMS {curve['rms_force_error']:.4g} N "
+              f"({curve['relative_rms_force_error']:.3g} %)")  # fmt: skip
+
+
+def _print_energies(found: dict[str, Any]) -> None:
+    rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
+    for one in found["energies"]:
+        rows.append(
+            [one["energy"], str(one["constants"]), output.number(one["delta_aicc"]),
+             output.number(one["weight"]), output.number(one["mu0"], 5),
+             "yes" if one["identifiable"] else f"no: {one['reason']}"]
+        )  # fmt: skip
+    output.table(rows)
+    for name, why in found["failures"].items():
+        print(f"{name}: {why}")
+    print(found["sentence"])

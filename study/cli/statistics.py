@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from study.cli import show
+from study.cli import output
 from study.cli.studies import RESULTS, Json, Results
 
 if TYPE_CHECKING:
-    from study.analysis import AnalysisResult
-    from study.analysis.nested import NestedUnits
-    from study.analysis.results import Row
-
+    from study.analysis.anova_table import NestedUnits, Row
+    from study.analysis.result import AnalysisResult
 
 Column = Annotated[str | None, typer.Option(help="Column of the response.")]
 Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
@@ -78,8 +76,8 @@ def analyze(
         **options,
     )
     if as_json:
-        show.warn(found.warnings)
-        show.print_json(found.to_json())
+        output.warn(found.warnings)
+        output.print_json(found.to_json())
         return
     _print(found)
     if all(effect.verdict == "cannot tell" for effect in found.effects):
@@ -97,7 +95,7 @@ def _hint_practical(practical: str | None) -> None:
     """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
     if practical is None:
         hint = "--practical 0.5 or --practical '5 % of mean'"
-        show.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+        output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
 
 
 def _model(text: str | None) -> str | int | list[str] | None:
@@ -115,7 +113,7 @@ def _print(found: AnalysisResult) -> None:
     print(f"  because: {term.reason}\n")
     if found.anova.rows:
         _print_factors(found)
-        show.table(
+        output.table(
             _anova(found), f"Analysis of Variance: {found.response}, type {found.anova.type}"
         )
         print()
@@ -128,7 +126,7 @@ def _print(found: AnalysisResult) -> None:
     said: tuple[str, ...] = ()
     if found.nested is not None:
         said = _print_nested(found.nested, found.alpha)
-    show.warn([message for message in found.warnings if message not in said])
+    output.warn([message for message in found.warnings if message not in said])
 
 
 def _print_factors(found: AnalysisResult) -> None:
@@ -138,7 +136,7 @@ def _print_factors(found: AnalysisResult) -> None:
         for e in found.effects
         if e.term in found.factors
     ]
-    show.table(rows, "Factor Information")
+    output.table(rows, "Factor Information")
     print()
 
 
@@ -185,7 +183,7 @@ def _print_summary(found: AnalysisResult) -> None:
     shares = [s.r_sq, s.r_sq_adj, s.r_sq_pred]
     percent = ["*" if x is None else f"{100 * x:.2f}%" for x in shares]
     head = ["S", "R-sq", "R-sq(adj)", "R-sq(pred)"]
-    show.table([head, [_number(s.s), *percent]], "Model Summary")
+    output.table([head, [_number(s.s), *percent]], "Model Summary")
     print()
 
 
@@ -197,7 +195,7 @@ def _print_effects(found: AnalysisResult) -> None:
             if e.term in found.factors:
                 letters = e.letters[i] if e.letters else ""
                 means.append([e.term, level, _number(mean), _interval(ci), letters])
-    show.table(means, "Means")
+    output.table(means, "Means")
     print("(levels that share a letter are not told apart)\n")
     ratio = any(e.scale == "ratio" for e in found.effects)
     what = "largest ratio" if ratio else "largest difference"
@@ -207,7 +205,7 @@ def _print_effects(found: AnalysisResult) -> None:
         [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3), e.verdict]
         for e in found.effects
     ]
-    show.table(rows, "Effects")
+    output.table(rows, "Effects")
     print()
 
 
@@ -237,7 +235,7 @@ def _print_checks(found: AnalysisResult) -> None:
         if sphere.p is not None:
             rows.append([f"Mauchly's sphericity, {term}", _number(sphere.w, 4), _p(sphere.p), ""])
     if len(rows) > 1:
-        show.table(rows, "Assumptions")
+        output.table(rows, "Assumptions")
     if found.lenth is not None:
         lenth = found.lenth
         print(
@@ -260,7 +258,7 @@ def _print_robustness(found: AnalysisResult) -> None:
         verdict = table.agreement[term].split(" in ", 1)[-1]
         rows.append([term, *(_p(p[m]) or "n/a" for m in methods), verdict])
     print()
-    show.table(rows, "p in the defensible analyses")
+    output.table(rows, "p in the defensible analyses")
     if found.box_cox is not None:
         low, high = found.box_cox.ci95
         print(f"Box-Cox exponent {found.box_cox.exponent:.2f} (95 % {low:.2f} to {high:.2f})")
@@ -276,7 +274,7 @@ def _print_bounds(found: AnalysisResult) -> None:
         verdicts = ", ".join(b.verdicts)
         rows.append([b.term, _number(b.low, 4), _number(b.high, 4), *p, verdicts, holds])
     print()
-    show.table(rows, "Largest differences, whatever the missing responses are")
+    output.table(rows, "Largest differences, whatever the missing responses are")
 
 
 def _print_power(found: AnalysisResult) -> None:
@@ -287,7 +285,7 @@ def _print_power(found: AnalysisResult) -> None:
     rows = [["Term", *counts]]
     rows += [[t, *(_number(r.detectable, 3) for r in r_)] for t, r_ in found.power.items()]
     print()
-    show.table(rows, f"Detectable (power 80 %), by {unit}")
+    output.table(rows, f"Detectable (power 80 %), by {unit}")
 
 
 def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
@@ -300,7 +298,7 @@ def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
         naive = f"F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}"
         rows.append([t.term, honest, _p(t.p), naive, _p(t.naive_p)])
     print()
-    show.table(rows, f"What {nested.rows} 'independent' rows would have claimed")
+    output.table(rows, f"What {nested.rows} 'independent' rows would have claimed")
     said = tuple(sentences(nested, alpha))
     for sentence in said[:2]:
         print(f"{sentence}.")

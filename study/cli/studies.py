@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from study.cli import show
+from study.cli import output
 
 if TYPE_CHECKING:
     from study.api.planning import Plan
-    from study.api.studies import StudyResult
-    from study.reporting.data_beside import Beside
+    from study.study_result.comparison import Beside
+    from study.study_result.study_result import StudyResult
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 Data = Annotated[
@@ -26,6 +26,7 @@ Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; 
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
 RESULTS, REPORTS = Path("results"), Path("reports")
+
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
 
@@ -36,7 +37,7 @@ def demo(
     """Run a complete small study on built-in virtual specimens."""
     from study import api
 
-    with show.progress_line() as progress:
+    with output.progress_line() as progress:
         study = api.demo(results=results, reports=reports, jobs=jobs, progress=progress)
     _finish(study, as_json)
 
@@ -54,8 +55,8 @@ def plan(
 
     found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
     if as_json:
-        show.warn(found.warnings)
-        show.print_json(found.to_json())
+        output.warn(found.warnings)
+        output.print_json(found.to_json())
     else:
         _print_plan(found)
 
@@ -78,7 +79,7 @@ def run(
     """Compute what is missing, then analyze and report; run it again to resume."""
     from study import api
 
-    with show.progress_line() as progress:
+    with output.progress_line() as progress:
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
@@ -95,11 +96,11 @@ def status(
     from study import api
 
     found = api.status(path, results=results)
-    show.warn(found["warnings"])
+    output.warn(found["warnings"])
     if as_json:
-        show.print_json(found)
+        output.print_json(found)
         return
-    print(f"{found['study']}: {show.counts(found['cases'])}")
+    print(f"{found['study']}: {output.counts(found['cases'])}")
     for name, count in sorted(found["failures"].items()):
         print(f"  {count} {name}")
     print(_running(found["running"], found["predicted_seconds"]))
@@ -135,9 +136,9 @@ def diff(
     from study import api
 
     found = api.diff(first, second, results=results)
-    show.warn(found.warnings)
+    output.warn(found.warnings)
     if as_json:
-        show.print_json(found.to_json())
+        output.print_json(found.to_json())
     else:
         _print_diff(found.beside)
 
@@ -155,7 +156,7 @@ def why(
 
     record = api.why(case, study=study, results=results)
     if as_json:
-        show.print_json(json.loads(record.to_json())["content"])
+        output.print_json(json.loads(record.to_json())["content"])
         return
     print(f"case {record.case_id} of {record.study}: {record.status}")
     if record.message:
@@ -165,8 +166,8 @@ def why(
     if record.block is not None:
         print(f"  block = {record.block}")
     rows = [["response", "value", "unit"]]
-    rows += [[n, show.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
-    show.table(rows)
+    rows += [[n, output.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
+    output.table(rows)
     for specimen, fit in (record.fit or {}).items():
         print(f"calibration on {specimen}: {fit['message']}; {fit.get('reason') or 'identifiable'}")
         print(f"  {fit['stability']}")
@@ -185,14 +186,14 @@ def _running(runner: dict[str, Any] | None, seconds_left: float | None) -> str:
     if seconds_left is None:
         return f"running: {who}"
     done = f"{runner.get('done')}/{runner.get('total')} computations"
-    return f"running: {done}, {show.seconds(seconds_left)} left ({who})"
+    return f"running: {done}, {output.seconds(seconds_left)} left ({who})"
 
 
 def _finish(study: StudyResult, as_json: bool) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
-    show.warn(study.warnings)
+    output.warn(study.warnings)
     if as_json:
-        show.print_json(study.to_json())
+        output.print_json(study.to_json())
     else:
         _print_study(study)
     if study.failed:
@@ -201,44 +202,44 @@ def _finish(study: StudyResult, as_json: bool) -> None:
 
 def _print_study(study: StudyResult) -> None:
     from study.api.assemble import report_data
-    from study.reporting import terminal
+    from study.cli import report_tables
 
     data = report_data(study, study.manifest.get("timings", {}))
-    print(f"\n{study.design.name}: {show.counts(study.to_json()['cases'])}")
+    print(f"\n{study.design.name}: {output.counts(study.to_json()['cases'])}")
     try:
-        for line in terminal.answer_lines(data):
-            show.paragraph(line)
-        for title, rows in terminal.verdict_tables(data):
+        for line in report_tables.answer_lines(data):
+            output.paragraph(line)
+        for title, rows in report_tables.verdict_tables(data):
             print()
-            show.table(rows, title)
+            output.table(rows, title)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
-        show.warn([f"the verdict table could not be printed: {error}"])
+        output.warn([f"the verdict table could not be printed: {error}"])
     if study.beside is not None:
         print()
-        for line in terminal.beside_lines(study.beside):
-            show.paragraph(line)
+        for line in report_tables.beside_lines(study.beside):
+            output.paragraph(line)
     if study.report is not None:
         print(f"\nreport: {study.report}")
 
 
 def _print_diff(beside: Beside) -> None:
     """Print what was changed, what holds, then the numbers of both studies."""
-    from study.reporting import terminal
+    from study.cli import report_tables
 
-    changed = terminal.changes_rows(beside)
+    changed = report_tables.changes_rows(beside)
     if len(changed) > 1:
-        show.table(changed, "what was changed")
+        output.table(changed, "what was changed")
     else:
         print("nothing was changed: design, measurements and code are the same")
     print()
-    for line in terminal.beside_lines(beside):
-        show.paragraph(line)
-    for title, rows, note in terminal.beside_tables(beside):
+    for line in report_tables.beside_lines(beside):
+        output.paragraph(line)
+    for title, rows, note in report_tables.beside_tables(beside):
         print()
-        show.table(rows, title)
+        output.table(rows, title)
         if note:
-            show.paragraph(note)
+            output.paragraph(note)
 
 
 def _print_scheme(scheme: dict[str, Any]) -> None:
@@ -262,7 +263,7 @@ def _print_plan(found: Plan) -> None:
          else str(row["calibration"])]
         for row in described["matrix"]
     ]  # fmt: skip
-    show.table(rows, f"{described['cells']} cells, {described['distinct']} distinct computations")
+    output.table(rows, f"{described['cells']} cells, {described['distinct']} distinct computations")
     if described["distinct"] < described["cells"]:
         print("cells with the same number of a computation must agree: they are controls")
     for row in described["excluded"]:
@@ -280,12 +281,12 @@ def _print_plan(found: Plan) -> None:
     if described["replicates"] is not None:
         print(f"replicates: {described['replicates']['sentence']}")
     cases = found.to_json()["cases"]
-    print(show.counts(cases))
+    print(output.counts(cases))
     if found.missing and found.fits:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
     if found.controls:
         print(f"{found.controls} solutions to be made of one cylinder in both spaces, a control")
     if found.predicted_seconds is not None:
-        time = show.seconds(found.predicted_seconds)
+        time = output.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
-    show.warn(found.warnings)
+    output.warn(found.warnings)

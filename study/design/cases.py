@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from typing import Any
 
-from study.design import keys, physics
+from study.design import keys, plausibility
 from study.design.reader import Faults
 from study.design.resolve import resolve
 from study.design.spec import Case, Config, Design, Level, MeasurementSpec, Treatment
@@ -126,7 +126,7 @@ def physical(config: Mapping[str, Any]) -> Config:
     height count, and nothing of the discretisation.
     """
     kept = {k: config[k] for k in ("specimen", "test", "material", "model", "measurements")}
-    if not physics.is_homogeneous(config):
+    if not plausibility.is_homogeneous(config):
         return kept
     specimen = config["specimen"]
     radius = specimen.get("radius_mm")
@@ -138,7 +138,7 @@ def physical(config: Mapping[str, Any]) -> Config:
 
 
 def _method(method: str, fitted: Mapping[str, Any]) -> str:
-    return "exact" if method != "none" and physics.is_homogeneous(fitted) else method
+    return "exact" if method != "none" and plausibility.is_homogeneous(fitted) else method
 
 
 def physical_key(treatment: Treatment) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from study.design.document import flatten
 from study.design.reader import Bad, Faults, Read, Section, shown, text
 from study.design.spec import Expected, Factor, Response
+from study.design.toml_document import flatten
 from study.errors import nearest
 
 MAX_EXPECTED = 50
+
 #: keys of each kind; the first one names it
 KINDS = {
     "matters": ("matters",),

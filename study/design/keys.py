@@ -11,13 +11,14 @@ from study.design import sections
 from study.design.measured import FACTOR_KEYS
 from study.design.reader import MAX_NAME
 from study.errors import nearest
-from study.material import ENERGIES
+from study.material.energy import ENERGIES
 
 #: tables that a preset set may be named after
 TABLES = ("specimen", "test", "material", "model", "measurements", "calibration")
 _SPECIMEN = sorted({k for keys in sections.SPECIMENS.values() for k in keys})
 _INDENTER = sorted({k for keys in sections.INDENTERS.values() for k in keys})
 _EXAMPLES = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
+
 #: keys that may differ between the cells of a design
 VARYING: tuple[str, ...] = (
     "specimen.shape",
@@ -39,6 +40,7 @@ _LENGTHS = {*_SPECIMEN, *_INDENTER, "displacement", "mesh_size"} - {
     "half_angle",
 }
 _PRESSURES = {"bulk_modulus", "youngs_modulus", "mu"}
+
 #: keys that decide which others a table may have
 _RULING = {"specimen": "shape", "test.indenter": "shape", "material": "model"}
 

@@ -8,23 +8,32 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from study.design import document, keys, physics, settings
-from study.design.check import check_cells
+from study.design import keys, plausibility, toml_document
+from study.design.checks import check_cells
 from study.design.expected import read_expected
-from study.design.factors import Presets, read_exclusions, read_factors, read_presets
+from study.design.factors import Presets, grouped, read_exclusions, read_factors, read_presets
 from study.design.fitting import read_fitting
+from study.design.layout import default_model, read_scheme
 from study.design.measured import read_measurements_table
-from study.design.ranges import grouped
 from study.design.reader import Bad, Faults, Section, choice, number, shown
 from study.design.resolve import calibration_spec, resolve_problem
-from study.design.scheme import default_model, read_scheme
 from study.design.sections import CONSTANT
+from study.design.settings import (
+    read_analysis,
+    read_converge,
+    read_replicates,
+    read_report,
+    read_responses,
+    read_study,
+    read_uncertainty,
+)
 from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec, Response
 from study.errors import Fault, InputError
-from study.material import constant_names
+from study.material.energy import constant_names
 
 SCHEMA = 1
 _COMMON = ("schema", "study", "specimen", "test", "material", "model", "converge", "report")
@@ -55,12 +64,12 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
     InputError
         With every fault of the file.
     """
-    return loads(document.read_text(path), str(path), overrides)
+    return loads(toml_document.read_text(path), str(path), overrides)
 
 
 def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
     """Load a design from a text, or from the bytes of a file; see :func:`load`."""
-    text = document.decode(text, source) if isinstance(text, bytes) else text
+    text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     with _Reading(source, tables, "design") as faults:
         return _design(tables, faults, source, text)
@@ -68,7 +77,7 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
 
 def dump(design: Design) -> str:
     """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
-    return document.dump_toml(design.config)
+    return toml_document.dump_toml(design.config)
 
 
 def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
@@ -84,26 +93,26 @@ def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     InputError
         With every fault of the file.
     """
-    return loads_problem(document.read_text(path), str(path), overrides)
+    return loads_problem(toml_document.read_text(path), str(path), overrides)
 
 
 def loads_problem(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> Config:
     """Load a problem from a text; see :func:`load_problem`."""
-    text = document.decode(text, source) if isinstance(text, bytes) else text
+    text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     with _Reading(source, tables, "problem") as faults:
-        settings.read_study(tables.get("study"), faults, default_name(source))
-        settings.read_uncertainty(tables.get("uncertainty"), faults)
-        settings.read_report(tables.get("report"), faults)
-        converge = settings.read_converge(tables.get("converge"), faults)
+        read_study(tables.get("study"), faults, default_name(source))
+        read_uncertainty(tables.get("uncertainty"), faults)
+        read_report(tables.get("report"), faults)
+        converge = read_converge(tables.get("converge"), faults)
         config = resolve_problem(tables, faults, converge.ratio)
         del config["measurements"]
         material = config["material"]
         if material["model"] and not material["constants"] and not _about(faults, "material"):
             faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
-        physics.check_stability(config, faults)
+        plausibility.check_stability(config, faults)
     return {**config, "converge": converge}
 
 
@@ -122,17 +131,17 @@ def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     InputError
         With every fault of the file.
     """
-    return loads_calibration(document.read_text(path), str(path), overrides)
+    return loads_calibration(toml_document.read_text(path), str(path), overrides)
 
 
 def loads_calibration(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> Config:
     """Load a calibration from a text; see :func:`load_calibration`."""
-    text = document.decode(text, source) if isinstance(text, bytes) else text
+    text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     with _Reading(source, tables, "calibration") as faults:
-        study = settings.read_study(tables.get("study"), faults, default_name(source))
+        study = read_study(tables.get("study"), faults, default_name(source))
         tests = _tests(tables, faults)
         names = _fitted_names(tests[0]["material"]) if tests and not faults else ()
         fitting = read_fitting(tables.get("calibration"), names, faults)
@@ -153,7 +162,7 @@ def file_kind(path: str | Path) -> str:
     InputError
         If it is no TOML.
     """
-    return _kind(document.parse_toml(document.read_text(path), str(path)))
+    return _kind(toml_document.parse_toml(toml_document.read_text(path), str(path)))
 
 
 def default_name(source: str) -> str:
@@ -212,16 +221,16 @@ def _schema(value: Any) -> int:
 
 def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
     """Tables of a text with dotted keys joined and the overrides laid over."""
-    tables = _joined(document.parse_toml(text, source), source)
+    tables = _joined(toml_document.parse_toml(text, source), source)
     for override in overrides:
-        path, value = document.parse_override(override)
+        path, value = toml_document.parse_override(override)
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
         if path[0] in keys.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = keys.lay(tables, {".".join(path): value})
         else:
-            document.set_value(tables, path, value)
+            toml_document.set_value(tables, path, value)
     return _joined(tables, source)
 
 
@@ -230,11 +239,11 @@ def _joined(tables: dict[str, Any], source: str) -> dict[str, Any]:
     try:
         for key in ("factors", "uncertainty"):
             if isinstance(tables.get(key), dict):
-                tables[key] = document.flatten(tables[key])
+                tables[key] = toml_document.flatten(tables[key])
         excluded = tables.get("exclude")
         for row in excluded if isinstance(excluded, list) else ():
             if isinstance(row, dict) and isinstance(row.get("when"), dict):
-                row["when"] = document.flatten(row["when"])
+                row["when"] = toml_document.flatten(row["when"])
     except InputError as error:
         fault = error.faults[0]
         raise InputError(Fault(f"{source}: {fault.where}", fault.rule, fault.mend)) from error
@@ -253,8 +262,8 @@ def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
     hiding = [
         f"presets.{name}.{label}"
         for name in factors
-        for label, settings in presets.get(name, {}).items()
-        if key in settings
+        for label, preset in presets.get(name, {}).items()
+        if key in preset
     ]
     if hiding:
         rule = f"is set by {', '.join(hiding[:3])}, which would hide this"
@@ -266,7 +275,7 @@ def _about(faults: Faults, table: str) -> bool:
 
 
 def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> Design:
-    study = settings.read_study(tables.get("study"), faults, default_name(source))
+    study = read_study(tables.get("study"), faults, default_name(source))
     if isinstance(tables.setdefault("study", {}), dict):
         tables["study"].setdefault("name", study["name"])
     presets: Presets = read_presets(tables.get("presets"), faults)
@@ -275,7 +284,7 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
     factors, scheme = read_scheme(
         tables.get("design"), factors, study["seed"], "exclude" in tables, faults
     )
-    analysis = settings.read_analysis(tables.get("analysis"), faults, declared)
+    analysis = read_analysis(tables.get("analysis"), faults, declared)
     if "model" not in (tables.get("analysis") or {}):
         analysis = default_model(scheme, factors, analysis)
     responses = _responses(tables, faults)
@@ -289,11 +298,11 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         calibration=_base_calibration(tables),
         analysis=analysis,
         scheme=scheme,
-        replicates=settings.read_replicates(tables.get("replicates"), faults),
+        replicates=read_replicates(tables.get("replicates"), faults),
         expected=read_expected(tables.get("expected"), factors, responses, faults),
-        converge=settings.read_converge(tables.get("converge"), faults),
-        uncertainty=settings.read_uncertainty(tables.get("uncertainty"), faults),
-        report=settings.read_report(tables.get("report"), faults),
+        converge=read_converge(tables.get("converge"), faults),
+        uncertainty=read_uncertainty(tables.get("uncertainty"), faults),
+        report=read_report(tables.get("report"), faults),
         source=source,
         text=text,
     )
@@ -306,7 +315,7 @@ def _responses(tables: Mapping[str, Any], faults: Faults) -> tuple[Response, ...
     """Read ``[[response]]``; a mesh study alone, without measurements, needs none."""
     if "response" not in tables and "measurements" not in tables and "converge" in tables:
         return ()
-    return settings.read_responses(tables.get("response"), faults)
+    return read_responses(tables.get("response"), faults)
 
 
 def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:
@@ -352,3 +361,14 @@ def _weight(value: Any) -> str | float:
     if isinstance(value, str):
         return str(choice("scatter", "equal")(value))
     return float(number(0, 1e12)(value))
+
+
+def template() -> str:
+    """Text of a commented, valid design to start from.
+
+    Examples
+    --------
+    >>> template().startswith("# A study")
+    True
+    """
+    return resources.files("study.design").joinpath("template.toml").read_text(encoding="utf-8")

@@ -29,6 +29,7 @@ KEYS = (
     *("file", "files", "columns", "units", "block", "average", "range", "points"),
     *("fit", "score", "swap", "zero", "toe", "sign", "decimal", "citation"),
 )
+
 #: keys that may differ between cells
 FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
 DIMENSIONS: Mapping[str, str] = {"displacement": "length", "force": "force"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from study.design import physics, sections
+from study.design import plausibility, sections
 from study.design.measured import read_measurements_table
 from study.design.reader import Faults, Section, choice
 from study.design.spec import CalibrationSpec, Config, MeasurementSpec
@@ -13,6 +13,7 @@ from study.errors import InputError
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 TABLES = ("specimen", "test", "material", "model", "measurements")
+
 #: tables that [calibration.problem] may replace
 REPLACEABLE = ("specimen", "test", "measurements")
 
@@ -65,7 +66,7 @@ def resolve_problem(
         table = tables["measurements"]
         config["measurements"] = read_measurements_table(table, faults, at["measurements"])
     _fill_displacement(config, "measurements" in tables, tables, faults, at)
-    physics.check(config, faults, at)
+    plausibility.check(config, faults, at)
     return config
 
 
@@ -149,7 +150,7 @@ def _check_method(spec: CalibrationSpec, config: Config, fitted: Config, faults:
         if not config["material"]["constants"] and config["material"]["model"]:
             mend = "give them, or let [calibration] find them"
             faults.add("material", "has no constants, and calibration.method is none", mend)
-        physics.check_stability(config, faults)
+        plausibility.check_stability(config, faults)
         return
     if spec.method is not None and fitted["measurements"] is None:
         if not any("measurements" in f.where for f in faults):
@@ -157,6 +158,6 @@ def _check_method(spec: CalibrationSpec, config: Config, fitted: Config, faults:
             faults.add("measurements", "is missing: there is nothing to calibrate with", mend)
         return
     readable = None not in (fitted["test"]["kind"], fitted["test"]["interface"])
-    if spec.method == "analytic" and readable and not physics.is_homogeneous(fitted):
+    if spec.method == "analytic" and readable and not plausibility.is_homogeneous(fitted):
         rule = "analytic needs compression of a cylinder or block with both faces frictionless"
         faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')

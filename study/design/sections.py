@@ -2,7 +2,7 @@
 
 Each function reads one table and returns plain values (mm, N, MPa, deg); None stands where
 a fault was found, and every fault is in ``faults``. Checks of one table against another are
-in :mod:`study.design.physics`.
+in :mod:`study.design.plausibility`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from study.design.reader import (
 )
 from study.design.spec import Config
 from study.errors import InputError
-from study.material import ENERGIES, MODELS, constant_names
+from study.material.energy import ENERGIES, MODELS, constant_names
 
 LENGTH, PRESSURE = quantity("length"), quantity("pressure")
 LENGTH_OR_ZERO = quantity("length", closed=True)
@@ -65,9 +65,9 @@ _OPTIONAL: Mapping[str, Any] = {
     **dict.fromkeys(("clamp_below", "press_x", "press_y", "plate_tolerance")),
 }
 _SUFFIX = {"half_angle": "_deg", "file": "", "unit": "", "axis": ""}
-
 MESHES = ("coarse", "medium", "fine")
 CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
+
 #: keys of which a table may have one; laying one over a table takes the others away
 ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
     "material": ("poisson_ratio", "bulk_modulus", "incompressible"),

@@ -40,6 +40,7 @@ RESPONSES = {
     "mu0": "kPa",
     "seconds": "s",
 }
+
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
 _CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu[1-9]|alpha[1-9]")
@@ -47,6 +48,7 @@ _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
 MAX_RESPONSES = 50
+
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
 SEEDS, RESAMPLES = (5, 1000), (20, 10_000)

@@ -18,12 +18,10 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from study.arrays import Array
 from study.material.material import Material
-from study.material.principal import source, source_slope
-
-Array = NDArray[np.float64]
+from study.material.polynomial import source, source_slope
 
 #: equal stretches are taken this far apart (relative), where the formulas have their limit
 _APART = 1e-4

@@ -12,14 +12,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from study.arrays import Array
 from study.errors import InputError, nearest
 from study.material.material import Material
-from study.material.principal import deviator, source, source_gradient, source_slope
-from study.material.tensor import first_piola
-
-Array = NDArray[np.float64]
+from study.material.polynomial import deviator, source, source_gradient, source_slope
+from study.material.stress import first_piola
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from study.arrays import Array
 from study.errors import Fault, InputError, nearest
-from study.material.energies import Energy, Family, energy, index_pair
-
-Array = NDArray[np.float64]
+from study.material.energy import Energy, Family, energy, index_pair
 
 
 @dataclass(frozen=True)

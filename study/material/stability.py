@@ -14,23 +14,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode
 from study.material.material import Material
-from study.material.principal import source_slope
-
-Array = NDArray[np.float64]
+from study.material.polynomial import source_slope
 
 #: stretches judged where the caller has no range of its own
 USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
+
 #: real root of x^3 + x^2 + 3x = 1, the surface wave condition of Biot (1963)
 BIOT_ROOT = 0.29559774252208477
+
 #: compression at which the free surface of a neo-Hookean half-space creases or wrinkles (V45)
 BIOT_LIMITS: Mapping[str, float] = {
     "planar": BIOT_ROOT ** (1 / 2),
     "equibiaxial": BIOT_ROOT ** (1 / 3),
     "uniaxial": BIOT_ROOT ** (2 / 3),
 }
+
 #: initial shear moduli of soft tissue and silicone, MPa; outside, a unit is probably wrong
 PLAUSIBLE_MU0 = (1e-4, 10.0)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from study.errors import StoreError
 
 LOCK_NAME = ".lock"
+
 #: what the lock file says of its owner, and the bytes that this and its progress take
 _OWNER, _LENGTH = ("pid", "host", "since"), 512
 

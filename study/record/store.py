@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.errors import StoreError
-from study.record import lock as locks
-from study.record.files import FileSystem, is_leftover, write_atomic
+from study.record import lock
+from study.record.atomic_files import FileSystem, is_leftover, write_atomic
 from study.record.record import Record, plain, seal, unseal
 
 MAX_JSON_BYTES = 200_000_000
@@ -96,7 +96,7 @@ class Store:
             yield self
             return
         self._make(self.path)
-        with locks.exclusive(self.path):
+        with lock.exclusive(self.path):
             self._locked = True
             try:
                 self._clear_leftovers()
@@ -107,11 +107,11 @@ class Store:
     def note(self, progress: Mapping[str, object]) -> None:
         """Say to other processes how far the runner is, while this one holds the folder."""
         if self._locked:
-            locks.sign(self.path, progress)
+            lock.sign(self.path, progress)
 
     def running(self) -> dict[str, object] | None:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return locks.holder(self.path) if locks.is_locked(self.path) else None
+        return lock.holder(self.path) if lock.is_locked(self.path) else None
 
     def write(self, record: Record, fields: Mapping[str, NDArray[Any]] | None = None) -> Record:
         """Store a record, whole or not at all, and after its fields.

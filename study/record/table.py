@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.errors import Fault, InputError, StoreError
-from study.record.csvfile import is_formula
-from study.record.files import FileSystem, write_atomic
+from study.record.atomic_files import FileSystem, write_atomic
 from study.record.record import Record
+from study.tabular import is_formula
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
+
 #: columns that number the replicates of a cell, and the number of the case that they repeat
 REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
 

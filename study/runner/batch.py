@@ -15,16 +15,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from study.record import Record, Store
-from study.runner import fits
-from study.runner.costs import Costs, same_model
-from study.runner.execute import blank
-from study.runner.expand import CaseJob, FitJob, Work, for_workers
-from study.runner.pace import Pace
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.case import blank
+from study.runner.cost import Costs, Pace, same_model
+from study.runner.expansion import for_workers
+from study.runner.fitting import fit_task
+from study.runner.job import CaseJob, FitJob, Work
 from study.runner.pool import Outcome, Task, run_tasks
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
 
@@ -237,7 +239,7 @@ class _Batch:
 def _fit_payload(job: FitJob) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
     def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
         start = None if job.start is None else results[job.start]
-        task = fits.payload(job.problem, job.measured, start)
+        task = fit_task.payload(job.problem, job.measured, start)
         return task if job.noise is None else {**task, "kind": "noise", "noise": list(job.noise)}
 
     return make

@@ -9,25 +9,24 @@ from collections.abc import Mapping
 from typing import Any
 
 from study.errors import Fault, InputError
-from study.forward.problem import (
+from study.material.energy import constant_names
+from study.material.material import Material
+from study.setup.geometry import (
     Block,
     Cone,
     Cylinder,
     Flat,
     Indenter,
     Interface,
-    Model,
-    Problem,
     Shape,
     Specimen,
     Sphere,
     Surface,
-    Test,
 )
-from study.material import Material, constant_names
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 Config = Mapping[str, Any]
-
 _SHAPES: dict[str, type[Any]] = {"cylinder": Cylinder, "block": Block, "surface": Surface}
 _INDENTERS: dict[str, type[Any]] = {"flat": Flat, "cone": Cone, "sphere": Sphere}
 _ELEMENTS: dict[str, Shape] = {
@@ -160,7 +159,7 @@ def area_mm2(section: Config) -> float:
         return 3.141592653589793 * made.radius_mm**2
     if isinstance(made, Block):
         return made.width_mm * made.depth_mm
-    from study.forward.surface import body
+    from study.surface.surface import body
 
     found = body(made)
     return found.volume_mm3 / found.height_mm

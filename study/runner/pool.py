@@ -29,6 +29,7 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
+
 #: seconds between two looks at workers that say nothing
 _GLANCE_S = 0.5
 WORKER_COMMAND = (sys.executable, "-m", "study.runner.worker")

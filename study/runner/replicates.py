@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from study.design import Case, Design, case_id, plain
-from study.design.cases import MAX_CASES
+from study.canonical import digest
+from study.design.cases import MAX_CASES, case_id, plain
+from study.design.spec import Case, Design
 from study.errors import Fault, InputError
-from study.runner.identity import digest
 
 if TYPE_CHECKING:
-    from study.runner.expand import CaseJob, FitJob
+    from study.runner.job import CaseJob, FitJob
 
 
 def mesh_seeded(found: Sequence[Case], design: Design) -> list[tuple[Case, dict[str, Any]]]:
@@ -100,8 +100,3 @@ def _add_refit(base: str, seed: int, number: int, fits: dict[str, FitJob]) -> st
     if key not in fits:
         fits[key] = replace(fits[base], key=key, start=base, noise=(seed, number))
     return key
-
-
-def constants_only(extra: Mapping[str, Any]) -> bool:
-    """Whether a case is a fit to resampled noise, which predicts nothing."""
-    return int(extra.get("noise_seed") or 0) > 0

@@ -1,7 +1,7 @@
 """Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 
 The generator, in full. A batch of silicone has the constants of one of the energies of
-:mod:`study.runner.truths` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
+:mod:`study.runner.virtual_truth` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
 times a stiffness factor, and a shape of response that scatters besides; each specimen of a
 batch has a further stiffness factor; each repeat on a specimen has load-cell noise, a
 load-cell zero and position noise. The reference curve comes from finite elements with bonded
@@ -29,21 +29,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from study.arrays import Array
 from study.curve import Curve
-from study.design import Design, MeasurementSpec, treatments
+from study.design.cases import treatments
+from study.design.spec import Design, MeasurementSpec
 from study.errors import Fault, InputError
-from study.record.files import write_atomic
-from study.runner import build, fits, surfaces
-from study.runner.expand import TRUTH_SUFFIX
+from study.forward import finite_element
+from study.record.atomic_files import write_atomic
+from study.runner import build, provenance
+from study.runner.job import TRUTH_SUFFIX
 from study.runner.pool import Task, run_tasks
-from study.runner.truths import TRUTHS, truth
-
-Array = NDArray[np.float64]
+from study.runner.virtual_truth import TRUTHS, truth
+from study.units import parse
 
 #: steps of a reference curve; between them it is interpolated with its tangent
 _STEPS = 12
+
 #: constants of the usual truth, MPa
 ECOFLEX_00_10 = TRUTHS["yeoh"].constants
 CITATION = (
@@ -71,7 +73,7 @@ class Generator:
     position_mm : float
         Standard deviation of the position.
     truth : str
-        Name of the material, see :mod:`study.runner.truths`.
+        Name of the material, see :mod:`study.runner.virtual_truth`.
     spacing_mm : float
         Distance between samples.
     """
@@ -135,8 +137,8 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     generator = generator or usual_generator(design)
     if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
-    places = surfaces.folders(design.source, out)
-    sources = [(spec, surfaces.located(config, places)) for spec, config in _sources(design)]
+    places = provenance.folders(design.source, out)
+    sources = [(spec, provenance.located(config, places)) for spec, config in _sources(design)]
     written = []
     for number, (spec, config) in enumerate(sources):
         several = len(sources) > 1
@@ -244,11 +246,11 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     problem = build.problem(task["config"])
     if task.get("finer"):
         # no cell of the design generates its own data
-        from study.forward.mesh import mesh_size
+        from study.fem.mesh.mesher import mesh_size
 
         size = mesh_size(problem) / problem.model.mesh_ratio
         problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
-    solution = fits.solve(problem, gradients=True)
+    solution = finite_element.solve(problem, gradients=True)
     return {
         "status": solution.status,
         "message": solution.message,
@@ -353,8 +355,6 @@ def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str
 
 
 def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
-    from study.units import parse
-
     columns, units = spec.columns, spec.units
     length = parse(f"1 {units['displacement']}", "length")
     newton = parse(f"1 {units['force']}", "force")

@@ -15,6 +15,10 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
+from study.runner import case, residual_bootstrap, virtual
+from study.runner.fitting import fit_task
+from study.runner.numerical import refinement
+
 
 def main(descriptor: int) -> None:
     """Serve tasks on the inherited pipe."""
@@ -47,14 +51,13 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
 def _perform(task: dict[str, Any]) -> dict[str, Any]:
     if task["kind"] == "ping":
         return {"status": "converged"}
-    from study.runner import execute, fits, noise, refine_solve, virtual
 
     doers: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
-        "fit": fits.perform,
-        "noise": noise.perform,
-        "case": execute.perform,
+        "fit": fit_task.perform,
+        "noise": residual_bootstrap.perform,
+        "case": case.perform,
         "reference": virtual.perform,
-        "solve": refine_solve.perform,
+        "solve": refinement.perform,
     }
     return doers[task["kind"]](task)
 

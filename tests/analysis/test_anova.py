@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze
+from study.analysis.anova import analyze
 from study.errors import InputError, RefusedError
 
 

@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from study.analysis import bartlett, lenth, levene, ryan_joiner
-from study.analysis.matrix import Layout, terms_of
-from study.analysis.normality import anderson_darling, shapiro_wilk
+from study.analysis.assumption.normality import anderson_darling, ryan_joiner, shapiro_wilk
+from study.analysis.assumption.variance import bartlett, levene
+from study.analysis.comparisons import studentized_range_quantile
+from study.analysis.design_matrix import Layout, terms_of
 from study.analysis.sphericity import epsilon_gg, sphericity
-from study.analysis.tukey import studentized_range_quantile
-from study.analysis.unreplicated import half_normal_scores, orthonormal_contrasts
+from study.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from study.analysis import grid_convergence
+from study.analysis.convergence.grid_convergence import grid_convergence
 from study.errors import InputError
 
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from study.analysis import grid_convergence
-from study.analysis.convergence_order import observed_order
+from study.analysis.convergence.grid_convergence import grid_convergence
+from study.analysis.convergence.order import observed_order
 
 RATIO = st.floats(1.3, 3.0)
 

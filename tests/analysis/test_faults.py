@@ -10,10 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze, anderson_darling, bartlett, levene, read_csv, ryan_joiner
-from study.analysis import shapiro_wilk as shapiro
+from study.analysis.anova import analyze
+from study.analysis.assumption.normality import anderson_darling, ryan_joiner
+from study.analysis.assumption.normality import shapiro_wilk as shapiro
+from study.analysis.assumption.variance import bartlett, levene
 from study.cli.app import run
 from study.errors import InputError, RefusedError
+from study.tidy_csv import read_csv
 
 
 def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -> pd.DataFrame:

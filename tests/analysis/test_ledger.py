@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze
-from study.analysis.error_term import REMEDIES
+from study.analysis.anova import analyze
+from study.analysis.error.ledger import REMEDIES
 from study.errors import InputError
 
 
@@ -128,9 +128,9 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
 
     The chi-squared p, which takes residuals for independent, is off in the same studies.
     """
-    from study.analysis.checks import additive_fit
-    from study.analysis.tidy import prepare
-    from study.analysis.variance import ResidualDesign, bartlett
+    from study.analysis.assumption.variance import ResidualDesign, bartlett
+    from study.analysis.data import prepare
+    from study.analysis.residuals import additive_fit
 
     table = grid({"a": 4}, 5, 1)
     rng = np.random.default_rng(21)

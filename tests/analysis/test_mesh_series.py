@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze
-from study.analysis.mesh_series import mesh_series
+from study.analysis.anova import analyze
+from study.analysis.convergence.work_precision import mesh_series
 from study.errors import InputError
 
 H = {"coarse": 4.0, "medium": 2.0, "fine": 1.0}

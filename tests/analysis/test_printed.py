@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze
+from study.analysis.anova import analyze
 from study.cli.app import run
 
 DESIGNS = Path(__file__).resolve().parents[2] / "validation" / "statistics"

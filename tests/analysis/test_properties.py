@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.analysis import analyze, bartlett, ryan_joiner
-from study.analysis.normality import statistic
+from study.analysis.anova import analyze
+from study.analysis.assumption.normality import ryan_joiner, statistic
+from study.analysis.assumption.variance import bartlett
 
 seeds = st.integers(0, 10_000)
 shapes = st.tuples(st.integers(2, 3), st.integers(2, 4), st.integers(2, 3))

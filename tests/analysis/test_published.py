@@ -13,12 +13,19 @@ import pytest
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.outliers_influence import OLSInfluence
 
-from study.analysis import analyze, bartlett, grid_convergence, levene, ryan_joiner
-from study.analysis.matrix import model_matrix, terms_of
-from study.analysis.normality import critical_values, shapiro_wilk, statistic
-from study.analysis.remedies import influence
-from study.analysis.sums import factor
-from study.analysis.tidy import prepare
+from study.analysis.anova import analyze
+from study.analysis.assumption.normality import (
+    critical_values,
+    ryan_joiner,
+    shapiro_wilk,
+    statistic,
+)
+from study.analysis.assumption.variance import bartlett, levene
+from study.analysis.convergence.grid_convergence import grid_convergence
+from study.analysis.data import prepare
+from study.analysis.design_matrix import model_matrix, terms_of
+from study.analysis.influence import influence
+from study.analysis.sums_of_squares import factor
 from study.analysis.unreplicated import two_level_effects
 
 pytestmark = pytest.mark.verify

@@ -15,13 +15,16 @@ import pandas as pd
 import pytest
 from scipy.special import chdtrc
 
-from study.analysis import analyze, bartlett, levene, shapiro_wilk
-from study.analysis.matrix import model_matrix, terms_of
-from study.analysis.remedies import box_cox, hc3, influence, welch_factorial
-from study.analysis.results import AnalysisResult, Row
-from study.analysis.rows import summary_of
-from study.analysis.sums import factor
-from study.analysis.tidy import prepare
+from study.analysis.anova import analyze
+from study.analysis.anova_table import Row
+from study.analysis.assumption.normality import shapiro_wilk
+from study.analysis.assumption.robustness import box_cox, hc3, welch_factorial
+from study.analysis.assumption.variance import bartlett, levene
+from study.analysis.data import prepare
+from study.analysis.design_matrix import model_matrix, terms_of
+from study.analysis.influence import influence, summary_of
+from study.analysis.result import AnalysisResult
+from study.analysis.sums_of_squares import factor
 
 pytestmark = pytest.mark.verify
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"

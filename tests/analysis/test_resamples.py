@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze
-from study.analysis.results import AnalysisResult
+from study.analysis.anova import analyze
+from study.analysis.result import AnalysisResult
 
 #: noise of the fits of four cells to one curve: pairs are nearly the same fit
 CORRELATED = np.kron([[1.0, 0.3], [0.3, 1.0]], [[1.0, 0.95], [0.95, 1.0]])

@@ -17,12 +17,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis import analyze, lenth, ryan_joiner
-from study.analysis.blocks import Crossed, cell_fit, own_terms
-from study.analysis.matrix import Layout, grid, model_matrix, terms_of
-from study.analysis.normality import default_simulations, null_rj, simulated_rj
-from study.analysis.sums import span
-from study.analysis.unreplicated import pseudo_standard_error
+from study.analysis.anova import analyze
+from study.analysis.assumption.normality import (
+    default_simulations,
+    null_rj,
+    ryan_joiner,
+    simulated_rj,
+)
+from study.analysis.design_matrix import Layout, grid, model_matrix, terms_of
+from study.analysis.error.blocked import Crossed, cell_fit, own_terms
+from study.analysis.sums_of_squares import span
+from study.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]
 CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"

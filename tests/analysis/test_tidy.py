@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from study.analysis import read_csv
 from study.errors import InputError
+from study.tidy_csv import read_csv
 
 GOOD = "a,b,y\nx,1,1.5\nx,2,2.5\nz,1,\nz,2,4e0\n"
 

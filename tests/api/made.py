@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from study.analysis import analyze
-from study.api.studies import StudyResult
-from study.design import loads
-from study.reporting.data import ResponseAnalysis
+from study.analysis.anova import analyze
+from study.design.load import loads
+from study.study_result.report_data import ResponseAnalysis
+from study.study_result.study_result import StudyResult
 from tests.cli.small import DESIGN
 
 FACTORS = {"material": ("soft", "stiff", "other"), "space": ("flat", "full")}

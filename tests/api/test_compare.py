@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from study.api.changes import read_truths
-from study.api.compare import compare, document
-from study.api.studies import StudyResult
+from study.api.compare import compare
+from study.api.design_changes import read_truths
 from study.errors import InputError
-from study.reporting import beside as words
-from study.reporting import data_beside as kinds
-from study.reporting.data_beside import Beside, Conclusion
+from study.reporting.content import comparison as words
+from study.study_result import comparison as kinds
+from study.study_result.comparison import Beside, Conclusion, document
+from study.study_result.study_result import StudyResult
 from tests.api.made import made
 
 

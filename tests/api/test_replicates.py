@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from study import api
+from study.api.opened_study import open_study
 from study.api.planning import plan
-from study.api.studies import StudyResult, open_study
-from study.design import loads, treatments
+from study.design.cases import treatments
+from study.design.load import loads
 from study.errors import InputError
-from study.forward.solve import solve
-from study.material import Material
-from study.runner import closed_form
+from study.fem.solver.solve import solve
+from study.forward import closed_form
+from study.material.material import Material
 from study.runner.build import problem
+from study.study_result.study_result import StudyResult
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
 HEAD = """

@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
-from study.analysis import AnalysisResult
-from study.api.resolution import effect_u_num, largest_u_num
+from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.result import AnalysisResult
 from study.api.statistics import analyze_records
-from study.design import Design, Response, loads
-from study.record import Record
-from study.runner.refine import Numerical
-from study.runner.refine_columns import fine_uncertainty
+from study.api.uncertainty.numerical import effect_u_num, largest_u_num
+from study.design.load import loads
+from study.design.spec import Design, Response
+from study.record.record import Record
+from study.runner.numerical.study_refinement import fine_uncertainty
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 NAME = "relative_rms_force_error"
@@ -222,7 +223,7 @@ def test_a_material_without_the_finest_mesh_is_left_out(design: Design) -> None:
 def u_num_of(
     design: Design, records: Sequence[Record], numerical: Sequence[Numerical], **options: Any
 ) -> float | dict[str, float] | None:
-    from study.record import table
+    from study.record.table import table
 
     names = [factor.name for factor in design.factors]
     usual = {"factors": names, "block": "block", "model": 2}

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from study.calibration import MeasuredCurve
+from study.calibration.fit import MeasuredCurve
 from study.curve import Curve
-from study.material import Material
 from study.material.homogeneous import response
+from study.material.material import Material
 
 AREA, HEIGHT = np.pi * 25.0**2, 30.0
 

@@ -6,10 +6,10 @@ import json
 
 import numpy as np
 
-from study.calibration import MeasuredCurve, fit
+from study.calibration.fit import MeasuredCurve, fit
 from study.curve import Curve
-from study.material import Material
 from study.material.homogeneous import uniaxial, uniaxial_gradient
+from study.material.material import Material
 
 AREA_MM2 = np.pi * 25.0**2
 HEIGHT_MM = 30.0

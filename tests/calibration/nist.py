@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from study.calibration import EvaluationFailed
+from study.calibration.iteration import EvaluationFailed
 
 PI = np.pi
 

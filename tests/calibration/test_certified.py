@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from study.calibration import Status, levenberg_marquardt
-from study.calibration.uncertainty import uncertainty
+from study.calibration.covariance import uncertainty
+from study.calibration.iteration import Status
+from study.calibration.levenberg_marquardt import levenberg_marquardt
 from tests.calibration import more_garbow_hillstrom as mgh
 from tests.calibration.nist import digits, never_rises, read, residual_function
 

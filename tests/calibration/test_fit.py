@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from study.calibration import EvaluationFailed, MeasuredCurve, Status, aicc, fit, profile
-from study.calibration.uncertainty import scaled_condition
+from study.calibration.covariance import scaled_condition
+from study.calibration.fit import MeasuredCurve, aicc, fit
+from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.profile_likelihood import profile
 from study.curve import Curve
 from study.errors import InputError, RefusedError
 from tests.calibration.cylinder import predictor, virtual

@@ -3,19 +3,17 @@
 import numpy as np
 import pytest
 
-from study.calibration import (
-    EvaluationFailed,
-    MeasuredCurve,
+from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.lack_of_fit import (
     Repeated,
-    Status,
+    agreement,
     akaike_weights,
-    fit,
     lack_of_fit,
-    levenberg_marquardt,
     pattern,
     same_constants,
 )
-from study.calibration.agreement import agreement
+from study.calibration.levenberg_marquardt import levenberg_marquardt
 from study.curve import Curve
 from study.errors import InputError, RefusedError
 from tests.calibration.cylinder import predictor, virtual

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.calibration import EvaluationFailed, Status, finite_difference, levenberg_marquardt
-from study.calibration.damped import Linearization, damped_step
-from study.calibration.levenberg_marquardt import updated_radius
+from study.calibration.iteration import EvaluationFailed, Status, finite_difference
+from study.calibration.levenberg_marquardt import levenberg_marquardt, updated_radius
+from study.calibration.trust_region_step import Linearization, damped_step
 from study.errors import InputError
 from tests.calibration.nist import never_rises
 

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.forward.problem import Block, Cone, Model, Problem
-from study.forward.problem import Test as Loading
-from study.forward.solve import solve
-from study.material import Material
-from study.runner.closed_form import compression
+from study.fem.solver.solve import solve
+from study.forward.closed_form import compression
+from study.material.material import Material
+from study.setup.geometry import Block, Cone
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test as Loading
 from tests.cli.small import study
 from tests.conftest import ROOT
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from study import api, design
+from study import api
 from study.cli.app import app
+from study.design import load
 from tests.cli.small import study
 
 ROOT = Path(__file__).parents[2]
@@ -65,7 +66,7 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
 
 def test_the_design_of_the_readme_loads() -> None:
     (text,) = re.findall(r"```toml\n(.*?)```", README, re.DOTALL)
-    loaded = design.loads(text, "README.md")
+    loaded = load.loads(text, "README.md")
     assert [factor.name for factor in loaded.factors] == ["material", "test.interface"]
 
 

@@ -11,8 +11,9 @@ import meshio
 import numpy as np
 import pytest
 
-from study import api, design
+from study import api
 from study.curve import Curve
+from study.design import load
 from tests.cli.small import Edit, study
 
 SOLVE_KEYS = {
@@ -39,7 +40,7 @@ def test_new_writes_a_design_that_loads_and_plans(home: Path) -> None:
     answer = study("new", "mine.toml")
     assert answer.code == 0
     assert "study plan mine.toml" in answer.out
-    assert len(design.load("mine.toml").factors) == 3
+    assert len(load.load("mine.toml").factors) == 3
     plan = study("plan", "mine.toml", "--json")
     assert plan.code == 0
     assert plan.json["cases"]["total"] == 8

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from study import design
-from study.design import Range
+from study.design import cases, load
+from study.design.spec import Range
 from study.errors import InputError
 
 TEXT = """
@@ -39,7 +39,7 @@ CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").r
 
 
 def test_tests_inherit_specimen_and_model() -> None:
-    found = design.loads_calibration(TEXT)
+    found = load.loads_calibration(TEXT)
     fit, held_out = found["tests"]
     assert found["material"]["order"] == 2
     assert found["model"]["mesh"] == "medium"
@@ -68,19 +68,19 @@ def test_tests_inherit_specimen_and_model() -> None:
 def test_faults_name_the_test(old: str, new: str, says: str) -> None:
     assert old in TEXT
     with pytest.raises(InputError, match=says):
-        design.loads_calibration(TEXT.replace(old, new, 1))
+        load.loads_calibration(TEXT.replace(old, new, 1))
 
 
 def test_a_fault_of_an_inherited_table_is_told_once() -> None:
     with pytest.raises(InputError) as caught:
-        design.loads(CONICAL.replace('"40 mm"', '"-40 mm"'), "x")
+        load.loads(CONICAL.replace('"40 mm"', '"-40 mm"'), "x")
     assert [f.where for f in caught.value.faults] == ["x: specimen.height"]
 
 
 def test_a_fault_of_the_calibration_problem_is_told_there() -> None:
     text = CONICAL.replace('["1 %", "30 %"]', '["1 %", "130 %"]')
     with pytest.raises(InputError) as caught:
-        design.loads(text, "x")
+        load.loads(text, "x")
     assert caught.value.faults[0].where == "x: calibration.problem.measurements.range"
 
 
@@ -88,12 +88,12 @@ def test_no_calibration_where_constants_are_given() -> None:
     start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
     text = CONICAL[:start] + CONICAL[end:]
     fixed = text.replace('model = "neo-hookean"\n', 'model = "neo-hookean"\nC10 = "5 kPa"\n')
-    cells = design.treatments(design.loads(fixed))
-    assert design.calibration_config(cells[0]) is None  # neo-Hookean: constants given
-    assert design.calibration_config(cells[-1]) is not None
+    cells = cases.treatments(load.loads(fixed))
+    assert cases.calibration_config(cells[0]) is None  # neo-Hookean: constants given
+    assert cases.calibration_config(cells[-1]) is not None
 
 
 def test_cross_validation() -> None:
-    study = design.loads(CONICAL.replace('method = "auto"', 'method="auto"\nleave_out="specimen"'))
+    study = load.loads(CONICAL.replace('method = "auto"', 'method="auto"\nleave_out="specimen"'))
     assert study.calibration.leave_out == "specimen"
-    assert design.treatments(study)[0].config["calibration"]["leave_out"] == "specimen"
+    assert cases.treatments(study)[0].config["calibration"]["leave_out"] == "specimen"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from study import design
+from study.design import cases, load, overview
 from study.design.keys import lay
 from study.errors import InputError
 
@@ -36,12 +36,12 @@ SPACES = '[factors]\nmodel.space = ["axisymmetric", "3d"]\n'
 
 def test_quoted_and_unquoted_keys_are_one() -> None:
     quoted = BASE + '[factors]\n"model.space" = ["axisymmetric", "3d"]\n'
-    assert design.loads(BASE + SPACES) == design.loads(quoted)
+    assert load.loads(BASE + SPACES) == load.loads(quoted)
 
 
 def test_ids_ignore_names_and_see_values() -> None:
     def ids(text: str) -> list[str]:
-        return [case.case_id for case in design.cases(design.loads(text))]
+        return [case.case_id for case in cases.cases(load.loads(text))]
 
     text = BASE + SPACES
     named = text + '[study]\nname = "other"\nquestion = "why?"\nseed = 7\n# a comment\n'
@@ -57,28 +57,28 @@ def test_ids_ignore_names_and_see_values() -> None:
 
 def test_ids_are_pinned() -> None:
     # regression: a change of this name sends every stored result back to work
-    assert design.case_id({"a": 1, "b": [1.5, None, True], "c": {"x": "y"}}) == "4e50917437034b0c"
+    assert cases.case_id({"a": 1, "b": [1.5, None, True], "c": {"x": "y"}}) == "4e50917437034b0c"
 
 
 @given(st.integers(-(2**52), 2**52))
 def test_whole_numbers_have_one_name(value: int) -> None:
-    assert design.case_id({"a": value}) == design.case_id({"a": float(value)})
+    assert cases.case_id({"a": value}) == cases.case_id({"a": float(value)})
 
 
 def test_nan_has_no_name() -> None:
     with pytest.raises(InputError):
-        design.case_id({"a": float("nan")})
+        cases.case_id({"a": float("nan")})
 
 
 def test_cases_are_cells_in_blocks() -> None:
-    study = design.loads(BASE + SPACES)
-    found = design.cases(study, ("A", "B", "C"))
+    study = load.loads(BASE + SPACES)
+    found = cases.cases(study, ("A", "B", "C"))
     assert len(found) == 6
     assert len({case.case_id for case in found}) == 6
     assert found[0].label == "axisymmetric / A"
-    assert [case.block for case in design.cases(study)] == [None, None]
+    assert [case.block for case in cases.cases(study)] == [None, None]
     with pytest.raises(InputError, match="distinct"):
-        design.cases(study, ("A", "A"))
+        cases.cases(study, ("A", "A"))
 
 
 def test_exclusions_say_why() -> None:
@@ -88,18 +88,18 @@ def test_exclusions_say_why() -> None:
         '[[exclude]]\nwhen = { model.space = "3d", model.mesh = ["medium", "fine"] }\n'
         'why = "too large"\n'
     )
-    study = design.loads(text)
-    assert [cell.label for cell in design.treatments(study)] == [
+    study = load.loads(text)
+    assert [cell.label for cell in cases.treatments(study)] == [
         "axisymmetric / coarse",
         "axisymmetric / medium",
         "axisymmetric / fine",
         "3d / coarse",
     ]
-    assert [(cell.label, why) for cell, why in design.excluded(study)] == [
+    assert [(cell.label, why) for cell, why in cases.excluded(study)] == [
         ("3d / medium", "too large"),
         ("3d / fine", "too large"),
     ]
-    assert design.loads(design.dump(study)) == study
+    assert load.loads(load.dump(study)) == study
 
 
 def test_an_impossible_cell_may_be_excluded() -> None:
@@ -109,18 +109,18 @@ def test_an_impossible_cell_may_be_excluded() -> None:
         '[factors]\nbulk = ["exact", "near"]\nmodel.formulation = ["mixed", "displacement"]\n'
     )
     with pytest.raises(InputError, match="displacement formulation cannot hold"):
-        design.loads(text)
+        load.loads(text)
     left_out = '[[exclude]]\nwhen = { bulk = "exact", model.formulation = "displacement" }\n'
-    study = design.loads(text + left_out + 'why = "locks"\n')
-    assert len(design.treatments(study)) == 3
+    study = load.loads(text + left_out + 'why = "locks"\n')
+    assert len(cases.treatments(study)) == 3
 
 
 def test_duplicates_are_reported() -> None:
     text = BASE + '[factors]\nmodel.mesh_size = ["10 mm", "1 cm", "5 mm"]\n'
-    study = design.loads(text)
-    (group,) = design.duplicates(study)
+    study = load.loads(text)
+    (group,) = overview.duplicates(study)
     assert [cell.label for cell in group] == ["10 mm", "1 cm"]
-    assert any("no replicates: 10 mm = 1 cm" in line for line in design.warnings(study))
+    assert any("no replicates: 10 mm = 1 cm" in line for line in overview.warnings(study))
 
 
 def test_a_preset_of_a_table_is_laid_over_it() -> None:
@@ -129,7 +129,7 @@ def test_a_preset_of_a_table_is_laid_over_it() -> None:
         '[presets.material.ogden]\nmodel = "ogden"\nmu = ["5 kPa"]\nalpha = [3]\n'
         '[factors]\nmaterial = ["soft", "ogden"]\n'
     )
-    soft, ogden = design.treatments(design.loads(text))
+    soft, ogden = cases.treatments(load.loads(text))
     assert soft.config["material"]["constants"] == {"C10": 0.001}
     assert soft.config["material"]["poisson_ratio"] == 0.4995
     assert ogden.config["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
@@ -151,7 +151,7 @@ def test_indenters_as_presets() -> None:
     )
     base = text.replace("[material]", 'indenter = { shape = "flat", radius = "5 mm" }\n[material]')
     for source in (text, base):
-        cone, ball = design.treatments(design.loads(source))
+        cone, ball = cases.treatments(load.loads(source))
         assert cone.config["test"]["indenter"] == {
             "shape": "cone",
             "half_angle_deg": 30.0,
@@ -163,14 +163,14 @@ def test_indenters_as_presets() -> None:
 
 def test_numeric_and_list_levels() -> None:
     text = BASE + "[factors]\ntest.steps = [5, 10]\nmaterial.poisson_ratio = [0.45, 0.499]\n"
-    labels = [cell.label for cell in design.treatments(design.loads(text))]
+    labels = [cell.label for cell in cases.treatments(load.loads(text))]
     assert labels == ["5 / 0.45", "5 / 0.499", "10 / 0.45", "10 / 0.499"]
 
 
 def test_indentation_is_one_computation_a_cell() -> None:
     text = BASE.replace('"frictionless"', '"bonded"') + SPACES
-    assert len(design.equivalent_groups(design.loads(text))) == 2
-    assert len(design.equivalent_groups(design.loads(BASE + SPACES))) == 1
+    assert len(overview.equivalent_groups(load.loads(text))) == 2
+    assert len(overview.equivalent_groups(load.loads(BASE + SPACES))) == 1
 
 
 @pytest.mark.parametrize(
@@ -185,21 +185,21 @@ def test_indentation_is_one_computation_a_cell() -> None:
 )
 def test_overrides(override: str, section: str, key: str, value: object) -> None:
     text = BASE.replace("[model]\nmesh", "[model]\nelement_order = 'linear'\n# mesh") + SPACES
-    study = design.loads(text, overrides=[override])
-    for cell in design.treatments(study):
+    study = load.loads(text, overrides=[override])
+    for cell in cases.treatments(study):
         assert cell.config[section][key] == value
 
 
 def test_an_override_takes_away_what_cannot_stand_beside_it() -> None:
-    study = design.loads(BASE + SPACES, overrides=["model.mesh_size=2 mm"])
-    model = design.treatments(study)[0].config["model"]
+    study = load.loads(BASE + SPACES, overrides=["model.mesh_size=2 mm"])
+    model = cases.treatments(study)[0].config["model"]
     assert model["mesh_size_mm"] == 2.0
     assert "mesh" not in model
 
 
 def test_levels_and_lists_can_be_overridden() -> None:
     overrides = ['factors.model.space=["3d", "axisymmetric"]', "response.0.transform=log"]
-    study = design.loads(BASE + SPACES, overrides=overrides)
+    study = load.loads(BASE + SPACES, overrides=overrides)
     assert study.factors[0].labels == ("3d", "axisymmetric")
     assert study.responses[0].transform == "log"
 
@@ -210,7 +210,7 @@ def test_an_override_hidden_by_a_preset_is_refused() -> None:
         '[presets.bulk.b]\nmaterial.poisson_ratio = 0.499\n[factors]\nbulk = ["a", "b"]\n'
     )
     with pytest.raises(InputError, match="would hide this"):
-        design.loads(text, overrides=["material.poisson_ratio=0.3"])
+        load.loads(text, overrides=["material.poisson_ratio=0.3"])
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_an_override_hidden_by_a_preset_is_refused() -> None:
 )
 def test_bad_overrides(override: str) -> None:
     with pytest.raises(InputError):
-        design.loads(BASE + SPACES, overrides=[override])
+        load.loads(BASE + SPACES, overrides=[override])
 
 
 @given(st.data())
@@ -235,7 +235,7 @@ def test_any_matrix_survives_a_round_trip(data: st.DataObject) -> None:
     names = data.draw(st.lists(st.sampled_from(sorted(pool)), min_size=1, max_size=3, unique=True))
     rows = {n: data.draw(st.permutations(pool[n])) for n in names}
     text = BASE + "[factors]\n" + "".join(f"'{n}' = {list(v)!r}\n" for n, v in rows.items())
-    study = design.loads(text)
-    assert design.loads(design.dump(study)) == study
+    study = load.loads(text)
+    assert load.loads(load.dump(study)) == study
     expected = [" / ".join(map(str, c)) for c in itertools.product(*rows.values())]
-    assert [cell.label for cell in design.treatments(study)] == expected
+    assert [cell.label for cell in cases.treatments(study)] == expected

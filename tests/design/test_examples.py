@@ -9,25 +9,25 @@ from pathlib import Path
 
 import pytest
 
-from study import design
-from study.design import MeasurementSpec, Range
+from study.design import cases, load, overview, plausibility
+from study.design.spec import Design, MeasurementSpec, Practical, Range
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
 
 
 @pytest.fixture(scope="module")
-def ecoflex() -> design.Design:
-    return design.load(DESIGNS / "ecoflex-compression.toml")
+def ecoflex() -> Design:
+    return load.load(DESIGNS / "ecoflex-compression.toml")
 
 
 @pytest.fixture(scope="module")
-def conical() -> design.Design:
-    return design.load(DESIGNS / "conical-indentation.toml")
+def conical() -> Design:
+    return load.load(DESIGNS / "conical-indentation.toml")
 
 
-def test_the_ecoflex_matrix(ecoflex: design.Design) -> None:
-    cells = design.treatments(ecoflex)
+def test_the_ecoflex_matrix(ecoflex: Design) -> None:
+    cells = cases.treatments(ecoflex)
     assert len(cells) == 4 * 2 * 2 * 2
     assert cells[0].label == "neo-hookean / frictionless / axisymmetric / linear"
     assert cells[-1].label == "reduced-polynomial-3 / bonded / 3d / quadratic"
@@ -44,8 +44,8 @@ def test_the_ecoflex_matrix(ecoflex: design.Design) -> None:
     )
 
 
-def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: design.Design) -> None:
-    config = design.treatments(ecoflex)[-1].config
+def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: Design) -> None:
+    config = cases.treatments(ecoflex)[-1].config
     assert config["specimen"] == {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
     assert config["test"] == {
         "kind": "compression",
@@ -71,7 +71,7 @@ def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: design.Design) -> None
     assert config["calibration"] == {"method": "auto", "problem": None, "leave_out": None}
 
 
-def test_measurements(ecoflex: design.Design) -> None:
+def test_measurements(ecoflex: Design) -> None:
     spec = ecoflex.measurements
     assert spec is not None
     assert spec.range == Range("percent", 1.0, 20.0)
@@ -81,33 +81,33 @@ def test_measurements(ecoflex: design.Design) -> None:
     assert MeasurementSpec.from_dict(json.loads(json.dumps(spec.as_dict()))) == spec
 
 
-def test_responses(ecoflex: design.Design, conical: design.Design) -> None:
+def test_responses(ecoflex: Design, conical: Design) -> None:
     first, second = ecoflex.responses
     assert (first.name, first.unit, first.transform) == ("relative_rms_force_error", "%", "none")
-    assert first.practical == design.Practical(0.5, "pp", relative=False)
+    assert first.practical == Practical(0.5, "pp", relative=False)
     assert (second.name, second.unit, second.transform) == ("mu0", "kPa", "log")
-    assert second.practical == design.Practical(10.0, "%", relative=True)
+    assert second.practical == Practical(10.0, "%", relative=True)
     assert conical.responses[1].unit == "N"
 
 
-def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: design.Design) -> None:
+def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: Design) -> None:
     # a homogeneous deformation is in every finite element space
-    groups = design.equivalent_groups(ecoflex)
+    groups = overview.equivalent_groups(ecoflex)
     assert len(groups) == 20
     assert sorted(len(group) for group in groups) == [1] * 16 + [4] * 4
     for group in groups:
         if len(group) == 4:
             assert {cell.levels["plates"] for cell in group} == {"frictionless"}
             assert len({cell.levels["material"] for cell in group}) == 1
-    assert len(design.calibration_groups(ecoflex)) == 20
-    assert design.inert_cells(ecoflex, "model.space") == 16
-    assert design.inert_cells(ecoflex, "plates") == 0
+    assert len(overview.calibration_groups(ecoflex)) == 20
+    assert overview.inert_cells(ecoflex, "model.space") == 16
+    assert overview.inert_cells(ecoflex, "plates") == 0
 
 
-def test_conical_calibration_is_compression(conical: design.Design) -> None:
-    cells = design.treatments(conical)
+def test_conical_calibration_is_compression(conical: Design) -> None:
+    cells = cases.treatments(conical)
     assert len(cells) == 4 * 2 * 2 * 3
-    fitted = design.calibration_config(cells[0])
+    fitted = cases.calibration_config(cells[0])
     assert fitted is not None
     assert fitted["test"]["kind"] == "compression"
     assert fitted["test"]["base"] == "frictionless"
@@ -115,13 +115,13 @@ def test_conical_calibration_is_compression(conical: design.Design) -> None:
     assert fitted["specimen"] == cells[0].config["specimen"]  # inherited
     assert fitted["measurements"].files == "conical/compression-{specimen}.csv"
     # the closed form knows nothing of space, order and mesh: one fit a material
-    assert design.calibration_factors(conical) == ("material",)
-    assert len(design.calibration_groups(conical)) == 4
-    assert len(design.equivalent_groups(conical)) == 48
+    assert overview.calibration_factors(conical) == ("material",)
+    assert len(overview.calibration_groups(conical)) == 4
+    assert len(overview.equivalent_groups(conical)) == 48
 
 
-def test_conical_indenter_and_mesh_ratio(conical: design.Design) -> None:
-    config = design.treatments(conical)[0].config
+def test_conical_indenter_and_mesh_ratio(conical: Design) -> None:
+    config = cases.treatments(conical)[0].config
     assert config["test"]["indenter"] == {
         "shape": "cone",
         "half_angle_deg": 30.0,
@@ -134,18 +134,18 @@ def test_conical_indenter_and_mesh_ratio(conical: design.Design) -> None:
 
 
 def test_range_design_needs_no_mesh() -> None:
-    study = design.load(DESIGNS / "ecoflex-range.toml")
-    cells = design.treatments(study)
+    study = load.load(DESIGNS / "ecoflex-range.toml")
+    cells = cases.treatments(study)
     assert len(cells) == 16
     ends = {cell.levels["range"]: cell.config["test"]["displacement_mm"] for cell in cells}
     assert ends == {"14 %": 4.2, "20 %": 6.0, "40 %": 12.0, "60 %": 18.0}
-    assert all(design.is_homogeneous(cell.config) for cell in cells)
+    assert all(plausibility.is_homogeneous(cell.config) for cell in cells)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> None:
-    study = design.load(DESIGNS / f"{name}.toml")
-    told = design.describe(study)
+    study = load.load(DESIGNS / f"{name}.toml")
+    told = overview.describe(study)
     assert told["warnings"] == []
     assert told["duplicates"] == []
     assert len(told["matrix"]) == told["cells"]
@@ -153,37 +153,37 @@ def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> 
 
 
 def test_the_template_loads_as_it_stands() -> None:
-    study = design.loads(design.template())
-    assert len(design.treatments(study)) == 8
-    assert not design.warnings(study)
+    study = load.loads(load.template())
+    assert len(cases.treatments(study)) == 8
+    assert not overview.warnings(study)
 
 
 def test_the_commented_lines_of_the_template_are_valid_too() -> None:
-    text = design.template()
+    text = load.template()
     for line in ('toe = "0.02 N"', 'zero = "first"', 'displacement = "6 mm"'):
         assert f"# {line}" in text
-        design.loads(text.replace(f"# {line}", line))
+        load.loads(text.replace(f"# {line}", line))
     start = text.index("# [[exclude]]")
     end = text.index("[[response]]")
     block = "\n".join(line.removeprefix("# ") for line in text[start:end].splitlines())
-    study = design.loads(text[:start] + block + "\n\n" + text[end:])
-    assert len(design.excluded(study)) == 2
+    study = load.loads(text[:start] + block + "\n\n" + text[end:])
+    assert len(cases.excluded(study)) == 2
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, "template"])
 def test_round_trip(name: str) -> None:
-    text = design.template() if name == "template" else (DESIGNS / f"{name}.toml").read_text()
-    study = design.loads(text)
-    again = design.loads(design.dump(study))
+    text = load.template() if name == "template" else (DESIGNS / f"{name}.toml").read_text()
+    study = load.loads(text)
+    again = load.loads(load.dump(study))
     assert again == study
-    assert design.dump(again) == design.dump(study)
-    ids = [case.case_id for case in design.cases(study, ("a", "b"))]
-    assert ids == [case.case_id for case in design.cases(again, ("a", "b"))]
+    assert load.dump(again) == load.dump(study)
+    ids = [case.case_id for case in cases.cases(study, ("a", "b"))]
+    assert ids == [case.case_id for case in cases.cases(again, ("a", "b"))]
 
 
 def test_loading_is_quick_and_light() -> None:
     code = (
-        "import sys; from study import design; design.load(sys.argv[1]);"
+        "import sys; from study.design.load import load; load(sys.argv[1]);"
         "heavy = {'pint', 'pandas', 'scipy', 'matplotlib', 'gmsh', 'skfem', 'statsmodels'};"
         "print(*(heavy & set(sys.modules)))"
     )

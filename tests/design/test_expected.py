@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from study import design
+from study.design import load
 from study.errors import InputError
 
 NEEDLE = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
@@ -14,7 +14,7 @@ PLAIN = NEEDLE[: NEEDLE.index("[[expected]]")]
 
 
 def test_the_pattern_of_the_needle_is_read_and_kept_by_a_dump() -> None:
-    study = design.loads(NEEDLE)
+    study = load.loads(NEEDLE)
     kinds = [(one.kind, one.factors) for one in study.expected]
     both = ("material", "model.space")
     assert kinds == [("larger", both), ("interact", both), ("best", ()), ("close", ())]
@@ -22,8 +22,8 @@ def test_the_pattern_of_the_needle_is_read_and_kept_by_a_dump() -> None:
     assert first == {"material": "reduced-polynomial-2", "model.space": "3d"}
     assert second["model.space"] == "axisymmetric"
     assert {one.response for one in study.expected} == {"relative_rms_force_error"}
-    assert design.loads(design.dump(study)).expected == study.expected
-    assert design.loads(PLAIN).expected == ()
+    assert load.loads(load.dump(study)).expected == study.expected
+    assert load.loads(PLAIN).expected == ()
 
 
 @pytest.mark.parametrize(
@@ -42,6 +42,6 @@ def test_the_pattern_of_the_needle_is_read_and_kept_by_a_dump() -> None:
 )
 def test_what_cannot_be_expected_is_refused(table: str, where: str, says: str) -> None:
     with pytest.raises(InputError) as caught:
-        design.loads(f"{PLAIN}\n[[expected]]\n{table}\n", "x.toml")
+        load.loads(f"{PLAIN}\n[[expected]]\n{table}\n", "x.toml")
     told = {f.where.removeprefix("x.toml: "): f"{f.rule} | {f.mend}" for f in caught.value.faults}
     assert says in told[where]

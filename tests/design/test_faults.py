@@ -6,7 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from study import design
+from study.design import load as load_module
+from study.design import plausibility
+from study.design.load import (
+    file_kind,
+    load_calibration,
+    load_problem,
+    loads,
+    loads_calibration,
+    loads_problem,
+)
 from study.errors import InputError
 
 PROBLEM = """
@@ -41,7 +50,7 @@ def faults(load, text: str, *args: object) -> dict[str, str]:  # type: ignore[no
 
 
 def test_the_problem_itself_is_fine() -> None:
-    config = design.loads_problem(PROBLEM)
+    config = loads_problem(PROBLEM)
     assert config["material"] == {
         "model": "reduced-polynomial",
         "order": 2,
@@ -124,7 +133,7 @@ def test_the_problem_itself_is_fine() -> None:
 )
 def test_one_fault_of_a_problem(old: str, new: str, where: str, says: str) -> None:
     assert old in PROBLEM
-    found = faults(design.loads_problem, PROBLEM.replace(old, new, 1))
+    found = faults(loads_problem, PROBLEM.replace(old, new, 1))
     assert where in found
     assert says in found[where]
 
@@ -158,14 +167,14 @@ def test_one_fault_of_a_problem(old: str, new: str, where: str, says: str) -> No
 )
 def test_one_fault_of_a_material(lines: str, where: str, says: str) -> None:
     start, end = PROBLEM.index('model = "red'), PROBLEM.index("bulk_modulus")
-    found = faults(design.loads_problem, PROBLEM[:start] + lines + "\n" + PROBLEM[end:])
+    found = faults(loads_problem, PROBLEM[:start] + lines + "\n" + PROBLEM[end:])
     assert says in found[where]
 
 
 def test_incompressible_needs_the_mixed_formulation() -> None:
     text = PROBLEM.replace('bulk_modulus = "10 MPa"', "incompressible = true")
-    assert design.loads_problem(text)["material"]["incompressible"] is True
-    found = faults(design.loads_problem, text + 'formulation = "displacement"\n')
+    assert loads_problem(text)["material"]["incompressible"] is True
+    found = faults(loads_problem, text + 'formulation = "displacement"\n')
     assert 'write formulation = "mixed"' in found["model.formulation"]
 
 
@@ -173,10 +182,10 @@ def test_unstable_constants_name_the_stretch() -> None:
     # F26: a negative C20 softens with compression; Drucker's limit is that of study.material
     text = PROBLEM.replace('"indentation"', '"compression"').replace('C20 = "1', 'C20 = "-3')
     deep = text.replace('"5 mm"', '"15 mm"')
-    assert design.loads_problem(deep.replace('"-3 kPa"', '"3 kPa"'))
-    found = faults(design.loads_problem, deep)
+    assert loads_problem(deep.replace('"-3 kPa"', '"3 kPa"'))
+    found = faults(loads_problem, deep)
     assert "uniaxial loading below stretch 0." in found["material"]
-    assert design.loads_problem(text.replace('"5 mm"', '"1 mm"'))
+    assert loads_problem(text.replace('"5 mm"', '"1 mm"'))
 
 
 def test_synonyms() -> None:
@@ -187,7 +196,7 @@ def test_synonyms() -> None:
         ("quadrilateral", "tensor"),
         ("hexahedron", "tensor"),
     ):
-        config = design.loads_problem(text + f'element_shape = "{written}"\n')
+        config = loads_problem(text + f'element_shape = "{written}"\n')
         assert config["model"]["element_shape"] == meant
         assert config["test"]["interface"] == "frictionless"
 
@@ -199,7 +208,7 @@ def test_all_faults_of_a_problem_come_at_once() -> None:
         .replace('"axisymmetric"', '"2d"')
         .replace("displacement", "displacment")
     )
-    found = faults(design.loads_problem, text)
+    found = faults(loads_problem, text)
     assert set(found) == {
         "specimen.radius",
         "material.C10",
@@ -275,7 +284,7 @@ def test_all_faults_of_a_problem_come_at_once() -> None:
 )  # fmt: skip
 def test_one_fault_of_a_design(old: str, new: str, where: str, says: str) -> None:
     assert old in DESIGN
-    found = faults(design.loads, DESIGN.replace(old, new, 1))
+    found = faults(loads, DESIGN.replace(old, new, 1))
     assert where in found
     assert says in found[where]
 
@@ -296,7 +305,7 @@ def test_one_fault_of_a_design(old: str, new: str, where: str, says: str) -> Non
     ],
 )
 def test_exclusions(lines: str, where: str, says: str) -> None:
-    assert says in faults(design.loads, f"{DESIGN}\n[[exclude]]\n{lines}\n")[where]
+    assert says in faults(loads, f"{DESIGN}\n[[exclude]]\n{lines}\n")[where]
 
 
 @pytest.mark.parametrize(
@@ -309,7 +318,7 @@ def test_exclusions(lines: str, where: str, says: str) -> None:
     ],
 )
 def test_uncertainty(lines: str, where: str, says: str) -> None:
-    found = faults(design.loads, f"{DESIGN}\n[uncertainty]\n{lines}\n")
+    found = faults(loads, f"{DESIGN}\n[uncertainty]\n{lines}\n")
     ((key, rule),) = found.items()
     assert key.replace("'", "") == where.replace("'", "")
     assert says in rule
@@ -317,7 +326,7 @@ def test_uncertainty(lines: str, where: str, says: str) -> None:
 
 def test_uncertainty_is_in_internal_units() -> None:
     lines = '"specimen.height" = "1 cm"\nmaterial.poisson_ratio = 0.001\n'
-    study = design.loads(f"{DESIGN}\n[uncertainty]\n{lines}")
+    study = loads(f"{DESIGN}\n[uncertainty]\n{lines}")
     assert study.uncertainty == {"specimen.height": 10.0, "material.poisson_ratio": 0.001}
 
 
@@ -331,15 +340,15 @@ def test_uncertainty_is_in_internal_units() -> None:
     ],
 )
 def test_malformed_toml_says_file_line_and_column(text: str, place: str) -> None:
-    ((where, rule),) = faults(design.loads, text).items()  # F24
+    ((where, rule),) = faults(loads, text).items()  # F24
     assert where == place
     assert "not valid TOML" in rule
 
 
 def test_not_utf8() -> None:
     with pytest.raises(InputError, match=r"x\.toml:2: is not UTF-8"):
-        design.loads(b"schema = 1\n# \xff\n", "x.toml")
-    assert design.loads(b"\xef\xbb\xbf" + DESIGN.replace("\n", "\r\n").encode())
+        loads(b"schema = 1\n# \xff\n", "x.toml")
+    assert loads(b"\xef\xbb\xbf" + DESIGN.replace("\n", "\r\n").encode())
 
 
 @pytest.mark.parametrize(
@@ -356,34 +365,32 @@ def test_not_utf8() -> None:
     ],
 )
 def test_sizes_are_capped(text: str) -> None:
-    faults(design.loads, text)
+    faults(loads, text)
 
 
 def test_cells_and_levels_are_capped() -> None:
     steps = list(range(1, 102))
-    found = faults(design.loads, DESIGN.replace("[factors]", f"[factors]\ntest.steps = {steps}"))
+    found = faults(loads, DESIGN.replace("[factors]", f"[factors]\ntest.steps = {steps}"))
     assert "2 to 100 levels" in found["factors.test.steps"]
     wide = f"[factors]\ntest.steps = {steps[:100]}\nmeasurements.points = {steps[2:90]}"
-    found = faults(design.loads, DESIGN.replace("[factors]", wide))
+    found = faults(loads, DESIGN.replace("[factors]", wide))
     assert "the limit is 4096" in found["factors"]
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path, "a\0b", tmp_path / ("x" * 400)):
-        for load in (design.load, design.load_problem, design.load_calibration, design.file_kind):
+        for load in (load_module.load, load_problem, load_calibration, file_kind):
             with pytest.raises(InputError):
                 load(path)
 
 
 def test_files_of_another_kind_are_named() -> None:
-    assert "use `study solve`" in faults(design.loads_calibration, PROBLEM)["x.toml"]
-    assert "is a design" in faults(design.loads_problem, DESIGN)["x.toml"]
-    assert "factors" in faults(design.loads, PROBLEM)
+    assert "use `study solve`" in faults(loads_calibration, PROBLEM)["x.toml"]
+    assert "is a design" in faults(loads_problem, DESIGN)["x.toml"]
+    assert "factors" in faults(loads, PROBLEM)
 
 
 def test_plausibility_warns_of_units() -> None:
-    wrong = design.loads_problem(
-        PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
-    )
-    assert "is the unit right?" in design.plausibility(wrong)[0]
-    assert design.plausibility(design.loads_problem(PROBLEM)) == ()
+    wrong = loads_problem(PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"'))
+    assert "is the unit right?" in plausibility.plausibility(wrong)[0]
+    assert plausibility.plausibility(loads_problem(PROBLEM)) == ()

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from study import design
-from study.design.document import dump_toml, parse_toml
+from study.design import cases
+from study.design.load import dump, loads, loads_calibration, loads_problem
+from study.design.toml_document import dump_toml, parse_toml
 from study.errors import InputError
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
@@ -21,7 +22,7 @@ specimen = { shape = "cylinder", radius = "25 mm", height = "30 mm" }
 test = { kind = "compression", interface = "bonded", displacement = "3 mm" }
 material = { model = "neo-hookean", C10 = "5 kPa", poisson_ratio = 0.45 }
 """
-LOADERS = (design.loads, design.loads_problem, design.loads_calibration)
+LOADERS = (loads, loads_problem, loads_calibration)
 quick = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 SLOWEST_S = 2.0  # P24 allows 1 s; a shared machine gets twice that
 
@@ -161,12 +162,12 @@ def test_names_of_levels(name: str) -> None:
     text = f'{SMALL}{levels}[factors]\nset = [{toml(name)}, "b"]\n[[response]]\nname = "seconds"\n'
     if name in REFUSED:
         with pytest.raises(InputError):
-            design.loads(text)
+            loads(text)
         return
-    study = design.loads(text)
+    study = loads(text)
     assert study.factors[0].labels == (name, "b")  # shown verbatim; who draws it escapes it
-    assert design.loads(design.dump(study)) == study
-    assert all(set(c.case_id) <= set("0123456789abcdef") for c in design.cases(study))
+    assert loads(dump(study)) == study
+    assert all(set(c.case_id) <= set("0123456789abcdef") for c in cases.cases(study))
 
 
 @pytest.mark.parametrize("name", CORPUS)
@@ -175,19 +176,19 @@ def test_names_of_factors(name: str) -> None:
     text = f'{SMALL}{levels}[factors]\n{toml(name)} = ["a", "b"]\n[[response]]\nname = "seconds"\n'
     if name in REFUSED:
         with pytest.raises(InputError):
-            design.loads(text)
+            loads(text)
         return
-    assert design.loads(text).factors[0].name == name
+    assert loads(text).factors[0].name == name
 
 
 @pytest.mark.parametrize("name", CORPUS)
 def test_names_of_studies_are_folder_names(name: str) -> None:
     text = DESIGN.replace('"ecoflex-compression"', toml(name))
     if name in ("__class__", "NUL"):
-        assert design.loads(text).name == name
+        assert loads(text).name == name
         return
     with pytest.raises(InputError):
-        design.loads(text)
+        loads(text)
 
 
 @pytest.mark.parametrize("name", CORPUS)

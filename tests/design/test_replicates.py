@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from study import design
-from study.design import Replicates
+from study.design import load, overview
+from study.design.spec import Replicates
 from study.errors import InputError
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
@@ -16,30 +16,30 @@ MESHES, NOISE = "\n[replicates]\nmesh_seeds = 5\n", "\n[replicates]\nnoise = 200
 
 def faults(text: str) -> dict[str, str]:
     with pytest.raises(InputError) as caught:
-        design.loads(text, "x.toml")
+        load.loads(text, "x.toml")
     return {f.where.removeprefix("x.toml: "): f"{f.rule} | {f.mend}" for f in caught.value.faults}
 
 
 def test_both_kinds_are_read_and_described() -> None:
-    assert design.loads(DESIGN).replicates == Replicates()
-    meshes, noise = design.loads(DESIGN + MESHES), design.loads(DESIGN + NOISE)
+    assert load.loads(DESIGN).replicates == Replicates()
+    meshes, noise = load.loads(DESIGN + MESHES), load.loads(DESIGN + NOISE)
     assert meshes.replicates == Replicates(mesh_seeds=5)
     assert noise.replicates == Replicates(noise=200)
-    assert design.describe(design.loads(DESIGN))["replicates"] is None
-    told = design.describe(meshes)["replicates"]
+    assert overview.describe(load.loads(DESIGN))["replicates"] is None
+    told = overview.describe(meshes)["replicates"]
     assert (told["kind"], told["count"]) == ("mesh-seeds", 5)
     assert "5 meshes" in told["sentence"]
     assert "(E3)" in told["sentence"]
-    told = design.describe(noise)["replicates"]
+    told = overview.describe(noise)["replicates"]
     assert (told["kind"], told["count"]) == ("noise", 200)
     assert "200 times" in told["sentence"]
     assert "(E2)" in told["sentence"]
 
 
 def test_a_dump_keeps_them_and_an_override_changes_them() -> None:
-    whole = design.loads(DESIGN + NOISE)
-    assert design.loads(design.dump(whole)).replicates == whole.replicates
-    changed = design.loads(DESIGN + NOISE, "x.toml", ["replicates.noise=50"])
+    whole = load.loads(DESIGN + NOISE)
+    assert load.loads(load.dump(whole)).replicates == whole.replicates
+    changed = load.loads(DESIGN + NOISE, "x.toml", ["replicates.noise=50"])
     assert changed.replicates.noise == 50
 
 
@@ -71,7 +71,7 @@ def test_noise_needs_a_fit() -> None:
     found = faults(given + NOISE)["replicates.noise"]
     assert "in 32 of 32 cells the constants are given and nothing is fitted" in found
     assert "mesh_seeds" in found
-    design.loads(given + MESHES)
+    load.loads(given + MESHES)
 
 
 def test_noise_needs_a_calibrated_constant_as_response() -> None:
@@ -81,7 +81,7 @@ def test_noise_needs_a_calibrated_constant_as_response() -> None:
     found = faults(without + NOISE)["replicates.noise"]
     assert "no response is one" in found
     assert 'name = "mu0"' in found
-    design.loads(without + MESHES)  # which meshes do not need
+    load.loads(without + MESHES)  # which meshes do not need
 
 
 def test_mesh_seeds_need_something_that_has_a_mesh() -> None:
@@ -95,4 +95,4 @@ def test_mesh_seeds_need_something_that_has_a_mesh() -> None:
 def test_their_scatter_as_error_needs_replicates() -> None:
     asked = DESIGN.replace('error = "auto"', 'error = "replicates"')
     assert "asks for none" in faults(asked)["analysis.error"]
-    assert design.loads(asked + NOISE).analysis.error == "replicates"
+    assert load.loads(asked + NOISE).analysis.error == "replicates"

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from study import design
-from study.design.describe import calibration_factors, inert_cells
+from study.design import cases, overview, spec
+from study.design.load import dump, loads
+from study.design.overview import calibration_factors, inert_cells
 from study.errors import InputError
 
 BASE = """
@@ -43,8 +44,8 @@ material.poisson_ratio = { low = 0.49, high = 0.499 }
 HALF = 'kind = "fractional"\ngenerators = ["specimen.height = -model.space:test.interface"]\n'
 
 
-def load(factors: str, table: str = "", more: str = "") -> design.Design:
-    return design.loads(f"{BASE}{factors}[design]\n{table}{more}", "x.toml")
+def load(factors: str, table: str = "", more: str = "") -> spec.Design:
+    return loads(f"{BASE}{factors}[design]\n{table}{more}", "x.toml")
 
 
 def faults(factors: str, table: str, more: str = "") -> dict[str, str]:
@@ -55,23 +56,23 @@ def faults(factors: str, table: str, more: str = "") -> dict[str, str]:
 
 def test_a_range_has_two_levels_in_a_factorial() -> None:
     study = load(TWO)
-    assert len(design.treatments(study)) == 16
+    assert len(cases.treatments(study)) == 16
     assert study.factors[-1].labels == ("28 mm", "32 mm")
-    heights = {cell.config["specimen"]["height_mm"] for cell in design.treatments(study)}
+    heights = {cell.config["specimen"]["height_mm"] for cell in cases.treatments(study)}
     assert heights == {28.0, 32.0}
     assert study.scheme.rows is None
 
 
 def test_a_fraction_says_what_it_cannot_tell() -> None:
     study = load(TWO, HALF)
-    cells = design.treatments(study)
+    cells = cases.treatments(study)
     assert len(cells) == 8
     sign = {"axisymmetric": -1, "3d": 1, "frictionless": -1, "bonded": 1, "28 mm": -1, "32 mm": 1}
     for cell in cells:
         level = {name: sign.get(label, 0) for name, label in cell.levels.items()}
         product = level["model.space"] * level["test.interface"]
         assert level["specimen.height"] == -product
-    found = design.describe(study)["scheme"]
+    found = overview.describe(study)["scheme"]
     assert found["resolution"] == 3
     assert found["defining_relation"] == "I = -model.space:test.interface:specimen.height"
     assert "8 of 16 cells, resolution III, verified over all 15 products" in found["summary"]
@@ -108,28 +109,28 @@ def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> 
 )
 def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: int) -> None:
     study = load(factors, table)
-    assert len(design.treatments(study)) == cells
-    again = design.loads(design.dump(study))
+    assert len(cases.treatments(study)) == cells
+    again = loads(dump(study))
     assert again == study
-    assert [c.case_id for c in design.cases(again)] == [c.case_id for c in design.cases(study)]
-    assert len({c.case_id for c in design.cases(study)}) == cells
+    assert [c.case_id for c in cases.cases(again)] == [c.case_id for c in cases.cases(study)]
+    assert len({c.case_id for c in cases.cases(study)}) == cells
 
 
 def test_response_surfaces_stay_in_their_ranges() -> None:
     for kind in ("central-composite", "box-behnken"):
-        for cell in design.treatments(load(RANGES, f'kind = "{kind}"')):
+        for cell in cases.treatments(load(RANGES, f'kind = "{kind}"')):
             assert 28 <= cell.config["specimen"]["height_mm"] <= 32
             assert 24 <= cell.config["specimen"]["radius_mm"] <= 26
             assert 0.49 <= cell.config["material"]["poisson_ratio"] <= 0.499
     center = load(RANGES, 'kind = "box-behnken"')
-    labels = [cell.label for cell in design.treatments(center)]
+    labels = [cell.label for cell in cases.treatments(center)]
     assert labels.count("30 mm / 2.5 cm / 0.4945") == 1
 
 
 def test_draws_follow_the_seed() -> None:
     def cells(table: str, more: str = "") -> list[str]:
         study = load(RANGES, f'kind = "latin-hypercube"\nruns = 8\n{table}', more)
-        return [cell.label for cell in design.treatments(study)]
+        return [cell.label for cell in cases.treatments(study)]
 
     assert cells("") == cells("", "[study]\nseed = 2011\n")
     assert cells("") != cells("", "[study]\nseed = 7\n")
@@ -138,9 +139,7 @@ def test_draws_follow_the_seed() -> None:
 
 def test_zipped_factors_change_together() -> None:
     study = load(TWO, 'zip = ["model.space", "test.interface"]')
-    pairs = {
-        (c.levels["model.space"], c.levels["test.interface"]) for c in design.treatments(study)
-    }
+    pairs = {(c.levels["model.space"], c.levels["test.interface"]) for c in cases.treatments(study)}
     assert pairs == {("axisymmetric", "frictionless"), ("3d", "bonded")}
     terms = study.analysis.model
     assert isinstance(terms, tuple)
@@ -163,14 +162,14 @@ levels = { axisymmetric = ["4 mm", "5 mm"], 3d = ["6 mm", "7 mm"] }
 
 def test_nested_levels_exist_in_one_level_of_their_parent() -> None:
     text = BASE.replace('mesh = "coarse"\n', "") + NESTED
-    study = design.loads(text)
+    study = loads(text)
     cells = {
-        (c.levels["model.space"], c.levels["model.mesh_size"]) for c in design.treatments(study)
+        (c.levels["model.space"], c.levels["model.mesh_size"]) for c in cases.treatments(study)
     }
     assert cells == {
         ("axisymmetric", "4 mm"), ("axisymmetric", "5 mm"), ("3d", "6 mm"), ("3d", "7 mm"),
     }  # fmt: skip
-    assert len(design.treatments(study)) == 8
+    assert len(cases.treatments(study)) == 8
     # a nested factor stands only beside its parent (Montgomery, chapter 14)
     assert study.analysis.model == (
         "model.space", "test.interface", "model.space:model.mesh_size",
@@ -187,7 +186,7 @@ treatments = [
 ]
 """
     factors = "\n".join(TWO.splitlines()[:4]) + "\n"
-    labels = [cell.label for cell in design.treatments(load(factors, rows))]
+    labels = [cell.label for cell in cases.treatments(load(factors, rows))]
     assert labels == ["3d / bonded", "axisymmetric / bonded", "axisymmetric / frictionless"]
 
 
@@ -201,8 +200,8 @@ columns = { displacement = "d", force = "f" }
 units = { displacement = "mm", force = "N" }
 """
     half = 'generators = ["specimen.height = model.space:test.interface:model.element_order"]'
-    whole = design.loads(text)
-    part = design.loads(f'{text}[design]\nkind = "fractional"\n{half}')
+    whole = loads(text)
+    part = loads(f'{text}[design]\nkind = "fractional"\n{half}')
     assert calibration_factors(part) == calibration_factors(whole)
     assert inert_cells(whole, "model.space") == 8
     assert inert_cells(part, "model.space") == 4
@@ -298,4 +297,4 @@ def test_exclusions_would_break_a_fraction() -> None:
 def test_nested_levels_must_be_shared_out() -> None:
     text = BASE.replace('mesh = "coarse"\n', "") + NESTED.replace(', "7 mm"] }', "] }")
     with pytest.raises(InputError, match="must stand in one level of 'model.space'"):
-        design.loads(text)
+        loads(text)

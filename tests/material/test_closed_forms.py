@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
-from study.material import Material
 from study.material.homogeneous import (
     MODES,
     confined,
@@ -18,7 +17,8 @@ from study.material.homogeneous import (
     uniaxial,
     uniaxial_gradient,
 )
-from study.material.tensor import first_piola
+from study.material.material import Material
+from study.material.stress import first_piola
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from study.material import Material
 from study.material.ellipticity import always_elliptic, ellipticity
+from study.material.material import Material
 
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 

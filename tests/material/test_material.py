@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
-from study.material import MODELS, Material, constant_names, convert
-from study.material.conversions import bulk_from_poisson, from_ogden_classical, poisson_from_bulk
+from study.material.conversions import (
+    bulk_from_poisson,
+    convert,
+    from_ogden_classical,
+    poisson_from_bulk,
+)
+from study.material.energy import MODELS, constant_names
+from study.material.material import Material
 
 
 def test_names_of_every_energy():

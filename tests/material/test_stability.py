@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
-from study.material import Material, check, stability
 from study.material.homogeneous import UNIAXIAL, response
-from study.material.stability import BIOT_LIMITS, BIOT_ROOT, surface_warning, tangent
+from study.material.material import Material
+from study.material.stability import (
+    BIOT_LIMITS,
+    BIOT_ROOT,
+    check,
+    stability,
+    surface_warning,
+    tangent,
+)
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from study.material import Material
 from study.material.homogeneous import confined, uniaxial
-from study.material.tensor import first_piola, first_piola_gradient, strain_energy
+from study.material.material import Material
+from study.material.stress import first_piola, first_piola_gradient, strain_energy
 
 #: positive constants: polyconvex, so that the energy has its only minimum at rest
 STABLE = [

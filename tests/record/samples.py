@@ -8,7 +8,7 @@ import numpy as np
 
 from study.curve import Curve
 from study.design.spec import MeasurementSpec, Range
-from study.record import Record
+from study.record.record import Record
 
 
 def Spec(**changes: Any) -> MeasurementSpec:

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from study.curve import Curve
 from study.errors import StoreError
-from study.record import Record
-from study.record.record import seal
+from study.record.record import Record, seal
 from tests.record.samples import record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

@@ -23,8 +23,9 @@ from hypothesis.stateful import (
 )
 
 from study.errors import StoreError
-from study.record import Store, table
-from study.record.files import TEMPORARY
+from study.record.atomic_files import TEMPORARY
+from study.record.store import Store
+from study.record.table import table
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import record
 
@@ -171,7 +172,7 @@ def test_what_a_runner_notes_is_read_by_others_while_it_runs(tmp_path):
 
 HOLD = """
 import sys, time
-from study.record import Store
+from study.record.store import Store
 with Store(sys.argv[1]).lock():
     print("held", flush=True)
     time.sleep(60)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from study.reporting.data import ReportData
-from study.reporting.page import Contents, prepare, render
+from study.reporting.output.page import Contents, prepare, render
+from study.study_result.report_data import ReportData
 from tests.reporting.example import example
 
 

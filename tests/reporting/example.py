@@ -11,7 +11,7 @@ import pandas as pd
 
 from study.analysis.anova import analyze
 from study.curve import Curve
-from study.reporting.data import (
+from study.study_result.report_data import (
     Check,
     CurvePair,
     Failure,

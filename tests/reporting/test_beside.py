@@ -8,12 +8,21 @@ from html import unescape
 
 import pytest
 
-from study.reporting import beside as words
-from study.reporting import data_beside as kinds
-from study.reporting.data import ReportData
-from study.reporting.data_beside import Beside, Change, Conclusion, Found, OnlyInOne
-from study.reporting.page import Contents, render
-from study.reporting.page import prepare as prepare_page
+from study.reporting.content import comparison
+from study.reporting.output.page import Contents, render
+from study.reporting.output.page import prepare as prepare_page
+from study.study_result.comparison import (
+    DIFFERS,
+    MATTERS,
+    NO_DIFFERENCE,
+    ONE_CANNOT_TELL,
+    Beside,
+    Change,
+    Conclusion,
+    Found,
+    OnlyInOne,
+)
+from study.study_result.report_data import ReportData
 
 EVIL = '<script>alert("x")</script>'
 
@@ -32,13 +41,13 @@ def example(name: str = "second") -> Beside:
     yes, no, open_ = "matters", "no practical difference", "cannot tell"
     lead = {"end": "lowest", "best_is_better": True}
     rows = (
-        conclusion("material", kinds.MATTERS, True, found(yes, 1.9, "mr"), found(yes, 2.1, "mr"),
+        conclusion("material", MATTERS, True, found(yes, 1.9, "mr"), found(yes, 2.1, "mr"),
                    same_best=True, **lead),
-        conclusion("model.space", kinds.NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.2)),
-        conclusion("plates", f"{kinds.DIFFERS}: how", False, found(yes, 1.0), found(no, 0.2)),
-        conclusion("range", kinds.ONE_CANNOT_TELL, None, found(yes, 1.0), found(open_, 0.6)),
-        conclusion("material:plates", kinds.NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.1)),
-        conclusion("plates:range", kinds.MATTERS, True, found(yes, 0.9), found(yes, 0.8)),
+        conclusion("model.space", NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.2)),
+        conclusion("plates", f"{DIFFERS}: how", False, found(yes, 1.0), found(no, 0.2)),
+        conclusion("range", ONE_CANNOT_TELL, None, found(yes, 1.0), found(open_, 0.6)),
+        conclusion("material:plates", NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.1)),
+        conclusion("plates:range", MATTERS, True, found(yes, 0.9), found(yes, 0.8)),
     )  # fmt: skip
     changed = (Change("design", "specimen.height", ("30 mm", "31 mm")),
                Change("design", "test.steps", (None, "5")))  # fmt: skip
@@ -54,7 +63,7 @@ def page(contents: Contents) -> str:
 
 def with_beside(contents: Contents, other: Beside) -> Contents:
     data = replace(contents.data, beside=other)
-    known = {"beside": words.table(other), "changes": words.changes(other)}
+    known = {"beside": comparison.table(other), "changes": comparison.changes(other)}
     return replace(contents, data=data, tables={**contents.tables, **known})
 
 
@@ -67,7 +76,7 @@ def section(page: str) -> str:
 
 
 def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
-    count, text = (s.replace("\N{NO-BREAK SPACE}", " ") for s in words.summary(example()))
+    count, text = (s.replace("\N{NO-BREAK SPACE}", " ") for s in comparison.summary(example()))
     assert count == (
         "Of 4 conclusions about single factors, 2 hold under both first and second; 1 differs; "
         "1 cannot be told in one or both."
@@ -94,10 +103,10 @@ def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
 )  # fmt: skip
 def test_interactions_that_nobody_names_are_counted(small: int, open_ones: int, said: str) -> None:
     no, open_ = found("no practical difference", 0.1), found("cannot tell", 0.6)
-    rows = [conclusion("material:plates", kinds.NO_DIFFERENCE, True, no, no)] * small
-    rows += [conclusion("plates:range", kinds.ONE_CANNOT_TELL, None, no, open_)] * open_ones
-    main = conclusion("material", kinds.NO_DIFFERENCE, True, no, no)
-    text = words.summary(replace(example(), conclusions=(main, *rows)))[-1]
+    rows = [conclusion("material:plates", NO_DIFFERENCE, True, no, no)] * small
+    rows += [conclusion("plates:range", ONE_CANNOT_TELL, None, no, open_)] * open_ones
+    main = conclusion("material", NO_DIFFERENCE, True, no, no)
+    text = comparison.summary(replace(example(), conclusions=(main, *rows)))[-1]
     plain = text.replace("\N{NO-BREAK SPACE}", " ").replace("\N{MULTIPLICATION SIGN}", "x")
     assert plain.endswith(said)
 
@@ -154,7 +163,7 @@ def test_table_is_part_of_the_prepared_report(data: ReportData) -> None:
 
 
 def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:
-    raw = words.table(example()).raw
+    raw = comparison.table(example()).raw
     assert len(raw) == 2 * 6
     assert raw[1]["effect"] == 2.1
     assert raw[1]["study"] == "second"

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis import grid_convergence
-from study.analysis.convergence_validation import compare
-from study.reporting import figures_convergence as drawing
-from study.reporting import figures_validation, style
-from study.reporting.convergence_page import convergence_figures, write_convergence
+from study.analysis.convergence.grid_convergence import compare, grid_convergence
+from study.reporting.figure import convergence, style, validation
+from study.reporting.output.convergence_page import convergence_figures, write_convergence
 
 
 def cell(order: float, label: str = "quadratic / mixed") -> dict[str, Any]:
@@ -71,7 +69,7 @@ def test_names_from_outside_are_escaped(tmp_path: Path) -> None:
 
 
 def test_errors_are_distances_to_the_limit() -> None:
-    frame = drawing.error_points([cell(1.2)])
+    frame = convergence.error_points([cell(1.2)])
     expected = 0.05 * frame["mesh_size"] ** 1.2 / 9
     np.testing.assert_allclose(frame["error"], expected, rtol=1e-3)
 
@@ -84,9 +82,9 @@ def test_series_without_an_order_are_drawn_without_a_fit(order: float) -> None:
 
 
 def test_the_caption_says_how_many_converge() -> None:
-    text = drawing.value_caption([cell(1.2), cell(-1.0)])
+    text = convergence.value_caption([cell(1.2), cell(-1.0)])
     assert text.startswith("1 of 2 series have an interval")
-    assert drawing.error_caption([cell(-1.0)]) == "No series has an order."
+    assert convergence.error_caption([cell(-1.0)]) == "No series has an order."
 
 
 def comparison(label: str, error: float) -> dict[str, Any]:
@@ -98,15 +96,15 @@ def comparison(label: str, error: float) -> dict[str, Any]:
 
 def test_validation_is_drawn_and_tabled() -> None:
     rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
-    frame = figures_validation.error_points(figures_validation.first_block(rows))
+    frame = validation.error_points(validation.first_block(rows))
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
-    text = figures_validation.caption(rows)
+    text = validation.caption(rows)
     assert "in 1 of 2 cells (block M1)" in text
     assert "Not known, and so left out: data." in text
-    table = figures_validation.table(rows, "mix")
+    table = validation.table(rows, "mix")
     assert table.rows[0][2] == "0.500"
     assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
     assert "within u_val" in table.rows[1][-1]
-    svg = style.render(lambda: figures_validation.draw_errors(frame), "v", "v")
+    svg = style.render(lambda: validation.draw_errors(frame), "v", "v")
     assert "<b>" not in svg

@@ -9,24 +9,17 @@ import pytest
 from scipy import stats
 
 from study.analysis.unreplicated import pseudo_standard_error
-from study.reporting import (
-    figures_constants,
-    figures_curves,
-    figures_effects,
-    figures_residuals,
-    figures_unreplicated,
-    style,
-)
-from study.reporting.data import ReportData
-from study.reporting.facts import cells, facts
-from study.reporting.front import cost_front
-from study.reporting.page import build
+from study.reporting.content.hypotheses import cost_front
+from study.reporting.figure import constants, curves, diagnostics, effects, style
+from study.reporting.output.page import build
+from study.reporting.report import cells, facts
+from study.study_result.report_data import ReportData
 from tests.reporting.example import unreplicated
 
 
 def test_level_means_are_the_means_of_the_cells(data: ReportData):
     error = facts(data)[0]
-    frame = figures_effects.level_means(error)
+    frame = effects.level_means(error)
     expected = data.table.groupby("material")["relative_rms_force_error"].mean()
     for row in frame[frame["factor"] == "material"].itertuples():
         assert row.mean == pytest.approx(expected[row.level], rel=1e-12)  # same sums, other order
@@ -39,7 +32,7 @@ def test_log_cells_are_geometric_means(data: ReportData):
 
 
 def test_cells_are_ranked_best_first(data: ReportData):
-    frame = figures_effects.cell_points(data, facts(data)[0])
+    frame = effects.cell_points(data, facts(data)[0])
     shown = frame.drop_duplicates("rank")
     assert np.all(np.diff(shown["cell_mean"].to_numpy()) >= 0)
     assert shown["copies"].sum() == 32
@@ -48,14 +41,14 @@ def test_cells_are_ranked_best_first(data: ReportData):
 
 
 def test_scores_are_those_of_ryan_joiner(data: ReportData):
-    frame = figures_residuals.residual_points(facts(data)[1])
+    frame = diagnostics.residual_points(facts(data)[1])
     n = len(frame)
     assert n == 72  # 8 distinct computations, 9 blocks
     assert frame["score"].iloc[-1] == pytest.approx(stats.norm.ppf((n - 0.375) / (n + 0.25)))
 
 
 def test_envelope_covers_what_it_says():
-    low, high = figures_residuals.envelope(30, 2.0, 1)
+    low, high = diagnostics.envelope(30, 2.0, 1)
     rng = np.random.default_rng(0)
     draws = np.sort(rng.standard_normal((2000, 30)), axis=1)
     draws = 2.0 * (draws - draws.mean(1, keepdims=True)) / draws.std(1, ddof=1, keepdims=True)
@@ -65,7 +58,7 @@ def test_envelope_covers_what_it_says():
 
 
 def test_interval_of_a_standard_deviation(data: ReportData):
-    frame = figures_residuals.spread_of_cells(facts(data)[1], 0.05)
+    frame = diagnostics.spread_of_cells(facts(data)[1], 0.05)
     row = frame.iloc[0]
     tail = 0.05 / 2 / len(frame)
     # textbook: s sqrt(df / chi2)
@@ -84,7 +77,7 @@ def test_front_holds_what_no_other_cell_dominates(data: ReportData):
 
 def test_contrasts_beyond_the_margin_are_the_real_ones():
     data = unreplicated()
-    frame = figures_unreplicated.contrasts(facts(data)[0], data)
+    frame = diagnostics.contrasts(facts(data)[0], data)
     assert set(frame.loc[frame["active"], "contrast"]) == {"material", "plates", "material:plates"}
     # the effect of the material: 2 + 1.5 / 2, noise 0.2 * 2 / sqrt(16) = 0.1
     assert frame["size"].iloc[0] == pytest.approx(2.75, abs=0.3)
@@ -94,7 +87,7 @@ def test_contrasts_beyond_the_margin_are_the_real_ones():
 
 
 def test_half_normal_envelope_holds_null_contrasts():
-    low, high = figures_unreplicated._envelope(15, 1.0, 4)
+    low, high = diagnostics._envelope(15, 1.0, 4)
     z = np.abs(np.random.default_rng(8).standard_normal((2000, 15)))
     z = np.sort(z / pseudo_standard_error(z)[:, None], axis=1)[:, ::-1]
     # 2000 simulations fix a 2.5 % quantile to about 0.35 %
@@ -110,7 +103,7 @@ def test_a_report_without_replicates_shows_its_contrasts_and_no_residuals():
 
 
 def test_constants_keep_their_intervals_and_the_order_of_the_design(data: ReportData):
-    frame = figures_constants.constant_points(data)
+    frame = constants.constant_points(data)
     assert len(frame) == len(data.fits)
     first = frame[frame["place"] == 0]
     assert first["row"].unique().tolist() == ["neo-hookean \N{MIDDLE DOT} frictionless"]
@@ -119,7 +112,7 @@ def test_constants_keep_their_intervals_and_the_order_of_the_design(data: Report
 
 
 def test_curves_split_by_what_differs_most(data: ReportData):
-    found = figures_curves.curve_panels(data)
+    found = curves.curve_panels(data)
     assert found.line == "material"
     assert found.left_out == 0
     assert set(found.frame["block"]) == set(data.blocks)
@@ -127,7 +120,7 @@ def test_curves_split_by_what_differs_most(data: ReportData):
 
 def test_many_blocks_are_thinned_and_counted(data: ReportData):
     pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
-    found = figures_curves.curve_panels(replace(data, curves=pairs))
+    found = curves.curve_panels(replace(data, curves=pairs))
     assert len(found.panels) <= 24
     assert found.left_out > 0
 

@@ -12,10 +12,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from study.cli import report_tables
 from study.errors import InputError
-from study.reporting import output, page, pdf, safecsv, tables, terminal, tex
-from study.reporting.data import Check, ReportData
-from study.reporting.facts import facts
+from study.reporting.content import tables
+from study.reporting.content.table import Table
+from study.reporting.output import page, write
+from study.reporting.report import facts
+from study.study_result.report_data import Check, ReportData
 
 
 @pytest.fixture
@@ -27,7 +30,7 @@ def quick(monkeypatch, contents: page.Contents, html: str) -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_writes_page_and_data_beside(tmp_path: Path, data: ReportData, html: str):
-    main = output.write(data, tmp_path / "new folder", ("csv", "tex", "html"))
+    main = write.write(data, tmp_path / "new folder", ("csv", "tex", "html"))
     assert main == tmp_path / "new folder" / "ecoflex-compression.html"
     assert main.read_text("utf-8") == html
     beside = main.parent / "ecoflex-compression-data"
@@ -41,7 +44,7 @@ def test_writes_page_and_data_beside(tmp_path: Path, data: ReportData, html: str
 
 @pytest.mark.usefixtures("quick")
 def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
-    output.write(data, tmp_path)
+    write.write(data, tmp_path)
     text = (tmp_path / "ecoflex-compression-data" / "table-verdicts.csv").read_text()
     first = next(iter(csv.DictReader(io.StringIO(text))))
     assert float(first["effect"]) == facts(data)[0].effects[0].difference
@@ -49,22 +52,22 @@ def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
 
 def test_unknown_format_is_named_before_anything_is_written(tmp_path: Path, data: ReportData):
     with pytest.raises(InputError, match="did you mean 'html'"):
-        output.write(data, tmp_path / "x", ("htm",))
+        write.write(data, tmp_path / "x", ("htm",))
     assert not (tmp_path / "x").exists()
 
 
 def test_pdf_without_a_browser_says_how_to_mend(monkeypatch, tmp_path: Path, data: ReportData):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(InputError, match="apt-get install chromium"):
-        output.write(data, tmp_path / "x", ("html", "pdf"))
+        write.write(data, tmp_path / "x", ("html", "pdf"))
     assert not (tmp_path / "x").exists()
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not any(map(shutil.which, pdf.BROWSERS)), reason="no Chromium installed")
+@pytest.mark.skipif(not any(map(shutil.which, write.BROWSERS)), reason="no Chromium installed")
 def test_pdf_is_printed(tmp_path: Path, html: str):
     (tmp_path / "r.html").write_text(html, "utf-8")
-    pdf.print_page(tmp_path / "r.html", tmp_path / "r.pdf")
+    write.print_page(tmp_path / "r.html", tmp_path / "r.pdf")
     assert (tmp_path / "r.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -72,43 +75,43 @@ def test_pdf_is_printed(tmp_path: Path, html: str):
     "evil", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "  =1+1", "=cmd|' /C calc'!A0"]
 )
 def test_text_cells_are_no_formulas(evil: str):
-    rows = list(csv.reader(io.StringIO(safecsv.of_rows([evil], [[evil]]))))
+    rows = list(csv.reader(io.StringIO(write.of_rows([evil], [[evil]]))))
     assert all(cell.startswith("'") for row in rows for cell in row)
 
 
 def test_numbers_stay_numbers_in_csv():
     frame = pd.DataFrame({"a": [-1.5, float("nan")], "b": ["x,y", 'q"']})
-    assert safecsv.of_frame(frame) == 'a,b\n-1.5,"x,y"\n,"q"""\n'
+    assert write.of_frame(frame) == 'a,b\n-1.5,"x,y"\n,"q"""\n'
 
 
 def test_tex_has_no_command_of_a_user():
-    text = tex.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
+    text = write.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
     assert r"\input" not in text
     assert text.startswith(r"\textbackslash{}input\{")
-    made = tex.table(tables.Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
+    made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
 
 
 def test_terminal_rows_have_one_width(data: ReportData):
-    for rows in (terminal.verdict_rows(data), terminal.anova_rows(data, "mu0")):
+    for rows in (report_tables.verdict_rows(data), report_tables.anova_rows(data, "mu0")):
         assert len({len(row) for row in rows}) == 1
         assert all(
             isinstance(cell, str) and "\N{NO-BREAK SPACE}" not in cell
             for row in rows
             for cell in row
         )
-    assert terminal.verdict_rows(data)[0][2] == "verdict"
-    made = terminal.verdict_tables(data)
+    assert report_tables.verdict_rows(data)[0][2] == "verdict"
+    made = report_tables.verdict_tables(data)
     assert [title for title, _ in made] == ["relative RMS force error", "initial shear modulus"]
     assert all(rows[0][:2] == ["factor", "verdict"] for _, rows in made)
-    assert sum(len(rows) - 1 for _, rows in made) == len(terminal.verdict_rows(data)) - 1
+    assert sum(len(rows) - 1 for _, rows in made) == len(report_tables.verdict_rows(data)) - 1
     with pytest.raises(KeyError):
-        terminal.anova_rows(data, "nothing")
+        report_tables.anova_rows(data, "nothing")
 
 
 def test_anova_table_shows_exact_df_and_the_corrected_p(data: ReportData):
-    header, first, *_ = terminal.anova_rows(data, "relative_rms_force_error")
+    header, first, *_ = report_tables.anova_rows(data, "relative_rms_force_error")
     row = dict(zip(header, first, strict=True))
     assert row["term"] == "material"
     assert row["df"] == "3, 24"

@@ -10,10 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting import checks, figures_interactions, folding, sentences, tables
-from study.reporting.data import Check, Failure, ReportData, ResponseAnalysis
-from study.reporting.facts import cells, comparable, facts
-from study.reporting.page import Contents, build, missing, prepare, render
+from study.reporting import numbers
+from study.reporting.content import checks, sentences, tables
+from study.reporting.figure import interactions
+from study.reporting.output.page import Contents, build, missing, prepare, render
+from study.reporting.report import cells, comparable, facts
+from study.study_result.report_data import Check, Failure, ReportData, ResponseAnalysis
 from tests.reporting.example import FACTORS, with_failures
 
 SECTIONS = [
@@ -132,7 +134,7 @@ def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: Repor
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
 
-    monkeypatch.setattr(figures_interactions, "draw_interactions", broken)
+    monkeypatch.setattr(interactions, "draw_interactions", broken)
     small = replace(data, responses=data.responses[:1], curves=())
     page = build(small)
     assert page.count("Figure missing.") == 1
@@ -240,7 +242,7 @@ def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData
         ("error", "rows: 3 are missing"),
         ("modulus", "rows: 4 are missing"),
     ]
-    assert folding.folded(found, data) == (
+    assert numbers.folded(found, data) == (
         "Error and modulus: material and space: 1 of 3 degrees of freedom are not estimable.",
         "Error: rows: 3 are missing.",
         "Modulus: rows: 4 are missing.",

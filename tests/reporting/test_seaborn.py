@@ -13,15 +13,9 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 
-from study.reporting import (
-    figures_effects,
-    figures_interactions,
-    figures_residuals,
-    figures_unreplicated,
-    style,
-)
-from study.reporting.data import ReportData
-from study.reporting.facts import Facts, facts
+from study.reporting.figure import diagnostics, effects, interactions, style
+from study.reporting.report import Facts, facts
+from study.study_result.report_data import ReportData
 from tests.reporting.example import unreplicated
 
 
@@ -68,16 +62,16 @@ def heights(ax: Axes) -> list[float]:
 
 
 def test_main_effects(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_effects.level_means(error)
-    (ax,) = figures_effects.draw_level_means(frame, error, 5.5, None, data).axes
+    frame = effects.level_means(error)
+    (ax,) = effects.draw_level_means(frame, error, 5.5, None, data).axes
     assert used == ["pointplot"]
     assert heights(ax) == frame["mean"].tolist()
     assert ax.get_xlabel() == ""
 
 
 def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_effects.effect_sizes(error, data.labels)
-    (ax,) = figures_effects.draw_effect_sizes(frame, error).axes
+    frame = effects.effect_sizes(error, data.labels)
+    (ax,) = effects.draw_effect_sizes(frame, error).axes
     assert used == ["scatterplot"]
     (drawn,) = points(ax)
     assert drawn[:, 0].tolist() == frame["difference"].tolist()
@@ -85,8 +79,8 @@ def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_cells(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_effects.cell_points(data, error)
-    (ax,) = figures_effects.draw_cells(frame, error, 0.5).axes
+    frame = effects.cell_points(data, error)
+    (ax,) = effects.draw_cells(frame, error, 0.5).axes
     assert used == ["lineplot", "stripplot", "scatterplot"]
     *strips, means = points(ax)
     assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
@@ -96,8 +90,8 @@ def test_cells(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_interactions(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_interactions.pair_means(data, error)
-    axes = figures_interactions.draw_interactions(frame, error, data.factors, data).axes
+    frame = interactions.pair_means(data, error)
+    axes = interactions.draw_interactions(frame, error, data.factors, data).axes
     k = len(data.factors)
     assert used == ["pointplot", "heatmap"] * (k * (k - 1) // 2)
     for i, first in enumerate(data.factors):
@@ -116,8 +110,8 @@ def test_a_combination_without_a_mean_is_a_gap():
     )
     figure = style.canvas(6, 3)
     lines, numbers = figure.subplots(1, 2)
-    figures_interactions._lines(lines, table)
-    figures_interactions._numbers(numbers, table, 1.0, 3.0)
+    interactions._lines(lines, table)
+    interactions._numbers(numbers, table, 1.0, 3.0)
     # the line breaks where the mean is missing
     assert np.isnan(lines.lines[0].get_ydata()[1])
     assert heights(lines) == [1.0, 3.0, 2.0, 2.5]
@@ -126,8 +120,8 @@ def test_a_combination_without_a_mean_is_a_gap():
 
 
 def test_residuals(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_residuals.residual_points(error)
-    figure = figures_residuals.draw_residuals(frame, error, data)
+    frame = diagnostics.residual_points(error)
+    figure = diagnostics.draw_residuals(frame, error, data)
     _, fitted, histogram, factors = figure.axes
     assert used == ["scatterplot", "histplot", "scatterplot"]
     (drawn,) = points(fitted)
@@ -142,8 +136,8 @@ def test_residuals(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_spread(data: ReportData, error: Facts, used: list[str]):
-    frame = figures_residuals.spread_of_cells(error, 0.05)
-    (ax,) = figures_residuals.draw_spread(frame, error).axes
+    frame = diagnostics.spread_of_cells(error, 0.05)
+    (ax,) = diagnostics.draw_spread(frame, error).axes
     assert used == ["scatterplot"]
     (drawn,) = points(ax)
     assert drawn[:, 0].tolist() == frame["sd"].tolist()
@@ -152,8 +146,8 @@ def test_spread(data: ReportData, error: Facts, used: list[str]):
 def test_contrasts(used: list[str]):
     once = unreplicated()
     found = facts(once)[0]
-    frame = figures_unreplicated.contrasts(found, once)
-    pareto, half = figures_unreplicated.draw_contrasts(frame, found).axes
+    frame = diagnostics.contrasts(found, once)
+    pareto, half = diagnostics.draw_contrasts(frame, found).axes
     assert used == ["barplot", "scatterplot"]
     bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
     assert [bar.get_width() for bar in bars] == frame["size"].tolist()
@@ -163,8 +157,6 @@ def test_contrasts(used: list[str]):
 
 def test_the_style_of_the_report_stays_in_force(data: ReportData, error: Facts):
     before = dict(mpl.rcParams)
-    frame = figures_interactions.pair_means(data, error)
-    style.render(
-        lambda: figures_interactions.draw_interactions(frame, error, data.factors, data), "n", "t"
-    )
+    frame = interactions.pair_means(data, error)
+    style.render(lambda: interactions.draw_interactions(frame, error, data.factors, data), "n", "t")
     assert dict(mpl.rcParams) == before

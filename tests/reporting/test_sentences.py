@@ -6,12 +6,21 @@ from dataclasses import replace
 
 import pytest
 
-from study.reporting import assumptions, sentences, verdicts
-from study.reporting.data import Failure, ReportData, ResponseAnalysis
-from study.reporting.facts import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect, Facts, facts
-from study.reporting.front import cheaper, recommendation
-from study.reporting.groups import Group, describe, groups
-from study.reporting.page import prepare, render
+from study.reporting.content import sentences, verdicts
+from study.reporting.content.hypotheses import cheaper, recommendation
+from study.reporting.output.page import prepare, render
+from study.reporting.report import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    Effect,
+    Facts,
+    Group,
+    describe,
+    facts,
+    groups,
+)
+from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
 
 
 def flat(text: str) -> str:
@@ -97,26 +106,26 @@ def test_not_estimable_keeps_its_reason():
 )
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
     found = {"rj": 0.9871, "n": 30, "p_minitab": printed, "p_exact": exact}
-    text = assumptions.normality(replace(error(), normality=found))
+    text = verdicts.normality(replace(error(), normality=found))
     assert ("is rejected" in text) is rejected
     assert ("not rejected" in text) is not rejected
     assert "RJ = 0.9871" in text
 
 
 def test_tests_that_do_not_apply_say_why():
-    assert assumptions.normality(error()) == (
+    assert verdicts.normality(error()) == (
         "Ryan-Joiner: not applicable, there are no residuals to test."
     )
     missing = {"statistic": None, "reason": "group a has zero variance"}
-    assert assumptions.spread("bartlett", missing) == (
+    assert verdicts.spread("bartlett", missing) == (
         "Bartlett: not applicable, group a has zero variance."
     )
 
 
 def test_monte_carlo_p_decides_the_spread():
     found = {"statistic": 9.0, "df": 3, "p": 0.03, "p_monte_carlo": 0.2}
-    assert "not rejected" in assumptions.spread("levene", found)
-    assert "p = .200" in assumptions.spread("levene", found)
+    assert "not rejected" in verdicts.spread("levene", found)
+    assert "p = .200" in verdicts.spread("levene", found)
 
 
 def test_failures_are_said_plainly():
@@ -240,12 +249,12 @@ def test_nothing_is_called_normal(html: str):
 def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     data: ReportData, monkeypatch: pytest.MonkeyPatch
 ):
-    from study.reporting import groups
+    from study.reporting import report
 
     found = facts(data)
-    every = groups.groups(data, found[0])
-    one = groups.Group(5.0, tuple(m for group in every for m in group.members))
-    monkeypatch.setattr(groups, "groups", lambda *_: (one,))
+    every = report.groups(data, found[0])
+    one = report.Group(5.0, tuple(m for group in every for m in group.members))
+    monkeypatch.setattr(sentences, "groups", lambda *_: (one,))
     assert "no cell can be told from another" in sentences.best_cell(data, found)
 
 

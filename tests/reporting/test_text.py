@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from study.reporting.text import (
+from study.reporting.numbers import (
     MINUS,
     MISSING,
     clean,

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.design import Design, loads
-from study.material import Material
-from study.runner import closed_form
+from study.design.load import loads
+from study.design.spec import Design
+from study.forward import closed_form
+from study.material.material import Material
 
 FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}

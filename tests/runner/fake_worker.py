@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 
 from study.curve import Curve
-from study.forward.energy_balance import EnergyBalance
-from study.forward.mesh import mesh_size
-from study.forward.problem import Cylinder, Problem
-from study.runner import closed_form, fits, worker
+from study.fem.mesh.mesher import mesh_size
+from study.fem.solver.energy_balance import EnergyBalance
+from study.forward import closed_form, finite_element
+from study.runner import worker
+from study.setup.geometry import Cylinder
+from study.setup.setup import Problem
 
 BONDED = 1.4
 
@@ -56,5 +58,5 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
 
 
 if __name__ == "__main__":
-    fits.solve = solve
+    finite_element.solve = solve
     worker.main(int(sys.argv[1]))

@@ -10,13 +10,17 @@ import numpy as np
 import pytest
 
 import study
-from study.design import Design, loads
+from study.design.load import loads
+from study.design.spec import Design
 from study.errors import InputError, StoreError
-from study.record import Record, Store, table
-from study.runner import batch, identity
+from study.forward.closed_form import compression
+from study.record.record import Record
+from study.record.store import Store
+from study.record.table import table
+from study.runner import batch, provenance
 from study.runner.batch import Progress, Summary, run_batch
-from study.runner.closed_form import compression
-from study.runner.expand import Work, expand
+from study.runner.expansion import expand
+from study.runner.job import Work
 
 from .conftest import DESIGN, FAKE, SPECIMEN, TRUTH, make_data, material
 
@@ -160,7 +164,7 @@ def test_a_crash_is_tried_again_by_the_next_run_and_a_verdict_is_not(
 
 
 def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("expand", "fits"):
+    for module in ("expansion", "fitting.fit_task"):
         monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
     store = Store(clean[1])
@@ -169,9 +173,9 @@ def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.Mo
 
 
 def test_code_version_ignores_comments_and_docstrings() -> None:
-    plain = identity._code_only("def f(x):\n    return x + 1\n")
-    spoken = identity._code_only('def f(x):\n    "Add one."\n    # really\n    return x+1\n')
-    other = identity._code_only("def f(x):\n    return x + 2\n")
+    plain = provenance._code_only("def f(x):\n    return x + 1\n")
+    spoken = provenance._code_only('def f(x):\n    "Add one."\n    # really\n    return x+1\n')
+    other = provenance._code_only("def f(x):\n    return x + 2\n")
     assert spoken.replace("    pass\n", "") == plain
     assert other != plain
 
@@ -204,8 +208,16 @@ def test_treatments_with_different_blocks_are_refused(data: Path) -> None:
 def test_code_version_follows_what_the_tasks_import() -> None:
     """A list of names would miss the next file; reports must not send a study back to work."""
     root = Path(study.__file__).parent
-    files = {str(path.relative_to(root)) for path in identity._numeric_files(root)}
-    parts = ("staged", "starts", "halfspace", "scoring", "anchors")
-    needed = {f"runner/{name}.py" for name in parts}
-    assert needed | {"curve.py", "forward/stored_energy.py", "material/homogeneous.py"} <= files
+    files = {str(path.relative_to(root)) for path in provenance._numeric_files(root)}
+    needed = {
+        "curve.py",
+        "fem/element/stored_energy.py",
+        "forward/finite_element.py",
+        "forward/halfspace.py",
+        "material/homogeneous.py",
+        "runner/fitting/staged_fit.py",
+        "runner/fitting/starts.py",
+        "runner/response.py",
+    }
+    assert needed <= files
     assert not any(name.startswith(("reporting", "analysis", "api", "cli")) for name in files)

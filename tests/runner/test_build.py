@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from study.errors import InputError
-from study.forward.problem import Block, Cone, Cylinder, Flat
 from study.runner import build
+from study.setup.geometry import Block, Cone, Cylinder, Flat
 
 CONFIG: dict[str, Any] = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},

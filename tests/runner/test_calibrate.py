@@ -12,9 +12,9 @@ import pytest
 from study import api
 from study.cli.app import run
 from study.errors import InputError
-from study.material import Material
-from study.runner import closed_form
-from study.runner.calibration_result import CalibrationResult
+from study.forward import closed_form
+from study.material.material import Material
+from study.runner.calibration.result import CalibrationResult
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
 RP2 = {"C10": 7e-3, "C20": 1.5e-3}

@@ -10,9 +10,11 @@ import pytest
 from study.api import solve
 from study.api.single import solution_json
 from study.errors import InputError
-from study.forward.problem import Cylinder, Model, Problem, Test
-from study.material import Material
 from study.material.homogeneous import uniaxial
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 
 PROBLEM = """
 schema = 1

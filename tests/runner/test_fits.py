@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.material import Material
-from study.runner import closed_form, fits
+from study.forward import closed_form, finite_element
+from study.material.material import Material
+from study.runner.fitting import fit_task
 
 from .fake_worker import BONDED, solve
 
@@ -49,9 +50,9 @@ def curve(model: str, constants: dict[str, float]) -> Curve:
 def test_closed_form_recovers_the_constants_of_exact_data(
     model: str, order: int | None, truth: dict[str, float]
 ) -> None:
-    problem = fits.fit_problem(config(model, "frictionless", order=order))
+    problem = fit_task.fit_problem(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
-    found = fits.perform(fits.payload(problem, [curve(model, truth)], None))
+    found = fit_task.perform(fit_task.payload(problem, [curve(model, truth)], None))
     assert found["status"] == "converged", found["message"]
     # V40: noise-free recovery to 1e-10 of an analytic model; RP3 is the worst conditioned
     assert found["values"] == pytest.approx(truth, rel=1e-7, abs=1e-12)
@@ -59,18 +60,18 @@ def test_closed_form_recovers_the_constants_of_exact_data(
 
 
 def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fits, "solve", solve)
+    monkeypatch.setattr(finite_element, "solve", solve)
     truth = {"C10": 7e-3, "C20": -1e-3}
     base = curve("reduced-polynomial", truth)
     factor = BONDED * (1 + 1e-3 * _size())
     measured = Curve(base.displacement_mm, factor * base.force_N)
-    problem = fits.fit_problem(config("reduced-polynomial", "bonded", order=2))
-    before = fits.start_problem(problem)
+    problem = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=2))
+    before = fit_task.start_problem(problem)
     assert before is not None
-    start = fits.perform(fits.payload(before, [measured], None))
+    start = fit_task.perform(fit_task.payload(before, [measured], None))
     assert start["status"] == "converged"
     assert start["solves"] <= 3  # the force is linear in C10 at a given Poisson's ratio
-    found = fits.perform(fits.payload(problem, [measured], start))
+    found = fit_task.perform(fit_task.payload(problem, [measured], start))
     assert found["status"] == "converged", found["message"]
     # ten solved steps, interpolated: some 1e-5 of the force
     assert found["values"] == pytest.approx(truth, rel=2e-3)
@@ -78,7 +79,7 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
 
 
 def _size() -> float:
-    from study.forward.mesh import mesh_size
+    from study.fem.mesh.mesher import mesh_size
     from study.runner import build
 
     return mesh_size(build.problem(config("neo-hookean", "bonded"), {"C10": 1.0}))
@@ -96,9 +97,9 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
             found.status, found.message = "not-converged", "stopped"
         return found
 
-    monkeypatch.setattr(fits, "solve", stops)
-    problem = fits.fit_problem(config("neo-hookean", "bonded"))
-    found = fits.perform(fits.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], None))
+    monkeypatch.setattr(finite_element, "solve", stops)
+    problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
+    found = fit_task.perform(fit_task.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], None))
     assert found["status"] == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
@@ -115,9 +116,9 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     truth = {"C10": 8e-3}
     base = curve("neo-hookean", truth)
     measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
-    monkeypatch.setattr(fits, "solve", lost)
-    problem = fits.fit_problem(config("neo-hookean", "bonded"))
-    found = fits.perform(fits.payload(problem, [measured], None))
+    monkeypatch.setattr(finite_element, "solve", lost)
+    problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
+    found = fit_task.perform(fit_task.payload(problem, [measured], None))
     assert found["status"] == "converged", found["message"]
     assert found["values"] == pytest.approx(truth, rel=2e-3)
     # every simulation after the first is done twice
@@ -125,9 +126,11 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
 
 
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
-    problem = fits.fit_problem(config("mooney-rivlin", "bonded"))
+    problem = fit_task.fit_problem(config("mooney-rivlin", "bonded"))
     start = {"status": "crashed", "message": "crashed (signal 9), twice"}
-    found = fits.perform(fits.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], start))
+    found = fit_task.perform(
+        fit_task.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], start)
+    )
     assert found["status"] == "crashed"
     assert "the fit that starts it" in found["message"]
 
@@ -137,34 +140,36 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
     other["model"] = {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"}
     other["test"]["steps"] = 20
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    assert fits.fit_key(fits.fit_problem(one), data) == fits.fit_key(fits.fit_problem(other), data)
-    bonded = [fits.fit_problem({**c, "test": {**c["test"], "interface": "bonded"}})
+    assert fit_task.fit_key(fit_task.fit_problem(one), data) == fit_task.fit_key(
+        fit_task.fit_problem(other), data
+    )
+    bonded = [fit_task.fit_problem({**c, "test": {**c["test"], "interface": "bonded"}})
               for c in (one, other)]  # fmt: skip
-    assert fits.fit_key(bonded[0], data) != fits.fit_key(bonded[1], data)
+    assert fit_task.fit_key(bonded[0], data) != fit_task.fit_key(bonded[1], data)
 
 
 def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    third = fits.fit_problem(config("reduced-polynomial", "bonded", order=3))
-    second = fits.fit_problem(config("reduced-polynomial", "bonded", order=2))
-    first = fits.fit_problem(config("neo-hookean", "bonded"))
+    third = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=3))
+    second = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=2))
+    first = fit_task.fit_problem(config("neo-hookean", "bonded"))
     for problem, start in ((third, second), (second, first)):
-        before = fits.start_problem(problem)
+        before = fit_task.start_problem(problem)
         assert before is not None
-        assert fits.fit_key(before, data) == fits.fit_key(start, data)
-    assert fits.start_problem(first) is None
+        assert fit_task.fit_key(before, data) == fit_task.fit_key(start, data)
+    assert fit_task.start_problem(first) is None
 
 
 def test_higher_constants_start_at_zero() -> None:
-    names, start = fits.start_values(
+    names, start = fit_task.start_values(
         config("reduced-polynomial", "bonded", order=3), [], {"C10": 6e-3}
     )
     assert dict(zip(names, start, strict=True)) == {"C10": 6e-3, "C20": 0.0, "C30": 0.0}
-    names, start = fits.start_values(
+    names, start = fit_task.start_values(
         config("reduced-polynomial", "bonded", order=3), [], {"C10": 6e-3, "C20": -4e-4}
     )
     assert start.tolist() == [6e-3, -4e-4, 0.0]
-    names, start = fits.start_values(config("ogden", "bonded", order=2), [], {"C10": 6e-3})
+    names, start = fit_task.start_values(config("ogden", "bonded", order=2), [], {"C10": 6e-3})
     assert start[list(names).index("mu1")] == pytest.approx(6e-3)  # mu0 = 12 kPa in two terms
 
 
@@ -174,6 +179,8 @@ def test_a_force_that_pulls_is_refused_by_name() -> None:
     base = curve("neo-hookean", {"C10": 8e-3})
     pulling = Curve(base.displacement_mm, -base.force_N)
     with pytest.raises(InputError, match="sign"):
-        fits.perform(
-            fits.payload(fits.fit_problem(config("neo-hookean", "frictionless")), [pulling], None)
+        fit_task.perform(
+            fit_task.payload(
+                fit_task.fit_problem(config("neo-hookean", "frictionless")), [pulling], None
+            )
         )

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration import Fit, MeasuredCurve, fit
+from study.calibration.fit import Fit, MeasuredCurve, fit
 from study.curve import Curve
-from study.runner import build, fits
-from study.runner.staged import TOLERANCES, Part, staged_fit
+from study.forward import finite_element
+from study.runner import build
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import TOLERANCES, Part, staged_fit
 
 TOLERANCE = TOLERANCES["inverse-fem"]
 NEO_HOOKEAN = ("neo-hookean", None, {"C10": 6e-3})
@@ -37,7 +39,7 @@ def config(energy: Energy, mesh: str = "coarse", steps: int = 10) -> dict[str, A
 
 def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
     """Forces at the load steps that are asked for: others depend on what is interpolated."""
-    solution = fits.solve(build.problem(setting, constants), gradients=False)
+    solution = finite_element.solve(build.problem(setting, constants), gradients=False)
     assert solution.status == "converged", solution.message
     test = setting["test"]
     asked = test["displacement_mm"] * np.arange(1, test["steps"] + 1) / test["steps"]
@@ -46,9 +48,9 @@ def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
 
 def fitted(
     setting: dict[str, Any], measured: Curve, start: Any
-) -> tuple[Fit, fits.InverseFem, Any]:
+) -> tuple[Fit, fit_task.InverseFem, Any]:
     names = build.calibrated_names(setting["material"])
-    model = fits.InverseFem(setting, [measured], names)
+    model = fit_task.InverseFem(setting, [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     return fit(model, data, names, start, **TOLERANCE), model, names
 
@@ -121,7 +123,7 @@ def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
     parts = [Part("inverse-fem", setting, (measured,))]
-    found = staged_fit(parts, names, start, fits.model)
+    found = staged_fit(parts, names, start, fit_task.model)
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
     assert found.evaluations <= 10
@@ -168,7 +170,7 @@ def test_coverage_of_intervals_over_300_fem_fits() -> None:
     names = build.calibrated_names(setting["material"])
     clean, rng = curve(setting, RP2[2]), np.random.default_rng(2011)
     noise = 0.02
-    model = fits.InverseFem(setting, [clean], names)  # one mesh and factorization for all
+    model = fit_task.InverseFem(setting, [clean], names)  # one mesh and factorization for all
     covered, chi = np.zeros(2), 0.0
     for _ in range(300):
         force = clean.force_N + noise * rng.normal(size=len(clean))

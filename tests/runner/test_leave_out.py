@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study import design
+from study.design import load
 from study.errors import InputError
-from study.material import Material
-from study.runner import closed_form, fits
-from study.runner.expand import Work, expand
+from study.forward import closed_form
+from study.material.material import Material
+from study.runner.expansion import expand
+from study.runner.fitting import fit_task
+from study.runner.job import Work
 
 DESIGN = """
 schema = 1
@@ -74,13 +76,13 @@ def measured(path: Path, stiffness: dict[str, float]) -> None:
 
 def expanded(folder: Path, kind: str, **text: str) -> Work:
     usual = {"block": BLOCK, "presets": "", "factors": ""}
-    return expand(design.loads(DESIGN.format(kind=kind, **{**usual, **text})), folder)
+    return expand(load.loads(DESIGN.format(kind=kind, **{**usual, **text})), folder)
 
 
 def constants(work: Work, key: str) -> dict[str, Any]:
     job = work.fits[key]
     start = None if job.start is None else constants(work, job.start)
-    return fits.perform(fits.payload(job.problem, job.measured, start))
+    return fit_task.perform(fit_task.payload(job.problem, job.measured, start))
 
 
 def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from study.api.resolution import largest_u_num
-from study.record import Record
-from study.runner.refine import Numerical
+from study.analysis.convergence.grid_convergence import Numerical
+from study.api.uncertainty.numerical import largest_u_num
+from study.record.record import Record
 
 
 def record(name: str, value: float) -> Record:

@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
-from study.design import loads_problem
-from study.runner import build, refine_judge
-from study.runner.refine_formal import edge_rules, formal_order
-from study.runner.refine_series import Budget, refine, series_of
-from study.runner.refine_store import in_process
+from study.design.load import loads_problem
+from study.runner import build
+from study.runner.numerical import judgement
+from study.runner.numerical.formal_order import edge_rules, formal_order
+from study.runner.numerical.refinement import Budget, refine, series_of
+from study.runner.numerical.refinement_store import in_process
 
 PUNCH = """
 schema = 1
@@ -53,8 +54,8 @@ def punch_series(
     config = loads_problem(text, "punch.toml")
     formal = formal_order(build.problem(config))
     one = series_of(config, config["converge"])
-    refine([one], in_process, Budget(), lambda s: refine_judge.outlook(s, formal.order))
-    found = refine_judge.document(one, formal)
+    refine([one], in_process, Budget(), lambda s: judgement.outlook(s, formal.order))
+    found = judgement.document(one, formal)
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
     found["kappa"] = [value / unit for value in found["value"]]
     found["u_kappa"] = found["u_num"] / unit
@@ -100,10 +101,10 @@ def test_only_an_edge_that_every_mesh_shows_alike_rules_the_size() -> None:
         ("test", {"kind": "compression"}),
     ):
         assert not edge_rules(config | {name: change})
-    assert refine_judge.series_sizes([2.0, 1.0], [100, 300], config) == [2.0, 1.0]
+    assert judgement.series_sizes([2.0, 1.0], [100, 300], config) == [2.0, 1.0]
     solid = config | {"model": {"space": "3d"}}
-    assert refine_judge.series_sizes([2.0, 1.0], [100, 800], solid) == pytest.approx([2.0, 1.0])
-    assert refine_judge.series_sizes([2.0, 1.0], [100, 300], solid)[0] < 1.5
+    assert judgement.series_sizes([2.0, 1.0], [100, 800], solid) == pytest.approx([2.0, 1.0])
+    assert judgement.series_sizes([2.0, 1.0], [100, 300], solid)[0] < 1.5
 
 
 @pytest.mark.slow

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from study.design import Design
-from study.record import Store
-from study.runner import refine
+from study.design.spec import Design
+from study.record.store import Store
 from study.runner.batch import run_batch
-from study.runner.expand import expand
+from study.runner.expansion import expand
+from study.runner.numerical import formal_order, study_refinement
 
 from .conftest import FAKE
 
@@ -19,12 +19,12 @@ def test_the_bonded_neo_hookean_cell_of_the_first_block_is_refined(
     design: Design, data: Path
 ) -> None:
     work = expand(design, data)
-    (chosen,) = refine.chosen(work)
+    (chosen,) = study_refinement.chosen(work)
     assert chosen.case.levels == {"material": "neo-hookean", "plates": "bonded"}
     assert chosen.case.block == "M1"
-    finer = refine.refinement_work(work)
+    finer = study_refinement.refinement_work(work)
     sizes = [job.case.config["model"]["mesh_size_mm"] for job in finer.jobs]
-    base = refine.base_size_mm(chosen.case)
+    base = formal_order.base_size_mm(chosen.case)
     assert sizes == pytest.approx([base / 1.5, base / 1.5**2])
     assert not set(finer.input_hashes) & set(work.input_hashes)
 
@@ -33,12 +33,12 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     design: Design, one_mix: Path, tmp_path: Path
 ) -> None:
     work = expand(design, one_mix)
-    finer = refine.refinement_work(work)
+    finer = study_refinement.refinement_work(work)
     store = Store(tmp_path / "results")
     for part in (work, finer):
         run_batch(part, store, jobs=2, command=FAKE)
     records = {r.case_id: r for r in store.read_all()}
-    rows = {r.response: r for r in refine.numerical(work, finer, records, ["mu0"])}
+    rows = {r.response: r for r in study_refinement.numerical(work, finer, records, ["mu0"])}
     row = rows["mu0"]
     # the fake solver is too stiff by 1e-3 of the mesh size: mu0 too low by that share
     size = row.mesh_size[0]
@@ -51,14 +51,14 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
 
 def test_two_meshes_give_a_cautious_bound() -> None:
     # f = 1 + 0.1 h at h = 1, 1/1.5: the error of the coarse one is 0.1
-    u = refine.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
+    u = study_refinement.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
     assert u == pytest.approx(3 * 0.1)
 
 
 def test_a_series_without_an_order_takes_three_times_its_range() -> None:
-    behaviour, u = refine.series_uncertainty([1.0, 1.2, 1.1], 1.5)
+    behaviour, u = study_refinement.series_uncertainty([1.0, 1.2, 1.1], 1.5)
     assert behaviour == "oscillatory"
     assert u == pytest.approx(3 * 0.2)
     # order 0.1: not in the asymptotic range
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-    assert refine.series_uncertainty(slow, 1.5)[1] == pytest.approx(3 * (slow[-1] - 1.0))
+    assert study_refinement.series_uncertainty(slow, 1.5)[1] == pytest.approx(3 * (slow[-1] - 1.0))

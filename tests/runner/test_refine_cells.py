@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.analysis.convergence_validation import compare
-from study.api import convergence_cells, validation
-from study.api.studies import _write_manifest, open_study
-from study.design import Design, loads
+from study.analysis.convergence.grid_convergence import compare
+from study.api import cell_convergence
+from study.api.opened_study import open_study
+from study.api.study import _write_manifest
+from study.api.uncertainty import numerical, validation
+from study.design.load import loads
+from study.design.spec import Design
 from study.errors import InputError
-from study.record import Store
-from study.runner import refine, refine_inputs
+from study.record.store import Store
 from study.runner.batch import run_batch
-from study.runner.expand import expand
-from study.runner.refine_columns import columns
+from study.runner.expansion import expand
+from study.runner.numerical import formal_order, input_uncertainty, study_refinement
+from study.runner.numerical.study_refinement import columns
 
 from .conftest import DESIGN, FAKE
 
@@ -26,7 +29,7 @@ ERROR = 1e-3
 
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    found = convergence_cells.measured_cells(
+    found = cell_convergence.measured_cells(
         design, one_mix, 2, results, lambda _: None, command=FAKE
     )
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
@@ -49,13 +52,13 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4
     # of other cases it knows nothing
-    assert convergence_cells.stored_cells(store, {"other": "hash"}) == []
+    assert numerical.stored_cells(store, {"other": "hash"}) == []
 
 
 def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
     design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
     work = expand(design, one_mix)
-    kept, left = convergence_cells.affordable(work, refine.every_cell(work), 1)
+    kept, left = cell_convergence.affordable(work, study_refinement.every_cell(work), 1)
     assert len(kept) + len(left) == 4
     assert left
 
@@ -69,7 +72,7 @@ def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
 )
 def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
     config = {"specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}}
-    moved = refine_inputs.shifted(config, key, value)
+    moved = input_uncertainty.shifted(config, key, value)
     assert moved["specimen"][key.split(".")[1] + "_mm"] == expected
     assert config["specimen"]["height_mm"] == 30.0
 
@@ -79,16 +82,16 @@ def test_constants_and_indenters_are_moved_too() -> None:
         "material": {"constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
         "test": {"indenter": {"half_angle_deg": 30.0}},
     }
-    assert refine_inputs.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
+    assert input_uncertainty.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
         "C10": pytest.approx(5.1e-3)
     }
-    assert refine_inputs.shifted(config, "material.bulk_modulus", 1)["material"][
+    assert input_uncertainty.shifted(config, "material.bulk_modulus", 1)["material"][
         "bulk_modulus_MPa"
     ] == pytest.approx(11)
-    moved = refine_inputs.shifted(config, "test.indenter.half_angle", 2)
+    moved = input_uncertainty.shifted(config, "test.indenter.half_angle", 2)
     assert moved["test"]["indenter"]["half_angle_deg"] == 32
     with pytest.raises(InputError, match="no value in the design"):
-        refine_inputs.shifted(config, "specimen.height", 1)
+        input_uncertainty.shifted(config, "specimen.height", 1)
 
 
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:
@@ -105,8 +108,8 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     design = loads(text, "small.toml")
     work, store = expand(design, one_mix), Store(tmp_path / "results")
     run_batch(work, store, jobs=2, command=FAKE)
-    run_batch(refine.refinement_work(work), store, jobs=2, command=FAKE)
-    moved = refine_inputs.input_work(work)
+    run_batch(study_refinement.refinement_work(work), store, jobs=2, command=FAKE)
+    moved = input_uncertainty.input_work(work)
     assert {job.extra["input"] for job in moved.jobs} == {"specimen.radius"}
     run_batch(moved, store, jobs=2, command=FAKE)
     rows = {tuple(r["levels"].values()): r for r in validation.compared(work, moved, store)}
@@ -116,7 +119,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     np.testing.assert_allclose(row["u_input_N"], force * 2 * 0.1 / 25, rtol=5e-3)
     # two equal repeats: no scatter, so the load cell's uncertainty alone
     np.testing.assert_allclose(row["u_data_N"], 0.02, rtol=1e-6)
-    h = refine.base_size_mm(refine.chosen(work)[0].case)
+    h = formal_order.base_size_mm(study_refinement.chosen(work)[0].case)
     share = np.array(row["u_num_N"]) / force
     assert (share > ERROR * h / (1 + ERROR * h)).all()
     squares = sum(np.square(row[k]) for k in ("u_num_N", "u_input_N", "u_data_N"))
@@ -140,12 +143,12 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     text = text.partition('[[response]]\nname = "mu0"')[0]
     text += '[calibration]\nmethod = "none"\n[uncertainty]\n"specimen.radius" = "0.1 mm"\n'
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
-    moved = refine_inputs.input_work(work)
+    moved = input_uncertainty.input_work(work)
     for part in (work, moved):
         run_batch(part, store, jobs=2, command=FAKE)
     rows = validation.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
-    sizes = {j.case.case_id: refine.base_size_mm(j.case) for j in work.jobs}
+    sizes = {j.case.case_id: formal_order.base_size_mm(j.case) for j in work.jobs}
     for row in rows:
         share = np.array(row["u_num_N"]) / np.array(row["simulated_N"])
         if row["levels"]["plates"] == "frictionless":
@@ -161,7 +164,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     records = store.by_case(work.input_hashes)
     del records[gone.case.case_id]
     series = columns(work)
-    assert len(refine_inputs.column_shares(series, records)) == 3 * (len(series) - 1)
+    assert len(input_uncertainty.column_shares(series, records)) == 3 * (len(series) - 1)
 
 
 def test_comparison_says_what_is_unknown() -> None:

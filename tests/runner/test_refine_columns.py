@@ -6,16 +6,19 @@ from pathlib import Path
 
 import pytest
 
-from study.api.credibility import refine
-from study.api.statistics import analyze
-from study.api.studies import _write_manifest, open_study, report
-from study.design import loads
-from study.record import Record, Store
-from study.runner.expand import Work, expand
-from study.runner.refine import base_size_mm
-from study.runner.refine_columns import columns, fine_uncertainty, numerical_of_columns
+from study.api.analysis import analyze
+from study.api.opened_study import open_study
+from study.api.study import _write_manifest, report
+from study.api.uncertainty.credibility import refine
+from study.design.load import loads
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.expansion import expand
+from study.runner.job import Work
+from study.runner.numerical.formal_order import base_size_mm
+from study.runner.numerical.study_refinement import columns, fine_uncertainty, numerical_of_columns
 from study.runner.virtual import usual_generator, write_virtual
-from tests.runner.test_anchors import DESIGN, finished
+from tests.forward.test_finite_element import DESIGN, finished
 
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'
 UNITS = {"relative_rms_force_error": "%"}

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis import grid_convergence
+from study.analysis.convergence.grid_convergence import grid_convergence
+from study.api.cell_convergence import problem_cells
 from study.api.convergence import problem
-from study.api.convergence_cells import problem_cells
-from study.design import loads, loads_problem
+from study.design.load import loads, loads_problem
 from study.errors import InputError
-from study.record import Store
-from study.runner import build, refine_store
-from study.runner.refine_formal import clamped_corner, formal_order
-from study.runner.refine_judge import within
-from study.runner.refine_series import Budget
-from study.runner.refine_solve import perform, solve_task, task_key
+from study.record.store import Store
+from study.runner import build
+from study.runner.numerical import refinement_store
+from study.runner.numerical.formal_order import clamped_corner, formal_order
+from study.runner.numerical.judgement import within
+from study.runner.numerical.refinement import Budget, perform, solve_task, task_key
 
 PROBLEM = """
 schema = 1
@@ -195,13 +195,13 @@ def test_one_table_of_mesh_steps_and_tolerance() -> None:
 def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
     first, second = Fake(), Fake()
     config = loads_problem(PROBLEM, "p.toml")
-    one = problem(config, solve=refine_store.kept(first, Store(tmp_path)))
-    two = problem(config, solve=refine_store.kept(second, Store(tmp_path)))
+    one = problem(config, solve=refinement_store.kept(first, Store(tmp_path)))
+    two = problem(config, solve=refinement_store.kept(second, Store(tmp_path)))
     assert len(first.sizes) == 3
     assert second.sizes == []
     assert one == two
     finer = loads_problem(PROBLEM + "levels = 4", "p.toml")
-    problem(finer, solve=refine_store.kept(second, Store(tmp_path)))
+    problem(finer, solve=refinement_store.kept(second, Store(tmp_path)))
     assert second.sizes == pytest.approx([4 / 1.5**3])
 
 

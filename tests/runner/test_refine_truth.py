@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.design import loads_problem
-from study.runner import build, refine_judge
-from study.runner.refine_formal import formal_order
-from study.runner.refine_series import Budget, refine, series_of
-from study.runner.refine_store import in_process
-from tests.forward.answers import layers
+from study.design.load import loads_problem
+from study.runner import build
+from study.runner.numerical import judgement
+from study.runner.numerical.formal_order import formal_order
+from study.runner.numerical.refinement import Budget, refine, series_of
+from study.runner.numerical.refinement_store import in_process
+from tests.fem.answers import layers
 
 DISC = """
 schema = 1
@@ -62,8 +63,8 @@ def series(text: str) -> dict[str, Any]:
     one = series_of(config, config["converge"])
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
-        refine([one], in_process, Budget(), lambda s: refine_judge.outlook(s, formal.order))
-    return refine_judge.document(one, formal)
+        refine([one], in_process, Budget(), lambda s: judgement.outlook(s, formal.order))
+    return judgement.document(one, formal)
 
 
 def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:

@@ -9,15 +9,20 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.design import loads
+from study.design.load import loads
 from study.errors import InputError
-from study.material import Material
-from study.record import Record, Store, table
-from study.runner import closed_form, fits, noise, replicates
+from study.forward import closed_form
+from study.material.material import Material
+from study.record.record import Record
+from study.record.store import Store
+from study.record.table import table
+from study.runner import residual_bootstrap
 from study.runner.batch import run_batch
-from study.runner.costs import Costs
-from study.runner.expand import Work, expand
-from study.runner.refine import refinement_work
+from study.runner.cost import Costs
+from study.runner.expansion import expand
+from study.runner.fitting import fit_task
+from study.runner.job import Work
+from study.runner.numerical.study_refinement import refinement_work
 
 from .conftest import DESIGN, FAKE, SPECIMEN, make_data
 
@@ -120,7 +125,7 @@ def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_m
 
 
 def test_too_many_replicates_are_refused(one_mix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replicates, "MAX_CASES", 50)
+    monkeypatch.setattr("study.runner.replicates.MAX_CASES", 50)
     with pytest.raises(InputError, match="84 cases with their replicates are more than 50"):
         expand(loads(DESIGN + NOISE), one_mix)
 
@@ -133,7 +138,7 @@ def test_a_refit_is_cheap_in_a_plan(one_mix: Path) -> None:
 
 def fitted(
     model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
-) -> tuple[fits.FitProblem, Curve, dict]:  # type: ignore[type-arg]
+) -> tuple[fit_task.FitProblem, Curve, dict]:  # type: ignore[type-arg]
     config = {
         "specimen": SPECIMEN,
         "test": {"kind": "compression", "interface": "frictionless", "base": None,
@@ -145,9 +150,9 @@ def fitted(
     truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
     exact = closed_form.compression(SPECIMEN, truth, DEPTHS).force_N
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
-    problem = fits.fit_problem(config)
+    problem = fit_task.fit_problem(config)
     measured = Curve(DEPTHS, exact + noise_N)
-    return problem, measured, fits.perform(fits.payload(problem, [measured], None))
+    return problem, measured, fit_task.perform(fit_task.payload(problem, [measured], None))
 
 
 @pytest.mark.parametrize(("model", "order"), [("neo-hookean", None), ("reduced-polynomial", 2)])
@@ -155,8 +160,8 @@ def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(
     model: str, order: int | None
 ) -> None:
     problem, measured, base = fitted(model, order, seed=1)
-    task = fits.payload(problem, [measured], base)
-    found = [noise.perform({**task, "noise": [2011, k]}) for k in range(1, 121)]
+    task = fit_task.payload(problem, [measured], base)
+    found = [residual_bootstrap.perform({**task, "noise": [2011, k]}) for k in range(1, 121)]
     assert all(f["resampling"][0]["block"] == 1 for f in found)  # independent noise is seen so
     for name in base["names"]:
         values = np.array([f["values"][name] for f in found])
@@ -171,10 +176,13 @@ def test_cells_fitted_to_one_curve_see_the_same_noise() -> None:
     tasks = []
     for poisson_ratio in (0.4995, 0.49):
         problem, measured, base = fitted("neo-hookean", None, 1, poisson_ratio)
-        tasks.append((fits.payload(problem, [measured], base), base))
+        tasks.append((fit_task.payload(problem, [measured], base), base))
     both = np.array(
         [
-            [noise.perform({**task, "noise": [2011, k]})["mu0"] / base["mu0"] for k in range(1, 31)]
+            [
+                residual_bootstrap.perform({**task, "noise": [2011, k]})["mu0"] / base["mu0"]
+                for k in range(1, 31)
+            ]
             for task, base in tasks
         ]
     )
@@ -192,9 +200,9 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
         SPECIMEN, Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995), DEPTHS
     ).force_N
     measured = Curve(DEPTHS, exact + 0.02 * drift)
-    base = fits.perform(fits.payload(problem, [measured], None))
-    task = fits.payload(problem, [measured], base)
-    found = [noise.perform({**task, "noise": [2011, k]}) for k in range(1, 101)]
+    base = fit_task.perform(fit_task.payload(problem, [measured], None))
+    task = fit_task.payload(problem, [measured], base)
+    found = [residual_bootstrap.perform({**task, "noise": [2011, k]}) for k in range(1, 101)]
     block = found[0]["resampling"][0]["block"]
     assert 5 < block <= 30
     ratio = np.std([f["values"]["C10"] for f in found], ddof=1) / base["standard_error"]["C10"]
@@ -206,15 +214,19 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
 def test_a_fit_that_failed_is_not_resampled() -> None:
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     failed = {"status": "not-converged", "message": "too stiff"}
-    task = fits.payload(problem, [measured], failed)
-    found = noise.perform({**task, "noise": [2011, 1]})
+    task = fit_task.payload(problem, [measured], failed)
+    found = residual_bootstrap.perform({**task, "noise": [2011, 1]})
     assert found["status"] == "not-converged"
     assert "too stiff" in found["message"]
 
 
 def test_block_length_follows_the_correlation() -> None:
-    assert noise.block_length(-0.5, 100) == noise.block_length(0.19, 100) == 1
-    lengths = [noise.block_length(rho, 200) for rho in (0.3, 0.5, 0.7, 0.9, 0.999)]
+    assert (
+        residual_bootstrap.block_length(-0.5, 100)
+        == residual_bootstrap.block_length(0.19, 100)
+        == 1
+    )
+    lengths = [residual_bootstrap.block_length(rho, 200) for rho in (0.3, 0.5, 0.7, 0.9, 0.999)]
     # by hand at 0.5: cbrt(6 * 0.25 / 0.5625 * 200) = 8.11
     assert lengths[1] == 8
     assert lengths == sorted(lengths)

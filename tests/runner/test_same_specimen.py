@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study import design
-from study.calibration import Fit, MeasuredCurve
-from study.calibration.agreement import agreement
-from study.runner import fits
-from study.runner.expand import FitJob, Work, expand
-from study.runner.staged import Part, staged_fit
+from study.calibration.fit import Fit, MeasuredCurve
+from study.calibration.lack_of_fit import agreement
+from study.design import load
+from study.runner.expansion import expand
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import Part, staged_fit
+from study.runner.job import FitJob, Work
 from study.runner.virtual import ECOFLEX_00_10, Generator, write_virtual
 
 DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
@@ -34,7 +35,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
         return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
 
     monkeypatch.setattr(virtual, "reference_curve", line)
-    loaded = design.load(DESIGN)
+    loaded = load.load(DESIGN)
     write_virtual(loaded, tmp_path, Generator(noise_N=0.0, batches=3))
     work = expand(loaded, tmp_path)
     assert len(work.jobs) == 9
@@ -52,7 +53,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
 
 
 def test_the_calibration_reads_the_same_files() -> None:
-    found = design.load_calibration(DESIGN.with_name("same-specimen-calibration.toml"))
+    found = load.load_calibration(DESIGN.with_name("same-specimen-calibration.toml"))
     assert found["calibration"]["leave_out"] == "test"
     files = [test["measurements"].file for test in found["tests"]]
     assert files == [f"same-specimen/{way}.csv" for way in WAYS]
@@ -66,9 +67,11 @@ def _fit(work: Work, way: str, block: str) -> Fit:
 def _done(work: Work, job: FitJob) -> Fit:
     start = None if job.start is None else _done(work, work.fits[job.start]).constants()
     problem = job.problem
-    names, first = fits.start_values(problem.config, job.measured, start)
+    names, first = fit_task.start_values(problem.config, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
-    found = staged_fit([Part(problem.method, problem.config, data)], names, first, fits.model).fit
+    found = staged_fit(
+        [Part(problem.method, problem.config, data)], names, first, fit_task.model
+    ).fit
     assert found.converged, found.message
     return found
 
@@ -77,10 +80,10 @@ def _done(work: Work, job: FitJob) -> Fit:
 @pytest.mark.verify
 def test_three_tests_agree_within_their_joint_intervals(tmp_path: Path) -> None:
     """Data of a mesh finer than the fit's; what the mesh moves counts as uncertainty."""
-    loaded = design.load(DESIGN)
+    loaded = load.load(DESIGN)
     write_virtual(loaded, tmp_path, Generator(seed=loaded.seed, batches=1))
     fine = expand(loaded, tmp_path)
-    medium = expand(design.load(DESIGN, ["model.mesh=medium"]), tmp_path)
+    medium = expand(load.load(DESIGN, ["model.mesh=medium"]), tmp_path)
     found = [_fit(fine, way, "1") for way in WAYS]
     moved = [
         (one.values - _fit(medium, way, "1").values) / (1.5 - 1)

@@ -8,18 +8,20 @@ from typing import Any
 
 import pytest
 
-from study.api.credibility import checks_of_spaces, compare_spaces
 from study.api.planning import plan
-from study.design import loads
-from study.record import Record, Store
+from study.api.uncertainty.credibility import checks_of_spaces, compare_spaces
+from study.design.load import loads
+from study.record.record import Record
+from study.record.store import Store
 from study.runner.batch import Progress
-from study.runner.costs import Costs
-from study.runner.expand import Work, expand
-from study.runner.refine import refinement_work
-from study.runner.refine_store import in_process, kept
-from study.runner.spaces import compared, pairs, upcoming
+from study.runner.cost import Costs
+from study.runner.expansion import expand
+from study.runner.job import Work
+from study.runner.numerical.refinement_store import in_process, kept
+from study.runner.numerical.space_comparison import compared, pairs, upcoming
+from study.runner.numerical.study_refinement import refinement_work
 from study.runner.virtual import usual_generator, write_virtual
-from tests.runner.test_anchors import finished
+from tests.forward.test_finite_element import finished
 
 DESIGN = """
 schema = 1

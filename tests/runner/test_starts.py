@@ -9,13 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration import EvaluationFailed, MeasuredCurve, Status
+from study.calibration.fit import MeasuredCurve
+from study.calibration.iteration import EvaluationFailed, Status
 from study.curve import Curve
-from study.design import load
-from study.runner import expand, fits
-from study.runner.checkpoint import Checkpoint
-from study.runner.staged import Part, Staged, staged_fit
-from study.runner.starts import gentler
+from study.design.load import load
+from study.runner import expansion
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import Checkpoint, Part, Staged, staged_fit
+from study.runner.fitting.starts import gentler
+from study.runner.job import Work
 
 DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
 NAMES = ("C10", "C20", "C30")
@@ -170,7 +172,7 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) ->
     """
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
-    work = expand.expand(load(DESIGN), data_dir)
+    work = expansion.expand(load(DESIGN), data_dir)
     solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
     assert solid["status"] == "converged", solid["message"]
     assert "was begun with the higher constants halved" in solid["message"]
@@ -181,7 +183,7 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) ->
     assert solid["rss"] == pytest.approx(round_["rss"], rel=0.05)
 
 
-def _third_order_fit(work: expand.Work, space: str) -> dict[str, Any]:
+def _third_order_fit(work: Work, space: str) -> dict[str, Any]:
     wanted = {"material": "reduced-polynomial-3", "plates": "bonded", "model.space": space,
               "model.element_order": "quadratic"}  # fmt: skip
     (job,) = (j for j in work.jobs
@@ -191,7 +193,7 @@ def _third_order_fit(work: expand.Work, space: str) -> dict[str, Any]:
     return _performed(work, key)
 
 
-def _performed(work: expand.Work, key: str) -> dict[str, Any]:
+def _performed(work: Work, key: str) -> dict[str, Any]:
     job = work.fits[key]
     start = None if job.start is None else _performed(work, job.start)
-    return fits.perform(fits.payload(job.problem, job.measured, start))
+    return fit_task.perform(fit_task.payload(job.problem, job.measured, start))

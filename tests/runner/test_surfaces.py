@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from study import api
-from study.design import load, load_problem
+from study.design.load import load, load_problem
 from study.errors import InputError
-from study.runner import build, surfaces
-from study.runner.expand import expand
-from study.runner.fits import fit_problem
-from study.runner.staged import Part, cheaper
-from tests.forward.surfaces import box, write
+from study.runner import build, provenance
+from study.runner.expansion import expand
+from study.runner.fitting.fit_task import fit_problem
+from study.runner.fitting.staged_fit import Part, cheaper
+from tests.fem.surfaces import box, write
 
 PROBLEM = """
 schema = 1
@@ -67,7 +67,7 @@ def home(tmp_path: Path) -> Path:
 
 
 def places(home: Path) -> tuple[Path, ...]:
-    return surfaces.folders(home / "design.toml", home.parent / "measurements")
+    return provenance.folders(home / "design.toml", home.parent / "measurements")
 
 
 def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
@@ -78,9 +78,9 @@ def test_solve_reads_a_problem_with_a_surface(home: Path) -> None:
 
 
 def test_the_data_root_comes_first(home: Path) -> None:
-    assert surfaces.find("box.stl", places(home)).parent == home.resolve()
+    assert provenance.find("box.stl", places(home)).parent == home.resolve()
     write(home.parent / "measurements" / "box.stl", box(10, 8, 7))
-    found = surfaces.find("box.stl", places(home))
+    found = provenance.find("box.stl", places(home))
     assert found.parent.name == "measurements"
 
 
@@ -98,7 +98,7 @@ def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
     write(outside, box(10, 8, 6))
     (home / "link.stl").symlink_to(outside)
     with pytest.raises(InputError, match=said):
-        surfaces.find(name, (home,))
+        provenance.find(name, (home,))
 
 
 @pytest.mark.parametrize(

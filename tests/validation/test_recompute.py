@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.record import Record, Store
+from study.record.record import Record
+from study.record.store import Store
 from tests.cli.small import DESIGN, study, write_files
 from tests.conftest import ROOT
 from validation import recompute, recompute_forward, recompute_records
@@ -255,13 +256,13 @@ def test_which_indenters_make_load_steps_matter(shape: str, interface: str, stic
 
 
 def test_its_scores_are_those_of_the_definitions() -> None:
-    from study.runner import scoring
+    from study.runner.response import CURVE_RESPONSES
 
     rng = np.random.default_rng(2011)
     d = np.sort(rng.uniform(0.1, 3, 40))
     known, force = d**1.5 + rng.normal(0, 0.05, 40), d**1.4
     found = recompute_forward.scores(force, np.array([d, known]))
-    for name, function in scoring.CURVE_RESPONSES.items():
+    for name, function in CURVE_RESPONSES.items():
         assert found[name] == pytest.approx(function(Curve(d, force), Curve(d, known)), rel=1e-12)
 
 

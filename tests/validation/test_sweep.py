@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.forward.expected import expected_unknowns
-from study.forward.mesh import mesh_size
-from study.forward.problem import Block, Cone, Cylinder, Flat, Problem, Sphere
+from study.fem.cost import expected_unknowns
+from study.fem.mesh.mesher import mesh_size
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.setup.setup import Problem
 from tests.conftest import ROOT
 from validation import sweep
 from validation.sweep_problems import (

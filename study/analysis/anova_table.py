@@ -1,0 +1,222 @@
+"""Frozen results of the statistics, with the keys that scripts rely on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from study.canonical import plain
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class ErrorTerm:
+    """Where the error of the table comes from and which question its p answers."""
+
+    source: str
+    question: str
+    df: float | dict[str, float] | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the ANOVA table; what does not apply is None."""
+
+    term: str
+    df: float
+    ss: float
+    ms: float | None = None
+    f: float | None = None
+    p: float | None = None
+    error: str | None = None
+    df_error: float | None = None
+    epsilon_gg: float | None = None
+    p_gg: float | None = None
+    omega_sq: float | None = None
+    partial_eta_sq: float | None = None
+    partial_eta_sq_ci95: tuple[float, float] | None = None
+    share: float | None = None
+
+    @property
+    def p_deciding(self) -> float | None:
+        """Greenhouse-Geisser's p where there is one, else the plain p."""
+        return self.p if self.p_gg is None else self.p_gg
+
+
+@dataclass(frozen=True)
+class Anova:
+    """ANOVA table of one type, with the corrected total."""
+
+    type: str
+    rows: tuple[Row, ...]
+    df_total: int | None = None
+    ss_total: float | None = None
+
+    def row(self, term: str) -> Row:
+        """Row of a term."""
+        return next(row for row in self.rows if row.term == term)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table as a frame, one row a term; what does not apply is missing."""
+        import pandas as pd
+
+        return pd.DataFrame([plain(row) for row in self.rows])
+
+
+@dataclass(frozen=True)
+class ModelSummary:
+    """Residual standard deviation ``s`` and the coefficients of determination of a fit."""
+
+    s: float
+    r_sq: float
+    r_sq_adj: float
+    r_sq_pred: float | None
+
+
+@dataclass(frozen=True)
+class Influential:
+    """Largest leverage and Cook's distance, and the rows (from 1) that the fit leans on."""
+
+    max_leverage: float
+    max_cook: float | None
+    limit: float
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FailureBound:
+    """What missing responses could do to one term.
+
+    Parameters
+    ----------
+    low, high : float or None
+        Bounds of the largest difference over all values that the missing responses may take
+        between the lowest and the highest observed one.
+    verdicts : tuple of str
+        Verdicts met: of the rows there are, then with the missing ones at the extremes.
+    p : tuple of float or None
+        Smallest and largest deciding p among them.
+    holds : bool
+        Whether the verdict is the same everywhere.
+    """
+
+    term: str
+    low: float | None
+    high: float | None
+    verdicts: tuple[str, ...]
+    p: tuple[float, float] | None
+    holds: bool
+
+
+@dataclass(frozen=True)
+class PairDifference:
+    """Difference (or ratio) of two level means with its simultaneous interval."""
+
+    first: str
+    second: str
+    difference: float
+    lower: float
+    upper: float
+    different: bool
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Size of one term in response units (or as a ratio, for a log response).
+
+    ``range`` is the largest difference between level means of a factor, or between the pure
+    interaction components of an interaction (in a two-level design both equal the classical
+    effect); ``ci95`` is its simultaneous interval over all pairs. Levels of a factor that share
+    one of the ``letters`` are not told apart.
+    """
+
+    term: str
+    levels: tuple[str, ...]
+    mean: tuple[float | None, ...]
+    ci95: tuple[float, float] | None
+    range: float | None
+    verdict: str
+    scale: str = "difference"
+    largest: tuple[str, str] | None = None
+    mean_ci95: tuple[tuple[float, float], ...] | None = None
+    practical: float | None = None
+    u_num: float | None = None
+    effect_over_u_num: float | None = None
+    resolved: str | None = None
+    p: float | None = None
+    why: str = ""
+    pairs: tuple[PairDifference, ...] = ()
+    letters: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class WaldTest:
+    """Robust test of one term."""
+
+    term: str
+    f: float | None
+    df: tuple[float, float] | None
+    p: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class BoxCoxResult:
+    """Power transformation of the response with its 95 % likelihood interval."""
+
+    exponent: float
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """p of every term in each defensible analysis, and in how many it is below alpha."""
+
+    p: dict[str, dict[str, float | None]]
+    agreement: dict[str, str]
+
+
+@dataclass(frozen=True)
+class NaiveTerm:
+    """One term with the units as replicates, and as it would look with every row as one."""
+
+    term: str
+    f: float
+    df: tuple[float, float]
+    p: float
+    naive_f: float
+    naive_df: tuple[float, float]
+    naive_p: float
+
+
+@dataclass(frozen=True)
+class NestedUnits:
+    """How far rows on one unit are from independent, and what taking them so would claim.
+
+    Parameters
+    ----------
+    unit : str
+        Column of the unit.
+    rows, units : int
+        Number of rows, and of units in cells.
+    correlation : float
+        Intraclass correlation of two rows on one unit.
+    effective_rows : float
+        Number of independent rows that tell as much: rows / (1 + (m - 1) correlation).
+    too_narrow : float
+        Width of an honest interval over that of the naive one.
+    naive_size : float
+        How often the naive 5 % test of a factor would reject a true null.
+    """
+
+    unit: str
+    rows: int
+    units: int
+    correlation: float
+    effective_rows: float
+    too_narrow: float
+    naive_size: float
+    terms: tuple[NaiveTerm, ...]

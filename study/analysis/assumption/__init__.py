@@ -1,0 +1,1 @@
+"""Assumptions of the analysis: residuals, normality, equal variances, robustness, missing cases."""

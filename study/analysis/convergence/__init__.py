@@ -1,0 +1,1 @@
+"""Mesh convergence: observed order, Richardson extrapolation, grid convergence index."""

@@ -1,0 +1,343 @@
+"""Mesh convergence: behaviour first, then order, extrapolation and GCI, or a refusal.
+
+References: Celik et al. (2008), J. Fluids Eng. 130, 078001 (three meshes, unequal ratios);
+Eca and Hoekstra (2014), J. Comput. Phys. 262, 104-130 (least squares for four or more).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.analysis.convergence.order import OrderFit, classify, fitted_order, observed_order
+from study.arrays import Array
+from study.canonical import plain
+from study.errors import Fault, InputError
+
+__all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
+_SAFE, _CAUTIOUS = 1.25, 3.0
+_MIN_ORDER = 0.5
+_MIN_RATIO = 1.3
+
+
+@dataclass(frozen=True)
+class ConvergenceResult:
+    """What a refinement series tells; keys are those of ``study converge --json``.
+
+    ``gci_fine`` is a fraction of the finest value; ``u_num`` is the same half-width in the
+    unit of the value (``gci_fine * abs(value[0])``), the solver tolerance at the noise floor,
+    or half the range of four or more oscillating values. ``observed_order`` is None where the
+    stated tolerance leaves the order open by more than 0.05; ``order_interval`` holds the
+    orders that are possible then, and the uncertainty is that of the lowest of them.
+    """
+
+    qoi: str
+    unit: str
+    mesh_size: tuple[float, ...]
+    value: tuple[float, ...]
+    behaviour: str
+    observed_order: float | None
+    formal_order: float | None
+    extrapolated: float | None
+    gci_fine: float | None
+    factor_of_safety: float | None
+    u_num: float | None
+    asymptotic_ratio: float | None
+    verdict: str
+    order_used: float | None = None
+    gci_coarse: float | None = None
+    order_interval: tuple[float, float] | None = None
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON document."""
+        return dict(plain(self))
+
+
+def grid_convergence(
+    sizes: ArrayLike,
+    values: ArrayLike,
+    *,
+    formal_order: float | None = None,
+    tolerance: float = 0.0,
+    qoi: str = "value",
+    unit: str = "",
+) -> ConvergenceResult:
+    """Classify a refinement series, then estimate order, limit and uncertainty.
+
+    Parameters
+    ----------
+    sizes : array_like, shape (n,)
+        Mesh sizes, in any order, n >= 3.
+    values : array_like, shape (n,)
+        Value of the quantity on each mesh.
+    formal_order : float, optional
+        Order that the element promises for this quantity.
+    tolerance : float
+        Algebraic error of a value (solver tolerance), in its unit.
+
+    Raises
+    ------
+    InputError
+        For fewer than three meshes, equal sizes, or values that are not numbers.
+
+    Examples
+    --------
+    >>> result = grid_convergence([1, 2, 4], [0.97050, 0.96854, 0.96178])
+    >>> result.behaviour, round(result.observed_order, 7), round(result.gci_fine, 8)
+    ('monotone', 1.7861696, 0.00103083)
+    """
+    h, f = _checked(sizes, values, formal_order, tolerance)
+    warnings = _ratio_warnings(h)
+    behaviour = classify(h, f, tolerance)
+    base: dict[str, Any] = {
+        "qoi": qoi,
+        "unit": unit,
+        "mesh_size": tuple(h.tolist()),
+        "value": tuple(f.tolist()),
+        "behaviour": behaviour,
+        "formal_order": formal_order,
+        "warnings": tuple(warnings),
+    }
+    if behaviour == "monotone":
+        return ConvergenceResult(**base, **_monotone(h, f, formal_order, tolerance))
+    return ConvergenceResult(**base, **_without_order(behaviour, f, tolerance))
+
+
+def _checked(
+    sizes: ArrayLike, values: ArrayLike, formal: float | None, tolerance: float
+) -> tuple[Array, Array]:
+    h, f = np.atleast_1d(np.asarray(sizes, float)), np.atleast_1d(np.asarray(values, float))
+    faults = []
+    if h.size != f.size:
+        faults.append(Fault("sizes", f"{h.size} sizes for {f.size} values"))
+    elif h.size < 3:
+        faults.append(Fault("sizes", f"an order needs at least three meshes, got {h.size}"))
+    if not (np.all(np.isfinite(h)) and np.all(h > 0)):
+        faults.append(Fault("sizes", f"must be positive numbers, got {h.tolist()}"))
+    elif np.unique(h).size < h.size:
+        faults.append(
+            Fault("sizes", f"must be distinct, got {h.tolist()}", "refine by at least 1.3")
+        )
+    if not np.all(np.isfinite(f)):
+        faults.append(
+            Fault("values", f"must be finite numbers, got {f.tolist()}", "drop the failed level")
+        )
+    if formal is not None and not (math.isfinite(formal) and formal > 0):
+        faults.append(Fault("formal order", f"must be positive, got {formal!r}"))
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        faults.append(Fault("tolerance", f"must be zero or positive, got {tolerance!r}"))
+    if faults:
+        raise InputError(faults)
+    order = np.argsort(h)
+    return h[order], f[order]
+
+
+def _ratio_warnings(h: Array) -> list[str]:
+    ratios = h[1:] / h[:-1]
+    if ratios.min() >= _MIN_RATIO - 1e-12:
+        return []
+    return [
+        f"refinement ratio {ratios.min():.3g} is below {_MIN_RATIO}: "
+        "noise of the mesh is amplified in the order"
+    ]
+
+
+def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dict[str, Any]:
+    fit = fitted_order(h, f, tolerance)
+    used, limited = _limited(fit, formal)
+    factor = _factor(fit, formal, limited, h.size)
+    a21, a32 = (h[1] / h[0]) ** used - 1, (h[2] / h[1]) ** used - 1
+    by_pair = float(f[0] + (f[0] - f[1]) / a21)
+    extrapolated = by_pair if limited else fit.extrapolated
+    error = max(abs(f[0] - extrapolated), abs(f[0] - by_pair))
+    u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
+    if not fit.carried:  # the finest change may be small by accident: what else changed counts
+        u = max(u, float(np.ptp(f[:3])))
+    u32 = _SAFE * abs(f[2] - f[1]) / a32
+    u21 = _SAFE * abs(f[1] - f[0]) / a21
+    ratio = None
+    if f[0] != 0 and f[1] != 0:
+        ratio = float((u32 / abs(f[1])) / ((h[1] / h[0]) ** used * u21 / abs(f[0])))
+    low, high = fit.interval
+    return {
+        "observed_order": fit.order if fit.carried else None,
+        "order_interval": (low, high) if math.isfinite(high) and high > low else None,
+        "order_used": used,
+        "extrapolated": extrapolated,
+        "gci_fine": u / abs(float(f[0])) if f[0] != 0 else None,
+        "gci_coarse": factor / _SAFE * float(u32) / abs(float(f[1])) if f[1] != 0 else None,
+        "factor_of_safety": factor,
+        "u_num": u,
+        "asymptotic_ratio": ratio,
+        "verdict": _monotone_verdict(fit, formal, factor, limited),
+    }
+
+
+def _limited(fit: OrderFit, formal: float | None) -> tuple[float, bool]:
+    """Order for the GCI, and whether it had to be limited."""
+    order = fit.order if fit.carried else min(fit.order, fit.interval[0])
+    if order < _MIN_ORDER:
+        return _MIN_ORDER, True
+    if formal is not None and order > formal + 0.5:
+        return formal, True
+    # an order a little above the formal one is believed for the limit, not for the interval
+    # (Roache 1998, Verification and Validation in Computational Science and Engineering)
+    used = order if formal is None else min(order, formal)
+    return used, not fit.carried
+
+
+def _factor(fit: OrderFit, formal: float | None, limited: bool, meshes: int) -> float:
+    if limited:
+        return _CAUTIOUS
+    if meshes >= 4:
+        return _SAFE if fit.consistent else _CAUTIOUS
+    return _SAFE if formal is None or abs(fit.order - formal) <= 0.5 else _CAUTIOUS
+
+
+def _monotone_verdict(fit: OrderFit, formal: float | None, factor: float, limited: bool) -> str:
+    beside = "" if formal is None else f" (formal {formal:.3g})"
+    if not fit.carried:
+        low, high = fit.interval
+        between = f"between {low:.2g} and {high:.2g}" if math.isfinite(high) else f"over {low:.2g}"
+        return (
+            f"monotone, but the values do not carry an order: {between} at this "
+            f"tolerance{beside}; uncertainty indicative (factor {factor:g})"
+        )
+    order = f"monotone with observed order {fit.order:.3g}"
+    if limited:
+        return f"{order}{beside}: order limited, uncertainty indicative (factor {factor:g})"
+    if factor == _SAFE:
+        return f"{order}{beside}: in the asymptotic range, factor {factor:g}"
+    why = "the triples disagree" if not fit.consistent else "far from the formal order"
+    return f"{order}{beside}: {why}, factor {factor:g}"
+
+
+def _without_order(behaviour: str, f: Array, tolerance: float) -> dict[str, Any]:
+    nothing = dict.fromkeys(
+        ("observed_order", "extrapolated", "gci_fine", "factor_of_safety", "asymptotic_ratio")
+    )
+    u: float | None = None
+    if behaviour == "noise-floor":
+        u = tolerance
+        text = "noise floor: the meshes agree to 10 times the solver tolerance, no order"
+    elif behaviour == "oscillatory":
+        if f.size >= 4:
+            u = float(np.ptp(f)) / 2
+            text = f"oscillatory: no extrapolation, u from the range of {f.size} meshes"
+        else:
+            text = "oscillatory: no extrapolation"
+        text += "; run another mesh"
+    elif behaviour == "inconclusive":
+        text = "inconclusive: two meshes agree and the third does not; run another mesh"
+    else:
+        text = (
+            "divergent: the changes grow with refinement, GCI refused; "
+            "suspects: a singularity, locking, contact"
+        )
+    return {**nothing, "u_num": u, "verdict": text}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """E with its parts along a curve; arrays have one entry a displacement, forces in N.
+
+    Parameters
+    ----------
+    displacement_mm, simulated_N, measured_N, error_N : ndarray, shape (n,)
+        Curve and E = S - D.
+    u_num_N, u_input_N, u_data_N, u_val_N : ndarray, shape (n,)
+        Standard uncertainties; zero where one is not known.
+    unknown : tuple of str
+        Which of numerics, inputs and data are not known at all.
+    """
+
+    displacement_mm: Array
+    simulated_N: Array
+    measured_N: Array
+    error_N: Array
+    u_num_N: Array
+    u_input_N: Array
+    u_data_N: Array
+    u_val_N: Array
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def outside(self) -> float:
+        """Part of the curve where |E| exceeds u_val."""
+        return float(np.mean(np.abs(self.error_N) > self.u_val_N))
+
+    @property
+    def verdict(self) -> str:
+        """What the end of the curve says of the model."""
+        e, u = float(self.error_N[-1]), float(self.u_val_N[-1])
+        if u == 0:
+            return "no uncertainty is known, so E cannot be judged"
+        lacking = f" ({', '.join(self.unknown)} not known)" if self.unknown else ""
+        if abs(e) > u:
+            return f"the model is off by E = {e:.3g} N +- {u:.2g} N at the end{lacking}"
+        return f"|E| = {abs(e):.2g} N is within u_val = {u:.2g} N at the end{lacking}"
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON document with the verdict."""
+        return dict(plain(self)) | {"outside": self.outside, "verdict": self.verdict}
+
+
+def compare(
+    displacement_mm: ArrayLike,
+    simulated_N: ArrayLike,  # noqa: N803
+    measured_N: ArrayLike,  # noqa: N803
+    u_num_N: ArrayLike | None = None,  # noqa: N803
+    u_input_N: ArrayLike | None = None,  # noqa: N803
+    u_data_N: ArrayLike | None = None,  # noqa: N803
+) -> Comparison:
+    """E +- u_val along a curve.
+
+    Examples
+    --------
+    >>> found = compare([1.0, 2.0], [1.0, 2.1], [1.0, 2.0], 0.03, 0.0, 0.04)
+    >>> found.error_N.round(3).tolist(), found.u_val_N.round(3).tolist(), found.outside
+    ([0.0, 0.1], [0.05, 0.05], 0.5)
+    """
+    d, s, m = (np.atleast_1d(np.asarray(v, float)) for v in (displacement_mm, simulated_N,
+                                                            measured_N))  # fmt: skip
+    parts = {"numerics": u_num_N, "inputs": u_input_N, "data": u_data_N}
+    known = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
+             for v in parts.values()]  # fmt: skip
+    total = np.sqrt(sum(u**2 for u in known))
+    unknown = tuple(name for name, v in parts.items() if v is None)
+    return Comparison(d, s, m, s - m, known[0], known[1], known[2], np.asarray(total), unknown)
+
+
+@dataclass(frozen=True)
+class Numerical:
+    """Numerical uncertainty of one response on the mesh of the study.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Levels of the factors of the discretization.
+    value, u_num : float or None
+        Response on the study's mesh and its uncertainty, in ``unit``.
+    behaviour : str
+        Of the refinement series, or ``"two meshes"``.
+    note : str
+        Which cell was refined and how far.
+    """
+
+    levels: Mapping[str, str]
+    response: str
+    value: float | None
+    u_num: float | None
+    unit: str
+    behaviour: str
+    note: str
+    mesh_size: tuple[float, ...] = ()
+    series: tuple[float, ...] = ()
+    formal_order: float | None = None
+    formal_reason: str = ""

@@ -1,0 +1,1 @@
+"""Error terms: which variation an effect is compared with."""

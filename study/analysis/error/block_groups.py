@@ -1,0 +1,191 @@
+"""Repeated measures on groups of blocks: own interactions where some factors vary between blocks.
+
+A block (specimen) belongs to one group (its mix, say) and is scored in every cell of the other
+factors. An effect within blocks, and its interaction with the groups, is tested against its own
+interaction with the blocks of a group; an effect between blocks against the blocks themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.analysis import residuals
+from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.design_matrix import Layout, Term, model_matrix, term_name, terms_of
+from study.analysis.effects import pooled_estimate, size
+from study.analysis.error import ledger
+from study.analysis.error.blocked import Crossed, crossed
+from study.analysis.error.split_plot import Plots
+from study.analysis.outcome import Outcome, kind_of
+from study.analysis.pseudoreplication import ulp_floor
+from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
+from study.analysis.sums_of_squares import Factored, complement, factor, term_sums, with_shares
+from study.arrays import Array
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One within-block term: its contrasts in every block and their error."""
+
+    name: str
+    values: Array
+    residual: Array
+    df: int
+
+
+def own_groups(out: Outcome, kind: str, error: str, plots: Plots) -> Outcome | None:
+    """E1 with own interactions, blocks nested in groups; None where groups have no replicates."""
+    block = str(out.data.block)
+    within = tuple(f for f in out.data.factors if f not in plots.between)
+    table, groups = _table(out, within, plots)
+    between = model_matrix(groups, terms_of(plots.between))
+    fit = factor(between, np.arange(float(groups.n)))
+    if fit.df_residual < 1:
+        return None
+    counts = np.bincount(groups.cell(plots.between))
+    kind, out = kind_of(out, kind, bool(np.ptp(counts) == 0))
+    out = out.warn(*table.warnings)
+    whole = factor(model_matrix(out.data.layout, out.terms), out.y)
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    rows: dict[Term, Row] = {}
+    errors, spheres = [], {}
+    for part_term, part in _parts(out, table, within, block, fit).items():
+        if part.values.shape[0] > 1:
+            spheres[term_name(part_term)] = _sphere(part, fit)
+        errors.append(_error_row(part))
+        for group_term, direction in _directions(fit, kind, part_term):
+            term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
+            if term in out.terms:
+                rows[term] = _row(term, part, direction, total, floor)
+    return _outcome(out, kind, error, plots, rows, errors, spheres, whole, total)
+
+
+def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed, Layout]:
+    """Cells of the factors within blocks against blocks, and the group of each block kept."""
+    data = out.data
+    block = str(data.block)
+    table = crossed(replace(data, factors=within), out.y)
+    index = {name: i for i, name in enumerate(data.layout.levels[block])}
+    kept = [index[name] for name in table.blocks]
+    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
+    codes = {f: data.layout.codes[f][first] for f in plots.between}
+    return table, Layout({f: data.layout.levels[f] for f in plots.between}, codes)
+
+
+def _parts(
+    out: Outcome, table: Crossed, within: tuple[str, ...], block: str, fit: Factored
+) -> dict[Term, _Part]:
+    cells = table.y.shape[0]
+    bases: dict[Term, Array] = {(): np.ones((cells, 1)) / np.sqrt(cells)}
+    terms = dict.fromkeys(tuple(f for f in t if f in within) for t in out.terms)
+    inner = [t for t in terms if t]
+    if inner:
+        cell_model = factor(model_matrix(table.layout, inner), table.y.mean(axis=1))
+        for s in term_sums(cell_model, "III"):
+            bases[s.term] = cell_model.q @ s.basis
+    parts = {}
+    for term, basis in bases.items():
+        values = basis.T @ (table.y - table.y[0, 0])
+        residual = values - (values @ fit.q) @ fit.q.T
+        name = f"{block}:{term_name(term)}" if term else block
+        parts[term] = _Part(name, values, residual, values.shape[0] * fit.df_residual)
+    return parts
+
+
+def _directions(fit: Factored, kind: str, part: Term) -> list[tuple[Term, Array]]:
+    """Orthonormal directions over blocks of the mean and of every term between blocks."""
+    found: list[tuple[Term, Array]] = []
+    if part:
+        n = fit.q.shape[0]
+        mean = np.ones((n, 1)) / np.sqrt(n)
+        if kind == "III":
+            mean = fit.q @ complement(fit.r[:, 1:], fit.r[:, :1])
+        found.append(((), mean))
+    return found + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
+
+
+def _row(term: Term, part: _Part, direction: Array, total: float, floor: float) -> Row:
+    from scipy.special import fdtrc
+
+    effect = part.values @ direction
+    df, ss = effect.size, float(np.sum(effect**2))
+    ss_error = float(np.sum(part.residual**2))
+    name = term_name(term)
+    if df == 0:
+        return Row(name, 0, 0.0)
+    if float(np.abs(part.residual).max(initial=0.0)) <= floor:
+        return Row(name, df, ss, ss / df)
+    ms_error = ss_error / part.df
+    f = ss / df / ms_error
+    epsilon = epsilon_gg(part.residual @ part.residual.T)
+    return Row(
+        name,
+        df,
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, part.df, f)),
+        part.name,
+        part.df,
+        epsilon,
+        float(fdtrc(df * epsilon, part.df * epsilon, f)),
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
+    )
+
+
+def _error_row(part: _Part) -> Row:
+    ss = float(np.sum(part.residual**2))
+    return Row(part.name, part.df, ss, ss / part.df)
+
+
+def _sphere(part: _Part, fit: Factored) -> SphericityResult:
+    """Sphericity of the residual contrasts: as many free columns as residual df, plus one."""
+    left, s, _ = np.linalg.svd(part.residual, full_matrices=False)
+    free = fit.df_residual
+    scores = (left * s)[:, :free]
+    # as deviations of free + 1 columns, which is what the test of one group expects
+    helmert = np.linalg.qr(np.column_stack([np.ones(free + 1), np.eye(free + 1, free, -1)]))[0]
+    return sphericity(scores @ helmert[:, 1 : scores.shape[1] + 1].T)
+
+
+def _outcome(
+    out: Outcome,
+    kind: str,
+    error: str,
+    plots: Plots,
+    rows: dict[Term, Row],
+    errors: list[Row],
+    spheres: dict[str, SphericityResult],
+    whole: Factored,
+    total: float,
+) -> Outcome:
+    by_error = {row.term: row for row in errors}
+    effects = []
+    for term in out.terms:
+        row = rows.get(term, Row(term_name(term), 0, 0.0))
+        against = by_error.get(row.error or "")
+        df = 0.0 if against is None else against.df * (row.epsilon_gg or 1.0)
+        rss = 0.0 if against is None else (against.ms or 0.0) * df
+        estimate = pooled_estimate(out.data.layout, whole, term, df, row.p_deciding, out.alpha, rss)
+        effects.append(size(replace(estimate, mean_half=None), out.scale))
+    choice = ledger.strata_choice(str(out.data.block), plots.name, plots.between, "own")
+    listed = [rows[t] for t in out.terms if t in rows]
+    return replace(
+        out,
+        error=ErrorTerm(
+            choice.source,
+            choice.question,
+            {r.term: float(r.df_error or 0) for r in listed},
+            "asked for" if error == "own" else choice.reason,
+        ),
+        anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
+        effects=tuple(effects),
+        sphericity=spheres,
+        fit=residuals.additive_fit(out.data, out.y, plots=plots.code),
+        plots=plots.code,
+    )

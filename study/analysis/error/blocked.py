@@ -1,0 +1,256 @@
+"""Each effect against its own interaction with the blocks, Greenhouse-Geisser corrected.
+
+For a term with orthonormal contrasts B (cells x df) every block gives one vector B' y; the
+mean vector is the effect, the scatter of the vectors over blocks is its error. Nothing is
+pooled, so cells that differ only in discretization add no degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.analysis import residuals
+from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.data import Data
+from study.analysis.design_matrix import Layout, Term, model_matrix, term_name
+from study.analysis.effects import TermEstimate, own_critical, size, t_quantile, term_rows
+from study.analysis.error import ledger
+from study.analysis.outcome import Outcome, kind_of
+from study.analysis.pseudoreplication import ulp_floor
+from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
+from study.analysis.sums_of_squares import (
+    Factored,
+    TermSum,
+    alias_warnings,
+    factor,
+    term_sums,
+    with_shares,
+)
+from study.arrays import Array, Ints
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """A complete table of cells against blocks.
+
+    Parameters
+    ----------
+    y : ndarray, shape (cells, blocks)
+        Response, repeats of one cell in one block averaged.
+    cells : ndarray, shape (cells,)
+        Index of each cell in the full grid.
+    layout : Layout
+        Factor levels of each cell.
+    blocks : tuple of str
+        Labels of the blocks kept.
+    """
+
+    y: Array
+    cells: Ints
+    layout: Layout
+    blocks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class OwnTerm:
+    """Test of one term against its own interaction with the blocks."""
+
+    sums: TermSum
+    row: Row
+    error: Row
+    sphericity: SphericityResult
+    warning: str = ""
+
+
+def crossed(data: Data, y: Array) -> Crossed:
+    """Cells against blocks; incomplete cells and blocks are left out, and said."""
+    block = data.block or ""
+    names = data.layout.levels[block]
+    cells, index = np.unique(data.cell, return_inverse=True)
+    shape = (cells.size, len(names))
+    total, count = np.zeros(shape), np.zeros(shape)
+    at = (index, data.layout.codes[block])
+    shift = float(y[0])
+    np.add.at(total, at, y - shift)
+    np.add.at(count, at, 1.0)
+    warnings = []
+    if count.max() > 1:
+        warnings.append("repeats of a cell within a block are averaged: they are nested in it")
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan) + shift
+    keep_cells = (count > 0).mean(axis=1) > 0.5
+    keep_blocks = (count[keep_cells] > 0).all(axis=0)
+    if not keep_cells.all():
+        labels = data.cell_names()
+        lost = [labels[c] for c in cells[~keep_cells]]
+        warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
+    if not keep_blocks.all():
+        gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
+        warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
+    first = np.array([int(np.flatnonzero(index == i)[0]) for i in np.flatnonzero(keep_cells)])
+    layout = data.layout.take(first) if first.size else data.layout
+    only = Layout(
+        {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}
+    )
+    return Crossed(
+        mean[np.ix_(keep_cells, keep_blocks)],
+        cells[keep_cells],
+        only,
+        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
+        tuple(warnings),
+    )
+
+
+def single_noise(table: Crossed) -> Crossed:
+    """Let resamples of one curve scatter as their mean does.
+
+    The scatter over refits is the standard error of the fit itself, however many there are
+    (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number.
+    """
+    mean = table.y.mean(axis=1, keepdims=True)
+    return replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
+
+
+def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
+    """Fit of the terms to the means of the cells."""
+    return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
+
+
+def own_terms(
+    table: Crossed, fit: Factored, kind: str, block: str, floor: float, total: float
+) -> list[OwnTerm]:
+    """Test every term against its own interaction with the blocks.
+
+    Parameters
+    ----------
+    floor : float
+        Differences up to this size are copies: no F.
+    total : float
+        Corrected total sum of squares of the table.
+    """
+    return [_own_term(table, fit, s, block, floor, total) for s in term_sums(fit, kind)]
+
+
+def _own_term(
+    table: Crossed, fit: Factored, sums: TermSum, block: str, floor: float, total: float
+) -> OwnTerm:
+    from scipy.special import fdtrc
+
+    name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
+    contrasts = (fit.q @ sums.basis).T @ (table.y - table.y[0, 0])
+    center = contrasts.mean(axis=1)
+    scatter = contrasts - center[:, None]
+    ss, ss_error = blocks * float(center @ center), float(np.sum(scatter**2))
+    df_error = df * (blocks - 1)
+    error = Row(f"{block}:{name}", df_error, ss_error, ss_error / df_error if df else None)
+    if df == 0:
+        return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
+    spread = sphericity(contrasts)
+    why = _no_test(fit.q @ sums.basis, contrasts, floor, name, block)
+    if why:
+        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
+    f = (ss / df) / (ss_error / df_error)
+    epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
+    ms_error = ss_error / df_error
+    row = Row(
+        name,
+        df,
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        f"{block}:{name}",
+        df_error,
+        epsilon,
+        float(fdtrc(df * epsilon, df_error * epsilon, f)),
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
+    )
+    return OwnTerm(sums, row, error, spread)
+
+
+def _no_test(basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:
+    """Why an effect cannot be tested: it, or its interaction, is below the tolerance."""
+    if float(np.abs(basis @ contrasts).max()) <= floor:
+        return f"{name}: its levels agree within the solver tolerance in every block, no test"
+    scatter = contrasts - contrasts.mean(axis=1, keepdims=True)
+    if float(np.abs(basis @ scatter).max()) <= floor:
+        return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
+    return ""
+
+
+def own_estimate(
+    table: Crossed, fit: Factored, term: Term, df: int, p: float | None, alpha: float
+) -> TermEstimate:
+    """Estimate of a term; each difference carries its own variance over the blocks."""
+    levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
+    blocks = table.y.shape[1]
+    inverse = np.linalg.pinv(fit.r, rcond=1e-9) / fit.scale[:, None]
+    shift = float(table.y[0, 0])
+    beta = inverse @ (fit.q.T @ (table.y - shift))
+    component, mean = component_rows @ beta, shift + mean_rows @ beta
+    estimable = bool(fit.estimable(component_rows).all())
+    mean_half = t_quantile(alpha / 2, blocks - 1) * mean.std(axis=1, ddof=1) / np.sqrt(blocks)
+    centers = mean.mean(axis=1)
+    centers[np.logical_not(fit.estimable(mean_rows))] = np.nan
+    return TermEstimate(
+        term,
+        levels,
+        component.mean(axis=1) if estimable else np.full(len(levels), np.nan),
+        centers,
+        np.atleast_2d(np.cov(component)) / blocks,
+        own_critical(len(levels), max(df, 1), blocks, alpha),
+        mean_half,
+        p,
+    )
+
+
+def own(out: Outcome, kind: str, error: str) -> Outcome | None:
+    """E1: every effect against its own interaction with the blocks.
+
+    E2 where the blocks are resamples of the noise, which all cells have in common.
+    """
+    data, block = out.data, str(out.data.block)
+    table = crossed(data, out.y)
+    if len(table.blocks) < 2 or table.cells.size < 2:
+        return None
+    out = out.warn(*table.warnings)
+    if out.replicates == "noise":
+        table = single_noise(table)
+    full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
+    kind, out = kind_of(out, kind, table.cells.size == full)
+    fit = cell_fit(table, out.terms)
+    # differences from one value are exact where doubles are close
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    tests = own_terms(table, fit, kind, block, floor, total)
+    out = out.warn(*(t.warning for t in tests if t.warning))
+    out = out.warn(*alias_warnings([t.sums for t in tests]))
+    n_cells, b = table.y.shape
+    ss_block = n_cells * float(np.sum((shifted.mean(axis=0) - shifted.mean()) ** 2))
+    rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
+    rows += [t.error for t in tests]
+    rest = n_cells - 1 - sum(t.sums.df for t in tests)
+    if rest > 0:
+        out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
+    choice = ledger.own_choice(block, b, error)
+    if out.replicates == "noise":
+        choice = ledger.noise_choice(b)
+        out = out.warn(*choice.cautions)
+    df = {t.row.term: float(t.error.df) for t in tests}
+    estimates = [
+        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
+    ]
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
+        effects=tuple(size(e, out.scale) for e in estimates),
+        sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
+        fit=residuals.additive_fit(data, out.y),
+        crossed=table,
+    )

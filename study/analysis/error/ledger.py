@@ -1,0 +1,336 @@
+"""The error-term ledger: which source of error is the best available, and what its p answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from study.analysis import unreplicated
+from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.design_matrix import Term, balanced, model_matrix, nested_in, term_name
+from study.analysis.effects import TermEstimate, pooled_estimate, size
+from study.analysis.influence import summary_of
+from study.analysis.outcome import Outcome, kind_of
+from study.analysis.sums_of_squares import (
+    Factored,
+    TermSum,
+    alias_warnings,
+    factor,
+    orthogonal,
+    term_row,
+    term_sums,
+    with_shares,
+)
+from study.analysis.unreplicated import LenthResult
+
+POOLED, OWN, NONE = "pooled", "own", "none"
+REMEDIES = (
+    "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
+    "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "
+    "resampled noise (E3, E2), or declare before looking that high-order interactions are "
+    "negligible (E5: model = 2)"
+)
+NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
+ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
+
+# statistics.md: below five seeds the scatter of the mesh is not known well enough
+_SEEDS = 5
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What decides the source of error.
+
+    Parameters
+    ----------
+    records : bool
+        Whether the rows are runs of a deterministic study.
+    block : str or None
+        Name of the block, of several crossing ones joined by "and".
+    replicated : bool
+        Whether a cell holds more than one row.
+    df_residual : int
+        Residual degrees of freedom.
+    full : bool
+        Whether nothing was declared negligible.
+    contrasts : int
+        Degrees of freedom of the terms.
+    sparse_ready : bool
+        Whether Lenth's method applies.
+    replicates : {"runs", "mesh-seeds", "noise"}
+        What the rows of one cell are.
+    largest_cell : int
+        Rows of the largest cell.
+    u_num : bool
+        Whether the numerical uncertainty is known.
+    """
+
+    records: bool
+    block: str | None
+    replicated: bool
+    df_residual: int
+    full: bool
+    contrasts: int
+    sparse_ready: bool
+    replicates: str = "runs"
+    largest_cell: int = 1
+    u_num: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Source in the ledger, how it is computed, what its p answers, and what to beware of."""
+
+    source: str
+    how: str
+    question: str
+    reason: str
+    cautions: tuple[str, ...] = ()
+
+
+def method(error: str, block: str | None, records: bool, *, copies: bool = False) -> str:
+    """Whether effects are tested against their own interactions with the blocks."""
+    if block is None or error == "pooled":
+        return POOLED
+    # copies betray a study's table read from a CSV: pooling would add df and no variance
+    return OWN if records or copies or error == "own" else POOLED
+
+
+def own_choice(block: str, blocks: int, error: str) -> Choice:
+    """E1 with every effect against its own interaction."""
+    why = "asked for" if error == "own" else "cells of a study are scored on the same blocks"
+    return Choice(
+        "E1",
+        OWN,
+        f"would the ranking change with another {block}? (each effect against its own "
+        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
+        why,
+    )
+
+
+def noise_choice(resamples: int) -> Choice:
+    """E2 where cells fitted to one curve share its resampled noise."""
+    return Choice(
+        "E2",
+        OWN,
+        f"{NOISE_QUESTION} (each effect against its own scatter over {resamples} refits to "
+        "resampled residuals, Greenhouse-Geisser deciding)",
+        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
+        (ONE_CURVE,),
+    )
+
+
+def strata_choice(block: str, plots: str, between: tuple[str, ...], how: str) -> Choice:
+    """E1 of a split plot: some factors vary between whole plots, the others within."""
+    named = ", ".join(between)
+    rest = "own interactions" if how == OWN else "the pooled scatter within whole plots"
+    return Choice(
+        "E1",
+        how,
+        f"would the ranking change with another {block}? ({named} against whole plots "
+        f"({plots}), the others against {rest})",
+        f"split plot: {named} is the same on the whole of a {plots}",
+    )
+
+
+def choose(s: Situation, error: str) -> Choice:
+    """Best available source where effects are not tested against own interactions."""
+    if s.df_residual > 0 and s.block is not None:
+        return _pooled_blocks(s, error)
+    if s.df_residual > 0 and s.replicated:
+        return _replicates(s)
+    if s.records and s.u_num and s.full:
+        return Choice(
+            "E4",
+            NONE,
+            "no p: is the effect resolved by the discretization? (effect over numerical "
+            "uncertainty: resolved from 3, marginal from 1)",
+            "no replicates and no blocks; the numerical uncertainty is known",
+        )
+    if s.df_residual > 0:
+        return Choice(
+            "E5",
+            POOLED,
+            "is the effect larger than the interactions declared negligible?",
+            "assumption: the interactions left out of the model are zero",
+        )
+    if s.sparse_ready and s.contrasts >= 7:
+        return Choice(
+            "E6",
+            NONE,
+            "is the effect an outlier among the effects (effect sparsity)?",
+            f"no replicates and no blocks; Lenth's method on {s.contrasts} contrasts",
+        )
+    return Choice(
+        "E7",
+        NONE,
+        "no p: shares of variation and effects against the practical threshold",
+        "no replicates, no blocks and nothing declared negligible",
+    )
+
+
+def _pooled_blocks(s: Situation, error: str) -> Choice:
+    asked = error == "pooled"
+    why = "asked for" if asked and not s.records else "independently run trials"
+    if s.records:
+        why = "asked for instead of own interactions"
+    cautions: tuple[str, ...] = ()
+    if s.records:
+        cautions = (
+            "pooled error on a study's cells: those that differ only in discretization add "
+            "degrees of freedom and no variance, so p is far too small (use --error own)",
+        )
+    return Choice(
+        "E1",
+        POOLED,
+        f"would the ranking change with another {s.block}? (interactions with {s.block} pooled)",
+        why,
+        cautions,
+    )
+
+
+def _replicates(s: Situation) -> Choice:
+    extra = "" if s.full else "; interactions left out of the model are pooled with it"
+    if s.replicates == "mesh-seeds":
+        cautions = ["the bias of this mesh size is common to all seeds: read the effect over u_num"]
+        if s.largest_cell < _SEEDS:
+            cautions.append(
+                f"{s.largest_cell} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "
+                "more to be known"
+            )
+        return Choice(
+            "E3",
+            POOLED,
+            "is the effect larger than the mesh noise at this mesh size?",
+            f"cells hold repeats with other mesh seeds{extra}",
+            tuple(cautions),
+        )
+    if s.replicates == "noise":
+        return Choice(
+            "E2",
+            POOLED,
+            NOISE_QUESTION,
+            f"cells hold refits to resampled measurement noise{extra}",
+            (ONE_CURVE,),
+        )
+    return Choice(
+        "E0",
+        POOLED,
+        "is the effect larger than the run-to-run scatter within a cell?",
+        f"cells hold replicates{extra}",
+    )
+
+
+def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
+    """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
+    data = out.data
+    extra: list[Term] = [(name,) for name in data.blocks]
+    matrix = model_matrix(data.layout, out.terms, extra=extra)
+    fit = factor(matrix, out.y)
+    even = balanced(data.layout, [*data.factors, *data.blocks]) or orthogonal(fit)
+    if kind == "auto" and nested_in(out.terms):
+        # a factor given what is nested in it is nothing, so Type III would be empty
+        kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
+    else:
+        kind, out = kind_of(out, kind, even, _why_uneven(out))
+    sums = term_sums(fit, kind)
+    out = out.warn(*alias_warnings(sums))
+    if sums and all(s.df == 0 for s in sums):
+        out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
+    choice = choose(_situation(out, fit, sums, model), error)
+    df = fit.df_residual if choice.how == POOLED else 0
+    if df == 0:
+        out = out.warn(REMEDIES)
+    out = out.warn(*choice.cautions)
+    ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
+    lenth = unreplicated.lenth_of(data, out.y, out.terms, out.seed) if ready else None
+    error_rss = fit.rss * _resamples(out)
+    rows = [term_row(s, df, error_rss, fit.tss) for s in sums]
+    if lenth is not None and choice.source == "E6":
+        rows = [_lenth_row(row, lenth) for row in rows]
+    ms = error_rss / df if df else None
+    rows.append(Row("residual", fit.df_residual, fit.rss if df else 0.0, ms))
+    by_name = {row.term: row for row in rows}
+    estimates: list[TermEstimate] = [
+        pooled_estimate(data.layout, fit, t, df, by_name[term_name(t)].p, out.alpha, error_rss)
+        for t in out.terms
+    ]
+    two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
+    if lenth is not None and choice.source == "E6" and two_levels and not out.records:
+        estimates = [_with_margin(e, lenth) for e in estimates]
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
+        anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
+        effects=tuple(size(e, out.scale) for e in estimates),
+        fit=fit if df else None,
+        lenth=lenth,
+        summary=summary_of(fit) if df else None,
+    )
+
+
+def _resamples(out: Outcome) -> float:
+    """Factor of the residual sum: resamples of one curve do not average its noise.
+
+    The scatter over refits is the standard error of the cell itself, however many there are
+    (Efron and Tibshirani 1993, chapter 6); an F of their means would grow with their number.
+    """
+    if out.replicates != "noise":
+        return 1.0
+    counts = np.bincount(out.data.cell)
+    return float(1 / np.mean(1 / counts[counts > 0]))
+
+
+def _why_uneven(out: Outcome) -> str:
+    if not out.data.blocks:
+        return "unbalanced"
+    if balanced(out.data.layout, out.data.factors):
+        return "incomplete blocks, effects are adjusted for the blocks"
+    return "unbalanced"
+
+
+def _sparse_ready(out: Outcome, fit: Factored) -> bool:
+    """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
+    data = out.data
+    # copies are no separate contrasts: Lenth's limits would not hold
+    copied = len(out.copies.groups) < np.unique(data.cell).size
+    if copied or int(np.bincount(data.cell).max()) > 1:
+        return False
+    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and orthogonal(fit))
+
+
+def _situation(out: Outcome, fit: Factored, sums: list[TermSum], model: Any) -> Situation:
+    return Situation(
+        out.records,
+        " and ".join(out.data.blocks) or None,
+        bool(np.bincount(out.data.cell).max() > 1),
+        fit.df_residual,
+        model == "full",
+        int(np.sum([s.df for s in sums])),
+        _sparse_ready(out, fit),
+        out.replicates,
+        int(np.bincount(out.data.cell).max()),
+        out.u_raw is not None,
+    )
+
+
+def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
+    """Estimate whose difference carries Lenth's simultaneous margin, where it is one contrast.
+
+    In a two-level design a term is one contrast, and its components are plus or minus half the
+    effect; contrasts of other designs are in another scale, and get no interval.
+    """
+    size = np.abs(estimate.component)
+    one = term_name(estimate.term) in lenth.names and size.min() > 0
+    if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
+        return estimate
+    half = np.sign(estimate.component) / 2
+    return replace(estimate, covariance=np.outer(half, half), critical=lenth.sme)
+
+
+def _lenth_row(row: Row, lenth: LenthResult) -> Row:
+    if row.term not in lenth.names:
+        return row
+    return replace(row, p=lenth.p[lenth.names.index(row.term)], error="Lenth PSE")

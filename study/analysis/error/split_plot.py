@@ -1,0 +1,228 @@
+"""Split plots: factors that vary between whole plots are tested against whole plots.
+
+The rows are projected on orthogonal strata (blocks, whole plots in blocks, within whole
+plots), as in Bailey, *Design of Comparative Experiments* (2008), chapter 8. A term is tested in
+the last stratum that holds all of its degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.analysis import residuals
+from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.data import Data
+from study.analysis.design_matrix import ModelMatrix, Term, model_matrix, term_name
+from study.analysis.effects import pooled_estimate, size
+from study.analysis.error import ledger
+from study.analysis.outcome import Outcome, kind_of
+from study.analysis.sums_of_squares import (
+    ALIAS_TOLERANCE,
+    Factored,
+    TermSum,
+    factor,
+    orthogonal,
+    span,
+    term_row,
+    term_sums,
+    with_shares,
+)
+from study.arrays import Array, Ints
+from study.errors import Fault, InputError, nearest
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Whole plots of a split plot.
+
+    Parameters
+    ----------
+    between : tuple of str
+        Factors that are constant within every whole plot.
+    code : ndarray, shape (n,)
+        Index of the whole plot of each row.
+    name : str
+        Name of the whole plots, ``specimen`` or ``block:A``.
+    nested : bool
+        Whether the block itself is the whole plot.
+    """
+
+    between: tuple[str, ...]
+    code: Ints
+    name: str
+    nested: bool
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """One stratum: its terms, and the residual that they are tested against."""
+
+    name: str
+    fit: Factored
+    sums: tuple[TermSum, ...]
+    df: int
+
+
+def whole_plots(data: Data, asked: Sequence[str]) -> Plots | None:
+    """Whole plots of a design: the blocks, where factors are constant in them, or as asked.
+
+    Raises
+    ------
+    InputError
+        If a name is no factor.
+    """
+    if data.block is None or data.also:
+        return None
+    block = data.layout.codes[data.block]
+    if asked:
+        for name in asked:
+            if name not in data.factors:
+                mend = nearest(name, data.factors)
+                raise InputError(Fault("whole plot", f"{name!r} is no factor", mend))
+        pair = data.layout.cell([data.block, *asked])
+        name = ":".join([data.block, *asked])
+        return Plots(tuple(asked), np.unique(pair, return_inverse=True)[1], name, False)
+    constant = [f for f in data.factors if _constant(data.layout.codes[f], block)]
+    if not constant:
+        return None
+    return Plots(tuple(constant), block, data.block, True)
+
+
+def _constant(codes: Ints, block: Ints) -> bool:
+    """Whether every block holds one level, and a level lies in several blocks."""
+    pairs = np.unique(np.column_stack([block, codes]), axis=0)
+    return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
+
+
+def split_plot(out: Outcome, kind: str, plots: Plots) -> Outcome:
+    """Analysis of a split plot with one pooled error in each stratum."""
+    data = out.data
+    matrix = model_matrix(data.layout, out.terms)
+    whole = factor(matrix, out.y)
+    strata = _strata(out, matrix, plots, _even(whole, data, plots))
+    kind, out = kind_of(out, kind, all(orthogonal(s.fit) for s in strata))
+    strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
+    place = _place(out.terms, strata, whole)
+    rows, df = _rows(strata, place, whole.tss)
+    lost = [term_name(t) for t, s in place.items() if s is None]
+    out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
+    by_name = {row.term: row for row in rows}
+    effects = []
+    for term in out.terms:
+        stratum = place[term]
+        fit, rest = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
+        estimate = pooled_estimate(
+            data.layout, fit, term, rest, by_name[term_name(term)].p, out.alpha, fit.rss
+        )
+        means = pooled_estimate(data.layout, whole, term, 0, None, out.alpha, 0.0).mean
+        effects.append(size(replace(estimate, mean=means, mean_half=None), out.scale))
+    choice = ledger.strata_choice(str(data.block), plots.name, plots.between, ledger.POOLED)
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
+        effects=tuple(effects),
+        fit=residuals.additive_fit(data, out.y, plots=plots.code),
+        plots=plots.code,
+    )
+
+
+def _even(whole: Factored, data: Data, plots: Plots) -> list[tuple[str, Array]]:
+    """Names and orthonormal bases of the strata, the last one (within) left to the caller."""
+    mean = np.ones((data.y.size, 1)) / np.sqrt(data.y.size)
+    parts = [] if plots.nested else [(str(data.block), data.layout.codes[str(data.block)])]
+    found, before = [], mean
+    for name, code in [*parts, (plots.name, plots.code)]:
+        basis = _beyond(before, np.eye(int(code.max()) + 1)[code])
+        found.append((name, basis))
+        before = np.hstack([before, basis])
+    return found
+
+
+def _beyond(before: Array, columns: Array) -> Array:
+    """Orthonormal basis of what ``columns`` add to the orthonormal ``before``."""
+    left = columns / np.linalg.norm(columns, axis=0)
+    for _ in range(2):
+        left = left - before @ (before.T @ left)
+    return span(left)
+
+
+def _strata(
+    out: Outcome, matrix: ModelMatrix, plots: Plots, bases: list[tuple[str, Array]]
+) -> list[Stratum]:
+    n = out.y.size
+    shifted = out.y - out.y[0]
+    done = np.ones((n, 1)) / np.sqrt(n)
+    strata = []
+    for name, basis in bases:
+        fit = _projected(matrix, basis @ (basis.T @ shifted), basis, None)
+        strata.append(Stratum(name, fit, (), basis.shape[1] - fit.rank))
+        done = np.hstack([done, basis])
+    rest = shifted - done @ (done.T @ shifted)
+    rest = rest - done @ (done.T @ rest)
+    fit = _projected(matrix, rest, None, done)
+    strata.append(Stratum("residual", fit, (), n - done.shape[1] - fit.rank))
+    return strata
+
+
+def _projected(
+    matrix: ModelMatrix, y: Array, inside: Array | None, outside: Array | None
+) -> Factored:
+    """Fit of the model's columns projected on a stratum (or off all earlier ones)."""
+    scale = np.linalg.norm(matrix.columns, axis=0)
+    scale[scale == 0] = 1.0
+    x = matrix.columns / scale
+    if inside is not None:
+        x = inside @ (inside.T @ x)
+    if outside is not None:
+        x = x - outside @ (outside.T @ x)
+        x = x - outside @ (outside.T @ x)
+    # what rounding leaves of a column that has no part here must not look like a direction
+    x[:, np.linalg.norm(x, axis=0) < ALIAS_TOLERANCE] = 0.0
+    q = span(x)
+    z = q.T @ y
+    residual = y - q @ z
+    return Factored(
+        matrix,
+        q,
+        q.T @ x,
+        scale,
+        z,
+        q @ z,
+        residual,
+        q.shape[1],
+        float(residual @ residual),
+        float(y @ y),
+        0.0,
+    )
+
+
+def _place(
+    terms: Sequence[Term], strata: Sequence[Stratum], whole: Factored
+) -> dict[Term, Stratum | None]:
+    """Stratum of each term: the last that holds all the degrees of freedom it has at all."""
+    full = {s.term: s.df for s in term_sums(whole, "III")}
+    place: dict[Term, Stratum | None] = {}
+    for term in terms:
+        found = [s for s in strata if any(t.term == term and t.df == full[term] for t in s.sums)]
+        place[term] = found[-1] if found and full[term] else None
+    return place
+
+
+def _rows(
+    strata: Sequence[Stratum], place: dict[Term, Stratum | None], total: float
+) -> tuple[list[Row], dict[str, float]]:
+    rows, df = [], {}
+    for stratum in strata:
+        for s in stratum.sums:
+            if place.get(s.term) is not stratum:
+                continue
+            df[term_name(s.term)] = float(stratum.df)
+            rows.append(term_row(s, stratum.df, stratum.fit.rss, total, stratum.name))
+        ms = stratum.fit.rss / stratum.df if stratum.df else None
+        rows.append(Row(stratum.name, stratum.df, stratum.fit.rss, ms))
+    rows += [Row(term_name(t), 0, 0.0) for t, s in place.items() if s is None]
+    return rows, df

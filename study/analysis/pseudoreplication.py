@@ -1,0 +1,122 @@
+"""Copies that pose as replicates (refused) and cells that are one computation (grouped)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.arrays import Array, Ints
+from study.errors import RefusedError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.data import Data
+
+_ULPS = 16
+_INSTEAD = (
+    "A deterministic run repeated is the same run: it has no pure error, and a test against it "
+    "would call everything significant. Instead: keep one run a cell and read the shares and "
+    "effects (error source E7); or name measured specimens as blocks (--block, E1); or repeat "
+    "with new meshes or new measured noise (E3, E2); or give the numerical uncertainty (E4)."
+)
+
+
+@dataclass(frozen=True)
+class CopyGroups:
+    """Cells that agree in every block, one representative first."""
+
+    groups: tuple[tuple[int, ...], ...]
+
+    @property
+    def representatives(self) -> tuple[int, ...]:
+        """First cell of each group."""
+        return tuple(group[0] for group in self.groups)
+
+
+def ulp_floor(y: Array) -> float:
+    """Spread below which doubles of this size are equal: 16 units in the last place."""
+    return _ULPS * float(np.spacing(np.abs(y).max()))
+
+
+def refuse_fake_replicates(
+    data: Data, table: pd.DataFrame, *, records: bool, tolerance: float
+) -> list[str]:
+    """Refuse copies that pose as replicates; ties in some cells are only noted.
+
+    Parameters
+    ----------
+    data : Data
+        Checked rows.
+    table : DataFrame
+        The table they came from; a column ``input_hash`` identifies runs of a study.
+    records : bool
+        Whether the rows are a study's records.
+    tolerance : float
+        Solver tolerance in the unit of the response.
+
+    Raises
+    ------
+    RefusedError
+        If the replicates are copies.
+    """
+    unit = data.cell if data.block is None else data.layout.cell([*data.factors, data.block])
+    floor = max(10 * tolerance if records else 0.0, ulp_floor(data.y))
+    if records and "input_hash" in table.columns:
+        hashes = table["input_hash"].to_numpy(dtype=object)[data.rows]
+        _refuse_equal_hashes(unit, hashes)
+    notes = _refuse_copies(unit, data.y, floor, "run of a cell")
+    if data.block is not None:
+        _refuse_copies(data.cell, data.y, floor, f"level of {data.block!r} in a cell")
+    return notes
+
+
+def _refuse_equal_hashes(unit: Ints, hashes: Any) -> None:
+    seen: set[tuple[int, str]] = set()
+    for key in zip(unit.tolist(), map(str, hashes), strict=True):
+        if key in seen:
+            raise RefusedError(f"fake replicates: two runs of a cell have equal input. {_INSTEAD}")
+        seen.add(key)
+
+
+def _refuse_copies(unit: Ints, y: Array, floor: float, what: str) -> list[str]:
+    _, index, counts = np.unique(unit, return_inverse=True, return_counts=True)
+    repeated = counts >= 2
+    if not repeated.any():
+        return []
+    high, low = np.full(counts.size, -np.inf), np.full(counts.size, np.inf)
+    np.maximum.at(high, index, y)
+    np.minimum.at(low, index, y)
+    still = (high - low)[repeated] <= floor
+    if still.all():
+        raise RefusedError(
+            f"fake replicates: every {what} with two or more rows repeats the same value. "
+            f"{_INSTEAD}"
+        )
+    if still.any():
+        return [f"{int(still.sum())} of {still.size} replicated cells have zero spread (ties)"]
+    return []
+
+
+def group_cells(y: Array, within: float) -> CopyGroups:
+    """Group cells that agree with the group's first cell in every block.
+
+    Parameters
+    ----------
+    y : ndarray, shape (cells, blocks)
+        Response; NaN where a run is missing, which agrees with nothing.
+    within : float
+        Largest difference of copies.
+    """
+    groups: list[list[int]] = []
+    for cell in range(y.shape[0]):
+        for group in groups:
+            # NaN compares false, so a missing run never makes a copy
+            if bool(np.all(np.abs(y[cell] - y[group[0]]) <= within)):
+                group.append(cell)
+                break
+        else:
+            groups.append([cell])
+    return CopyGroups(tuple(tuple(group) for group in groups))

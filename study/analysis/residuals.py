@@ -1,0 +1,47 @@
+"""Fits whose residuals are judged: cells and blocks, or the terms of a reduced model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from study.analysis.data import Data
+from study.analysis.design_matrix import Layout, Term, model_matrix
+from study.analysis.sums_of_squares import Factored, factor
+from study.arrays import Array, Ints
+
+
+@dataclass(frozen=True)
+class CellGroups:
+    """Values that Bartlett and Levene compare."""
+
+    groups: dict[str, Array]
+    approximate: bool
+    basis: Array | None
+    index: Ints
+
+
+def additive_fit(data: Data, y: Array, rows: Any = None, *, plots: Ints | None = None) -> Factored:
+    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them."""
+    keep = np.arange(y.size) if rows is None else rows
+    cells, index = np.unique(data.cell[keep], return_inverse=True)
+    levels = {"cell": tuple(str(c) for c in cells)}
+    codes = {"cell": index.astype(np.int64)}
+    extra: list[Term] = []
+    blocks = [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
+    for i, code in enumerate(blocks):
+        present, at = np.unique(code[keep], return_inverse=True)
+        levels[f"block {i}"] = tuple(str(c) for c in present)
+        codes[f"block {i}"] = at.astype(np.int64)
+        extra += [(f"block {i}",)] if present.size > 1 else []
+    terms: list[Term] = [("cell",)] if cells.size > 1 else []
+    return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
+
+
+def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Any) -> Factored:
+    """Fit of the model's terms (and blocks) to some of the rows."""
+    extra: list[Term] = [(name,) for name in data.blocks]
+    return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])

@@ -1,0 +1,133 @@
+"""The verb analyze: a study, a table or a file in, an analysis out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study import api
+from study.analysis.anova import analyze as anova
+from study.api.statistics import rows_for
+from study.api.uncertainty.numerical import effect_u_num
+from study.errors import Fault, InputError, nearest
+from study.tidy_csv import read_csv
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.result import AnalysisResult
+
+
+def _is_csv(path: Path) -> bool:
+    if path.suffix == ".toml" or path.is_dir():
+        return False
+    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
+
+
+def _table(
+    frame: pd.DataFrame,
+    response: str | None,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None,
+    options: dict[str, Any],
+) -> AnalysisResult:
+    _check_named(response, factors)
+    return anova(frame, str(response), list(factors), block=block, **options)
+
+
+def _check_named(response: str | None, factors: Sequence[str]) -> None:
+    faults = []
+    if response is None:
+        faults.append(Fault("--response", "is missing", "name the column of the response"))
+    if not factors:
+        faults.append(Fault("--factors", "is missing", "name the columns of the factors"))
+    if faults:
+        raise InputError(faults)
+
+
+def _study(
+    source: str | Path,
+    response: str | None,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None,
+    results: Path,
+    options: dict[str, Any],
+) -> AnalysisResult:
+    """Analysis of stored records: what is not said is taken from the design."""
+    study = api.open_study(source, results)
+    by_name = {r.name: r for r in study.design.responses}
+    name = response or next(iter(by_name))
+    if not study.records:
+        raise InputError(f"{study.folder}: no case is computed yet")
+    known = list(study.records[0].responses)
+    if name not in known:
+        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
+    asked, spec = by_name.get(name), study.design.analysis
+    blocked = block or ("block" if len(study.manifest["blocks"]) > 1 else None)
+    merged = {
+        "type": spec.type,
+        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        "alpha": spec.alpha,
+        "seed": study.design.seed,
+        "practical": None if asked is None else asked.practical,
+        "transform": "none" if asked is None else asked.transform,
+    } | {k: v for k, v in options.items() if v is not None}
+    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+
+    def u_num(frame: pd.DataFrame, block: str | None) -> Any:
+        return effect_u_num(
+            study.design, study.numerical, study.records, frame, name, merged["transform"],
+            factors=names, block=block, model=merged["model"],
+        )  # fmt: skip
+
+    if not isinstance(blocked, (str, type(None))):
+        merged = {"u_num": u_num(study.table, None)} | merged
+        return anova(study.table, name, names, block=blocked, records=True, **merged)
+    every = [f.name for f in study.design.factors]
+    rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
+    merged = {"u_num": u_num(rows.table, rows.block)} | rows.options | merged
+    found = anova(rows.table, name, names, block=rows.block, records=True, **merged)
+    return replace(found, warnings=(*found.warnings, *rows.notes))
+
+
+def analyze(
+    source: str | Path | pd.DataFrame,
+    response: str | None = None,
+    factors: Sequence[str] = (),
+    *,
+    block: str | Sequence[str] | None = None,
+    results: Path = Path("results"),
+    **options: Any,
+) -> AnalysisResult:
+    """Analyze one response of a finished study, of a CSV file or of a table.
+
+    Parameters
+    ----------
+    source : str, Path or DataFrame
+        Results folder or design of a study, a tidy CSV (one row a run), or a table.
+    response : str, optional
+        Column of the response; that of a study's first response by default.
+    factors : sequence of str
+        Columns of the factors; all factors of a study by default.
+    block : str or sequence of str, optional
+        Column of the blocks, or several that cross.
+    **options
+        As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
+        ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to analyze, or a column does not exist.
+    RefusedError
+        If the answer would be meaningless.
+    """
+    if not isinstance(source, (str, Path)):
+        return _table(source, response, factors, block, options)
+    if _is_csv(Path(source)):
+        _check_named(response, factors)
+        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"))
+        return _table(frame, response, factors, block, options)
+    return _study(source, response, factors, block, results, options)

@@ -1,0 +1,131 @@
+"""What two studies do not share: keys of their designs, measurements, truths, code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.runner.job import TRUTH_SUFFIX
+from study.study_result.comparison import Change
+
+if TYPE_CHECKING:
+    from study.study_result.study_result import StudyResult
+
+
+#: keys that change no number
+_WORDS = ("study.name", "study.question", "report.format")
+
+#: digits of a hash that tell two files apart
+_DIGITS = 12
+_NOT_RECORDED = "not recorded"
+
+
+def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
+    """Every input that differs, the design's keys first."""
+    studies = (first, second)
+    return (
+        *_differing("design", *(_keys(study) for study in studies)),
+        *_differing("extent", *(_extent(study) for study in studies)),
+        *_differing("measurements", *(_files(study) for study in studies)),
+        *_truths(first, second),
+        *_differing("code", *(_versions(study) for study in studies)),
+    )
+
+
+def _differing(kind: str, first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[Change]:
+    for key in dict.fromkeys([*first, *second]):
+        values = first.get(key), second.get(key)
+        if values[0] != values[1]:
+            yield Change(kind, key, values)
+
+
+def _keys(study: StudyResult) -> dict[str, str]:
+    """Dotted keys of a design and their values as text, tables in lists by their names."""
+    return {k: v for k, v in _leaves(study.design.config, "") if k not in _WORDS}
+
+
+def _leaves(value: Any, key: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from _leaves(item, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
+        for number, item in enumerate(value, 1):
+            name = item.get("name")
+            rest = {k: v for k, v in item.items() if k != "name"} if name else item
+            yield from _leaves(rest or "present", f"{key}.{name or number}")
+    else:
+        yield key, _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(_text(item) for item in value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} = {_text(v)}" for k, v in value.items())
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _extent(study: StudyResult) -> dict[str, str]:
+    """How much was computed: cases and blocks."""
+    blocks = study.manifest["blocks"]
+    return {"cases": str(study.total), "blocks": f"{len(blocks)} ({', '.join(map(str, blocks))})"}
+
+
+def _files(study: StudyResult) -> dict[str, str]:
+    files = study.manifest.get("files", {})
+    found = {f"sha256 of {name}": str(sha)[:_DIGITS] for name, sha in files.items()}
+    return found | {"kind": "virtual specimens" if study.manifest["virtual"] else "measured"}
+
+
+def _versions(study: StudyResult) -> dict[str, str]:
+    versions = study.manifest.get("versions", {})
+    return {f"version of {name}": str(value) for name, value in versions.items()}
+
+
+def _truths(first: StudyResult, second: StudyResult) -> Iterator[Change]:
+    """Compare how virtual specimens were made; a single file may have any name."""
+    if not (first.manifest["virtual"] or second.manifest["virtual"]):
+        return
+    known = [_truth(study) for study in (first, second)]
+    if all(known):
+        yield from _differing("truth", known[0], known[1])
+        return
+    states = [
+        "of virtual specimens" if keys
+        else _NOT_RECORDED if study.manifest["virtual"] else "measured, not generated"
+        for study, keys in zip((first, second), known, strict=True)
+    ]  # fmt: skip
+    if states[0] != states[1] or _NOT_RECORDED in states:
+        yield Change("truth", "truth of the specimens", (states[0], states[1]))
+
+
+def _truth(study: StudyResult) -> dict[str, str]:
+    """Keys of the truth of a study's specimens; empty where it is measured or unknown."""
+    recorded = study.manifest.get("truths")
+    if recorded is None:
+        recorded = read_truths(study.folder / "measurements", study.manifest.get("files", {}))
+    found = dict(recorded)
+    first = next(iter(found.values()), None)
+    if first is not None and all(truth == first for truth in found.values()):
+        return dict(_leaves(first, "truth"))
+    return {k: v for name, truth in found.items() for k, v in _leaves(truth, f"truth of {name}")}
+
+
+def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
+    """How the virtual specimens of measurement files were made, by name of the file.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that the names are relative to.
+    files : mapping
+        Names of the files.
+    """
+    notes = {name: root / f"{name}{TRUTH_SUFFIX}" for name in files}
+    return {
+        name: json.loads(path.read_text(encoding="utf-8"))
+        for name, path in notes.items()
+        if path.is_file()
+    }

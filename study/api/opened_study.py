@@ -1,0 +1,85 @@
+"""A finished or partial study, opened from its folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.data import threshold
+from study.api.folders import RESULTS, results_folder
+from study.api.statistics import analyze_records
+from study.api.uncertainty.numerical import stored_cells
+from study.design.load import loads
+from study.design.spec import Design
+from study.errors import InputError, StudyError
+from study.measurement.conditioning import SORTED
+from study.record.record import Record
+from study.record.store import Store
+from study.study_result.report_data import ResponseAnalysis
+from study.study_result.study_result import StudyResult
+
+if TYPE_CHECKING:
+    from study.analysis.convergence.grid_convergence import Numerical
+    from study.study_result.report_data import ResponseAnalysis
+
+
+def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
+    """Open the stored records of a study and analyze them.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    folder = results_folder(path, results)
+    warnings: list[str] = []
+    store = Store(folder, warn=warnings.append)
+    manifest = store.read_manifest()
+    if manifest is None:
+        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    design = loads(manifest["design"], manifest["source"])
+    records = tuple(store.records(manifest["cases"]))
+    rows = [*(store.read_json("numerical") or []), *stored_cells(store, manifest["cases"])]
+    numerical = tuple(Numerical(**row) for row in rows)
+    missing = len(manifest["cases"]) - len(records)
+    warnings += [note for note in manifest["notes"] if SORTED in note]
+    if missing:
+        warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
+    analyses = _analyses(design, records, numerical)
+    warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused]
+    return StudyResult(
+        design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
+        tuple(dict.fromkeys(warnings)), validation=tuple(store.read_json("validation") or ()),
+        spaces=tuple(store.read_json("spaces") or ()),
+    )  # fmt: skip
+
+
+def _analyses(
+    design: Design, records: Sequence[Record], numerical: Sequence[Numerical]
+) -> tuple[ResponseAnalysis, ...]:
+    """Analyze every response of a design; a refusal is kept as its reason."""
+    found = []
+    for response in design.responses:
+        limit = threshold(response.practical)
+        result, refused = None, ""
+        try:
+            result = analyze_records(design, records, response, numerical)
+        except StudyError as error:
+            refused = str(error)
+        better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""
+        found.append(
+            ResponseAnalysis(
+                response.name,
+                response.unit,
+                result,
+                None if limit is None else limit.value,
+                limit is not None and limit.relative,
+                response.transform,
+                None if result is None else result.u_num,
+                better,
+                refused=refused,
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,1 @@
+"""Numerical, input and validation uncertainty of a study."""

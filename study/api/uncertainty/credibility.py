@@ -1,0 +1,126 @@
+"""What a study's numbers owe to its discretization: meshes refined, spaces compared."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from study.reporting.numbers import listing, percent
+from study.runner.batch import Progress, default_jobs, run_batch
+from study.runner.cost import Costs
+from study.runner.numerical import space_comparison, study_refinement
+from study.runner.numerical.refinement import task_key
+from study.runner.numerical.refinement_store import is_kept, kept_by_workers
+from study.runner.numerical.study_refinement import columns, numerical_of_columns
+from study.study_result.report_data import Check
+
+if TYPE_CHECKING:
+    from study.record.store import Store
+    from study.runner.batch import Progress
+    from study.runner.job import Work
+    from study.study_result.report_data import Check
+
+
+#: 3D and axisymmetric space on one cylinder may differ by so much
+SPACES_TOLERANCE = 0.005
+
+
+def refine(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None,
+    timeout_s: float | None,
+) -> None:
+    """Compute the refined cases and store what they say of every response."""
+    names = [response.name for response in work.design.responses]
+    hashes, series = dict(work.input_hashes), columns(work)
+    finer = None if series else study_refinement.refinement_work(work)
+    if finer is not None and finer.jobs:
+        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+        hashes |= finer.input_hashes
+    records = store.by_case(hashes)
+    if finer is None:
+        rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
+    else:
+        rows = study_refinement.numerical(work, finer, records, names)
+    with store.lock():
+        store.write_json("numerical", [asdict(row) for row in rows])
+
+
+def compare_spaces(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None = None,
+) -> None:
+    """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
+    pairs = space_comparison.pairs(work, store.by_case(work.input_hashes))
+    if not pairs:
+        return
+    workers = jobs or default_jobs()
+    # the solids take longest: all of them first
+    tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    todo = [task for task in tasks if not is_kept(task, store)]
+    watch = _Watch(todo, workers, progress or (lambda state: None))
+    solve = kept_by_workers(workers, store, finished=lambda task, _: watch.finished(task))
+    results = solve(tasks)
+    solid, flat = results[: len(pairs)], results[len(pairs) :]
+    rows = [
+        space_comparison.compared(pair, both)
+        for *both, pair in zip(flat, solid, pairs, strict=True)
+    ]
+    with store.lock():
+        store.write_json("spaces", rows)
+
+
+class _Watch:
+    """Progress of solutions whose time is predicted, the first line before any is there."""
+
+    def __init__(
+        self,
+        tasks: Sequence[Mapping[str, Any]],
+        workers: int,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        costs = Costs()
+        self._key, self._side_by_side = task_key, costs.side_by_side
+        self._left = {task_key(task): costs.solve_seconds(task["config"]) for task in tasks}
+        self._total, self._workers, self._progress = len(self._left), workers, progress
+        self._began = time.monotonic()
+        if tasks:
+            self._say()
+
+    def finished(self, task: Mapping[str, Any]) -> None:
+        """Say what is left after one more."""
+        self._left.pop(self._key(task), None)
+        self._say()
+
+    def _say(self) -> None:
+        left = self._side_by_side(list(self._left.values()), self._workers)
+        done, seconds = self._total - len(self._left), time.monotonic() - self._began
+        label = "one cylinder in both spaces, a control"
+        self._progress(Progress(done, self._total, 0, seconds, left, label))
+
+
+def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
+    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
+    for row in rows:
+        kind = listing(list(row["levels"].values())) or "the study's elements"
+        name = f"3D equals axisymmetric space on a cylinder ({kind})"
+        if row["at_end"] is None:
+            yield Check(name, "caution", f"it could not be looked at: {row['message']}")
+            continue
+        flat, solid = row["unknowns"]
+        worst = max(abs(row["at_end"]), abs(row["largest"]))
+        good = worst <= SPACES_TOLERANCE
+        told = (
+            f"the forces on the cylinder of the same cross-section differ by "
+            f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
+            f"{percent(abs(row['largest']), 2)} beyond half the depth "
+            f"({solid:,} against {flat:,} unknowns)"
+        )
+        mend = "" if good else "so much of the effect of the space is that of the discretization"
+        yield Check(name, "pass" if good else "caution", told, mend)

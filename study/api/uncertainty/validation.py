@@ -1,0 +1,133 @@
+"""Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.analysis.convergence.grid_convergence import compare
+from study.arrays import Array
+from study.runner import build
+from study.runner.batch import run_batch
+from study.runner.numerical import study_refinement
+from study.runner.numerical.input_uncertainty import (
+    column_shares,
+    input_shares,
+    input_work,
+    mesh_shares,
+    physics_of,
+    places_of,
+)
+from study.runner.numerical.study_refinement import columns
+
+if TYPE_CHECKING:
+    from study.curve import Curve
+    from study.record.record import Record
+    from study.record.store import Store
+    from study.runner.batch import Progress
+    from study.runner.job import CaseJob, Work
+
+
+def validate(
+    work: Work,
+    store: Store,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+) -> list[dict[str, Any]]:
+    """Move the uncertain inputs, compare every case, and store the rows as ``validation``.
+
+    Parameters
+    ----------
+    work : Work
+        A study whose cases and refinement are computed.
+    """
+    moved = input_work(work)
+    if moved.jobs:
+        run_batch(moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+    rows = compared(work, moved, store)
+    with store.lock():
+        store.write_json("validation", rows)
+    return rows
+
+
+def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
+    """One row for every case: E and its uncertainty along the curve."""
+    records = store.by_case({**work.input_hashes, **moved.input_hashes})
+    inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
+    rows = []
+    for job in work.jobs:
+        record = records.get(job.case.case_id)
+        if record is None or not record.converged:
+            continue
+        # where the deformation is the same everywhere no mesh matters
+        share = 0.0 if build.is_homogeneous(job.case.config) else mesh(job)
+        rows.append(
+            _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
+        )
+    return rows
+
+
+def _mesh_shares(
+    work: Work, records: Mapping[str, Record], store: Store
+) -> Callable[[CaseJob], Array | None]:
+    """Look up the relative u_num of a case: of its own column, or of its kind of discretization.
+
+    Where the meshes are a factor nothing was refined, and the study's own cases are the series.
+    """
+    series = columns(work)
+    if series:
+        own = column_shares(series, records)
+        of_cell = {_cell(job): own.get(job.case.case_id) for jobs in series for job in jobs}
+        return lambda job: of_cell.get(_cell(job))
+    finer, bases = study_refinement.refinement_work(work), study_refinement.chosen(work)
+    known = {**records, **store.by_case(finer.input_hashes)}
+    mesh = mesh_shares(bases, finer, known, work.design.converge.ratio)
+    of_model = {
+        study_refinement.discretization_key(b.case.config): mesh.get(b.case.case_id) for b in bases
+    }
+    return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))
+
+
+def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
+    """Levels of a case, whatever its block."""
+    return frozenset(job.case.levels.items())
+
+
+def _row(
+    record: Record, mesh: Any, inputs: Array | None, uncertainty: Mapping[str, float]
+) -> dict[str, Any]:
+    fact = record.extra["directions"][0]
+    measured = record.curves[f"measured:{fact['score']}"]
+    predicted = record.curves[f"predicted:{fact['score']}"]
+    d = places_of(measured)
+    force = predicted.force_at(d)
+    found = compare(
+        d, force, measured.force_at(d),
+        None if mesh is None else mesh * np.abs(force),
+        None if inputs is None else inputs * np.abs(force),
+        _data(measured, d, fact.get("scatter_N"), uncertainty),
+    )  # fmt: skip
+    facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
+    return facts | {"label": fact["score"], "role": fact["role"]} | found.to_json()
+
+
+def _data(
+    measured: Curve, d: Array, scatter: Any, uncertainty: Mapping[str, float]
+) -> Array | None:
+    """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
+
+    The scatter is that of one repeat, not of their mean: repeats on one specimen are no
+    independent evidence.
+    """
+    parts = []
+    if scatter is not None:
+        parts.append(np.interp(d, measured.displacement_mm, np.asarray(scatter, float)))
+    if uncertainty.get("measurements.force"):
+        parts.append(np.full(d.size, float(uncertainty["measurements.force"])))
+    if uncertainty.get("measurements.displacement"):
+        slope = np.gradient(measured.force_at(d), d)
+        parts.append(np.abs(slope) * float(uncertainty["measurements.displacement"]))
+    return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else None

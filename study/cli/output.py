@@ -1,0 +1,174 @@
+"""What the terminal shows: results on stdout, progress and complaints on stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from study.errors import Fault, InputError, StudyError
+
+if TYPE_CHECKING:
+    from study.runner.batch import Progress
+
+
+#: seconds between two lines of progress where there is no terminal to redraw
+QUIET_S = 10.0
+
+#: places that are listed of faults with the same rule and mend
+SAME = 4
+
+
+def print_json(document: Any) -> None:
+    """One JSON document on stdout; never a bare NaN."""
+    print(json.dumps(document, indent=2, allow_nan=False))
+
+
+def complain(error: StudyError) -> None:
+    """Print every fault of an error on stderr."""
+    faults = error.faults if isinstance(error, InputError) else (str(error),)
+    head = "error" if len(faults) == 1 else f"{len(faults)} errors"
+    print(f"{head}:", file=sys.stderr)
+    for text in _folded(faults):
+        print("  " + text.replace("\n", "\n  "), file=sys.stderr)
+
+
+def _folded(faults: Sequence[Fault | str]) -> Iterator[str]:
+    """Write each fault once, and places with the same fault after its first ones."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for fault in faults:
+        if isinstance(fault, str):
+            yield fault
+        else:
+            places.setdefault((fault.rule, fault.mend), []).append(fault.where)
+    for (rule, mend), where in places.items():
+        more = f" and {len(where) - SAME} more" if len(where) > SAME else ""
+        also = f"    the same at: {'; '.join(where[1:SAME])}{more}" if len(where) > 1 else ""
+        lines = (str(Fault(where[0], rule)), also, f"    {mend}" if mend else "")
+        yield "\n".join(line for line in lines if line)
+
+
+def warn(messages: Sequence[str]) -> None:
+    """Print warnings on stderr, each once."""
+    for message in dict.fromkeys(messages):
+        print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
+
+
+def paragraph(text: str) -> None:
+    """Print a sentence or more, folded to the width of the terminal, at most 100 columns."""
+    import shutil
+    import textwrap
+
+    print(textwrap.fill(text, min(shutil.get_terminal_size((100, 24)).columns, 100)))
+
+
+def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
+    """Print rows of text as a table; the first is the header."""
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    if not rows:
+        return
+    made = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False)
+    for name in rows[0]:
+        made.add_column(escape(name), overflow="fold")
+    for row in rows[1:]:
+        made.add_row(*(escape(cell) for cell in row))
+    console = Console(highlight=False, emoji=False)  # "s:a:b" is a term, not a picture
+    if not console.is_terminal:
+        console.width = 160  # a file has no width: lines must not be folded at 80
+    console.print(made)
+
+
+def seconds(value: float) -> str:
+    """Give a duration in words.
+
+    Examples
+    --------
+    >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
+    ('under 1 s', '4 s', '1 min 15 s', '2 h 2 min')
+    """
+    whole = round(value)
+    if whole < 1:
+        return "under 1 s"
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    minutes = round(value / 60)
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Give a number in a few digits, or a dash."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+@contextmanager
+def progress_line() -> Iterator[Callable[[Progress], None]]:
+    """Progress of a run on stderr: a bar on a terminal, a line now and then elsewhere."""
+    if sys.stderr.isatty():
+        with _bar() as update:
+            yield update
+        return
+    last = 0.0
+
+    def line(state: Progress) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= QUIET_S or state.done == state.total:
+            last = now
+            print(_text(state), file=sys.stderr, flush=True)
+
+    yield line
+
+
+def _text(state: Progress) -> str:
+    failed = f", {state.failed} failed" if state.failed else ""
+    left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
+    return f"{state.done}/{state.total} computations{failed}{left}: {state.label}"
+
+
+@contextmanager
+def _bar() -> Iterator[Callable[[Progress], None]]:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        BarColumn(bar_width=30), MofNCompleteColumn(),
+        TextColumn("{task.fields[left]} left"), TextColumn("{task.description}"),
+    )  # fmt: skip
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None, left="?")
+
+        def update(state: Progress) -> None:
+            failed = f"[red]{state.failed} failed[/red] " if state.failed else ""
+            bar.update(
+                task,
+                total=state.total,
+                completed=state.done,
+                left=seconds(state.seconds_left),
+                description=failed + escape(state.label),
+            )
+
+        yield update
+
+
+def counts(cases: Mapping[str, int]) -> str:
+    """Cases in one line.
+
+    Examples
+    --------
+    >>> counts({"total": 4, "done": 3, "failed": 1, "missing": 0})
+    '4 cases: 3 done, 1 failed, 0 missing'
+    """
+    return (
+        f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
+        f"{cases['missing']} missing"
+    )

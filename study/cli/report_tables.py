@@ -1,0 +1,87 @@
+"""Tables of a report as plain rows for the terminal."""
+
+from __future__ import annotations
+
+from study.reporting.content import comparison, tables
+from study.reporting.content.table import Table
+from study.reporting.numbers import MISSING
+from study.reporting.report import facts
+from study.study_result.comparison import Beside
+from study.study_result.report_data import ReportData
+
+Rows = list[list[str]]
+
+
+def verdict_rows(data: ReportData) -> Rows:
+    """Verdict table; the first row is the header."""
+    return _rows(tables.verdicts(facts(data), data))
+
+
+def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
+    """Title and verdict table of each response, narrow enough for a terminal."""
+    header, *rows = verdict_rows(data)
+    shown = [i for i, name in enumerate(header) if name not in ("response", "effect / u_num")]
+    found: dict[str, Rows] = {}
+    for row in rows:
+        table = found.setdefault(row[0], [[header[i] for i in shown]])
+        table.append([row[i] for i in shown])
+    return list(found.items())
+
+
+def anova_rows(data: ReportData, response: str) -> Rows:
+    """ANOVA table of a response; the first row is the header.
+
+    Raises
+    ------
+    KeyError
+        If the report has no such response.
+    """
+    for found in facts(data):
+        if found.name == response:
+            return _rows(tables.anova(found, data))
+    raise KeyError(response)
+
+
+def answer_lines(data: ReportData) -> list[str]:
+    """Return the sentences of the answer box, and what would change them."""
+    from study.reporting.content import sentences
+
+    found = facts(data)
+    change = f"What would change this? {sentences.would_change(data, found)}"
+    lines = [*sentences.answer(data, found), change]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+
+
+def changes_rows(beside: Beside) -> Rows:
+    """Return the inputs in which two studies differ; the first row is the header."""
+    return _rows(comparison.changes(beside))
+
+
+def beside_lines(beside: Beside) -> list[str]:
+    """Return what holds in both studies, and what only one of them has."""
+    lines = [*comparison.summary(beside), *comparison.only_lines(beside)]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+
+
+def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
+    """Title, table and note of each response; a term is named in the first of its two rows."""
+    header, *rows = _rows(comparison.table(beside))
+    found: dict[str, Rows] = {}
+    for row in rows:
+        table = found.setdefault(row[0], [header[1:]])
+        second = len(table) % 2 == 0
+        table.append(["", "", *row[3:]] if second else row[1:])
+    notes = dict(comparison.quiet_lines(beside))
+    return [(title, _filled(table), notes.get(title, "")) for title, table in found.items()]
+
+
+def _filled(rows: Rows) -> Rows:
+    """Rows without the columns that hold dashes alone: a terminal is narrow."""
+    kept = [i for i in range(len(rows[0])) if any(row[i] != MISSING for row in rows[1:])]
+    return [[row[i] for i in kept] for row in rows]
+
+
+def _rows(table: Table) -> Rows:
+    # a terminal may not know the space that does not break
+    rows = [list(table.columns), *(list(row) for row in table.rows)]
+    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]

@@ -1,0 +1,148 @@
+"""Checks of a whole design: every cell, every response, every replicate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from study.design.cases import combinations, excluded, resolve_cell
+from study.design.factors import Presets, quoted_path
+from study.design.plausibility import is_homogeneous
+from study.design.reader import Faults
+from study.design.settings import RESPONSES, SCORED
+from study.design.spec import Config, Design, Level
+from study.errors import Fault, InputError, nearest
+from study.material.energy import constant_names
+
+MAX_FAULTS = 100
+
+
+def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
+    """Check every cell that is not left out; a fault of a level is told where it is written."""
+    out = {tuple(cell.levels.values()) for cell, _ in excluded(design)}
+    count, configs = 0, []
+    found: dict[Fault, list[str]] = {}
+    for labels, levels in combinations(design):
+        if tuple(labels.values()) in out or len(found) > MAX_FAULTS:
+            continue
+        count += 1
+        own = Faults()
+        configs.append(resolve_cell(design, levels, own))
+        places = _places(design, levels, presets)
+        for fault in own:
+            moved = _moved(fault, places)
+            found.setdefault(moved, []).append(" / ".join(labels.values()))
+    for fault, cells in found.items():
+        told = len(cells) == count or fault.where.startswith(("presets.", "factors."))
+        where = "" if told else f" (in {_listed(cells)})"
+        faults.add(fault.where, fault.rule + where, fault.mend)
+    _check_left(design, out, faults)
+    if not found and configs:
+        _check_responses(design, configs, faults)
+        check_replicates(design, configs, faults)
+
+
+def _listed(cells: Sequence[str]) -> str:
+    return cells[0] + (f" and {len(cells) - 1} more cells" if len(cells) > 1 else "")
+
+
+def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[str, str]:
+    """Dotted key of the merged file -> where the level that sets it is written."""
+    places: dict[str, str] = {}
+    for factor, level in zip(design.factors, levels, strict=True):
+        for key in level.settings:
+            places[key] = f"factors.{quoted_path(factor.name)}"
+            if factor.name in presets:
+                inner = key.removeprefix(f"{factor.name}.")
+                places[key] = f"presets.{factor.name}.{quoted_path(level.label)}.{inner}"
+    return places
+
+
+def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
+    for key, place in places.items():
+        if fault.where == key or fault.where.startswith((f"{key}.", f"{key}[")):
+            return Fault(place + fault.where.removeprefix(key), fault.rule, fault.mend)
+    return fault
+
+
+def _check_left(design: Design, out: set[tuple[str, ...]], faults: Faults) -> None:
+    """Check that the exclusions leave every factor two levels."""
+    left = [labels for labels, _ in combinations(design) if tuple(labels.values()) not in out]
+    for factor in design.factors:
+        levels = {labels[factor.name] for labels in left}
+        if len(levels) < 2 <= len(factor.levels):
+            rule = f"leaves {len(levels)} of the {len(factor.levels)} levels of {factor.name!r}"
+            faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
+
+
+def _check_responses(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+    for i, response in enumerate(design.responses):
+        where = f"response[{i}].name"
+        if response.name in SCORED and any(c["measurements"] is None for c in configs):
+            rule = f"{response.name} compares with measured curves, and there are none"
+            faults.add(where, rule, "add [measurements]")
+        elif response.name and response.name not in RESPONSES:
+            names = {n for c in configs for n in _constants(c["material"])}
+            if response.name not in names:
+                rule = f"no material of this design has a constant {response.name}"
+                faults.add(where, rule, nearest(response.name, sorted(names)))
+
+
+def _constants(material: Mapping[str, Any]) -> tuple[str, ...]:
+    if material["constants"]:
+        return tuple(material["constants"])
+    try:
+        return constant_names(material["model"], material["order"])
+    except InputError:
+        return ()
+
+
+#: responses that a fit alone does not give
+_NO_CONSTANT = (*SCORED, "seconds")
+
+
+def check_replicates(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+    """Check that every cell has what its replicates vary."""
+    asked = design.replicates.noise or design.replicates.mesh_seeds
+    if design.analysis.error == "replicates" and not asked:
+        rule = "is the scatter of replicates, and the design asks for none"
+        faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
+    if design.replicates.noise:
+        _check_noise(design, configs, faults)
+    if design.replicates.mesh_seeds and not any(_meshed(config) for config in configs):
+        rule = (
+            "every cell is compression between frictionless plates, which is the same on every "
+            "mesh: there is no scatter of meshes to learn"
+        )
+        faults.add("replicates.mesh_seeds", rule, "leave it out, or vary something with a mesh")
+
+
+def _check_noise(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+    where = "replicates.noise"
+    given = sum(config["calibration"]["method"] == "none" for config in configs)
+    if given:
+        rule = (
+            "fits again to the measured curve with resampled residuals, but in "
+            f"{given} of {len(configs)} cells the constants are given and nothing is fitted"
+        )
+        faults.add(where, rule, 'write calibration.method = "auto", or use mesh_seeds')
+    if not any(is_constant(response.name) for response in design.responses):
+        rule = "says how much calibrated constants scatter, and no response is one"
+        faults.add(where, rule, 'add [[response]] name = "mu0" (or C10, ...), or use mesh_seeds')
+
+
+def is_constant(response: str) -> bool:
+    """Whether a response is a constant or mu0, which a fit gives without a prediction.
+
+    Examples
+    --------
+    >>> is_constant("mu0"), is_constant("C10"), is_constant("work_error")
+    (True, True, False)
+    """
+    return response not in _NO_CONSTANT
+
+
+def _meshed(config: Config) -> bool:
+    """Whether a mesh can change an answer of a cell: its scored test or its calibration."""
+    fitted = config["calibration"]["problem"] or config
+    return not (is_homogeneous(config) and is_homogeneous(fitted))

@@ -1,0 +1,1 @@
+"""Contact of the specimen with plates and indenters."""

@@ -1,0 +1,344 @@
+"""Where contact is enforced: collocation points of contact pairs, and their areas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from study.arrays import Array, Ints
+from study.errors import Fault, InputError
+from study.fem.contact.adhesion import gripping
+from study.fem.contact.constraints import _rates
+from study.fem.contact.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
+from study.fem.contact.rigid_surface import Press, profile, profile_height
+from study.fem.element.function_space import (
+    _SAME,
+    Discretization,
+    _side_facets,
+    _top_facets,
+    at_level,
+)
+from study.fem.mesh.mesh import Mesh
+from study.fem.mesh.size_field import contact_radius, sharp_edge
+from study.setup.geometry import Flat, Indenter, Surface
+from study.setup.setup import Problem
+
+#: allowance of a corner over the size of its facets
+CORNER_ALLOWANCE = 0.2
+
+
+def touch_radius(problem: Problem) -> float:
+    """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
+    pressed = problem.test.indenter
+    if problem.test.kind == "compression" or pressed is None or problem.test.holds_face:
+        return 0.0
+    height = problem.specimen.height_mm
+    return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
+
+
+def contact_points(
+    problem: Problem, space: Discretization, mesh: Mesh, *, folding: bool = True
+) -> tuple[ContactPoints, ...]:
+    """Every set of points that may meet a rigid surface.
+
+    Parameters
+    ----------
+    folding : bool
+        Whether the free side of a compressed specimen is kept from passing through plates.
+    """
+    if isinstance(problem.specimen, Surface):
+        return whole_contact(problem, space, mesh, folding=folding)
+    if problem.test.kind == "indentation":
+        return _under_indenter(problem, space, mesh)
+    return _side_contact(problem, space, mesh) if folding else ()
+
+
+def _under_indenter(
+    problem: Problem, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    test = problem.test
+    if test.indenter is None or test.holds_face:
+        return ()
+    press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    if sharp_edge(test.indenter):
+        return _under_sharp_edge(problem, space, mesh, press)
+    return gripping(_on_top(problem, space, mesh, press), test.interface, space.dim)
+
+
+def _on_top(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of the loaded face that a surface may meet."""
+    return meeting(problem, space, mesh, surface, _top_facets(space, mesh), nodal=nodal)
+
+
+def meeting(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    chosen: NDArray[np.bool_],
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of some facets that a surface may meet."""
+    points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
+    return _with_corners(problem, space, points, space.facets[chosen])
+
+
+def _under_sharp_edge(
+    problem: Problem, space: Discretization, mesh: Mesh, press: Press
+) -> tuple[ContactPoints, ...]:
+    """Points of the closed disc under a flat face meet its plane, the others the whole punch.
+
+    The node at a sharp edge carries the largest pressure. Whether it is under the face must
+    not hang on its last digit, and a point that the face has run past must be pushed down by
+    it, not out by the nearer side. Quadratic edges touch with their nodes here: they can lie
+    in the plane exactly, and the force then comes from above as an energy does.
+    """
+    pressed = problem.test.indenter
+    rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
+    under = rho <= pressed.radius_mm * (1 + _SAME)  # type: ignore[union-attr]
+    below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
+    beside = _on_top(problem, space, mesh, press)
+    parts = (
+        only(below, under[below.nodes].all(axis=1)),
+        only(beside, ~under[beside.nodes].all(axis=1)),
+    )
+    return tuple(points for points in parts if points.size)
+
+
+def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
+    """Keep some of the points."""
+    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
+    return replace(
+        points,
+        allowance_mm=allowance,
+        nodes=points.nodes[kept],
+        shape=points.shape[kept],
+        weights=points.weights[kept],
+        middles=None if points.middles is None else points.middles[kept][:, kept],
+    )
+
+
+def _with_corners(
+    problem: Problem, space: Discretization, points: ContactPoints, facets: Ints
+) -> ContactPoints:
+    """Say how the corners of six-node triangles take part.
+
+    A uniform pressure loads only their mid-sides, so that the sign of a corner's force says
+    nothing. Under a cone or a sphere they go with their mid-sides: left alone they open, and
+    let the surface buckle. Under a flat indenter they may sink in a little: held to a gap of
+    zero they stop a specimen that turns about the edge.
+    """
+    if facets.shape[1] != 6:
+        return points
+    if not isinstance(problem.test.indenter, Flat):
+        return replace(points, middles=_middles(space, points, facets))
+    corners = np.isin(points.nodes[:, 0], facets[:, :3])
+    # a corner of six facets of area A has the weight A / 2
+    allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
+    return replace(points, allowance_mm=allowance)
+
+
+def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix:
+    """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
+    number = np.full(len(space.nodes), -1)
+    number[points.nodes[:, 0]] = np.arange(points.size)
+    ends = np.array([[0, 1], [1, 2], [2, 0]])
+    halfway = space.nodes[facets[:, ends]].mean(axis=2)
+    apart = np.linalg.norm(space.nodes[facets[:, 3:]][:, :, None] - halfway[:, None], axis=-1)
+    corners = number[np.take_along_axis(facets[:, None], ends[apart.argmin(axis=2)], axis=2)]
+    middles = np.repeat(number[facets[:, 3:]][:, :, None], 2, axis=2)
+    entries = np.ones(corners.size, dtype=int)
+    shape = (points.size, points.size)
+    return sp.csr_matrix((entries, (corners.ravel(), middles.ravel())), shape) > 0
+
+
+def _points_of(
+    problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
+) -> ContactPoints:
+    scale = problem.material.mu0 / mesh.contact_size_mm
+    small = problem.material.family == "linear-elastic"
+    return ContactPoints(
+        surface, nodes, shape, weights, STIFFNESS * scale, SWITCHING * scale, small
+    )
+
+
+def _collocation(
+    space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
+) -> tuple[Ints, Array, Array]:
+    """Contact points of some facets: as many conditions as their surface can satisfy.
+
+    Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the
+    axis, which a uniform pressure does not load), everything else its nodes. More points than
+    the surface has normal displacements over-constrain it.
+    """
+    facets, areas = space.facets[chosen], space.facet_weights[chosen]
+    k = facets.shape[1]
+    if space.dim == 2 and k == 3 and not nodal:
+        return _gauss_edges(space, facets)
+    share = {
+        (2, 2): None,  # consistent with the radius, below
+        (2, 3): None,
+        (3, 3): np.full(3, 1 / 3),
+        (3, 4): np.full(4, 1 / 4),
+        (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
+        (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+    }[(space.dim, k)]
+    if share is None:
+        r = space.nodes[facets][:, :, 0]
+        share = _ring_shares(r)
+    return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+def _ring_shares(r: Array) -> Array:
+    """Part of an edge's ring-shaped area that each node stands for (end, end, middle)."""
+    ends = r[:, :2]
+    both = ends.sum(axis=1, keepdims=True)
+    if r.shape[1] == 2:
+        return np.asarray((ends + both) / (3 * both))
+    return np.hstack([ends / (3 * both), np.full((len(r), 1), 2 / 3)])
+
+
+def _nodal_areas(space: Discretization, facets: Ints, shares: Array) -> Array:
+    """Sum over facets of the area that each gives to its nodes, shape (n_nodes,)."""
+    nodal = np.bincount(facets.ravel(), shares.ravel(), minlength=len(space.nodes))
+    return nodal.astype(float)
+
+
+def _at_nodes(areas: Array) -> tuple[Ints, Array, Array]:
+    """Contact points at the nodes that have an area."""
+    nodes = np.flatnonzero(areas > 0)
+    return nodes[:, None], np.ones((nodes.size, 1)), areas[nodes]
+
+
+def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array]:
+    """Two Gauss points on each quadratic edge (end, end, middle) of an axisymmetric mesh."""
+    s = np.array([-1, 1]) / np.sqrt(3)
+    N = np.stack([s * (s - 1) / 2, s * (s + 1) / 2, 1 - s**2], axis=-1)
+    ends = space.nodes[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
+    weights = 2 * np.pi * radius * length[:, None] / 2
+    return np.repeat(edges, 2, axis=0), np.tile(N, (len(edges), 1)), weights.ravel()
+
+
+def _side_contact(problem: Problem, space: Discretization, mesh: Mesh) -> tuple[ContactPoints, ...]:
+    """Points of the free side that could fold onto a bonded plate."""
+    half, height = mesh.half_height, mesh.height_mm
+    tests = [(problem.test.interface, Plate(height, -1, 0.5 if half else 1.0))]
+    if not half:
+        tests.append((problem.test.base, Plate(0.0, 1, 0.0)))
+    bonded = [plate for interface, plate in tests if interface == "bonded"]
+    found = [_side_points(problem, space, mesh, plate) for plate in bonded]
+    return tuple(points for points in found if points.size)
+
+
+def _side_points(
+    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate
+) -> ContactPoints:
+    side = _side_facets(space, mesh)
+    facets, areas = space.facets[side], space.facet_weights[side]
+    nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
+    nodal[at_level(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
+    return _points_of(problem, mesh, plate, *_at_nodes(nodal))
+
+
+#: subdivisions of the triangles where an indenter could touch first, and how many are kept
+_DIVISIONS, _KEPT = 14, 48
+
+#: points of a triangle in halves: its corners and the middles of its sides, and the quarters
+_HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+
+
+def whole_contact(
+    problem: Problem, space: Discretization, mesh: Mesh, *, folding: bool
+) -> tuple[ContactPoints, ...]:
+    """Points of the whole surface that may meet the plates or the indenter."""
+    test = problem.test
+    if test.kind == "indentation":
+        if test.indenter is None:
+            return ()
+        held = _in_plate(space, mesh, 0.0)
+        corners = mesh.points[space.facets[~held][:, :3]]
+        touch = touch_mm(test.indenter, corners, mesh.height_mm)
+        press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), touch)
+        points = meeting(problem, space, mesh, press, ~held)
+        return gripping(points, test.interface, space.dim)
+    axial = np.array(sorted(_rates(problem, space, mesh)), dtype=np.int64)
+    nodes = np.unique(axial[axial % space.dim == space.dim - 1] // space.dim)
+    plates = [Plate(mesh.height_mm, -1, 1.0)]
+    if problem.specimen.clamp_below_mm is None:  # type: ignore[union-attr]
+        plates.append(Plate(0.0, 1, 0.0))
+    found = [_on_plate(problem, space, mesh, plate, nodes) for plate in plates] if folding else []
+    return tuple(points for points in found if points.size)
+
+
+def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:
+    """Facets that lie in a plate."""
+    held = np.zeros(len(space.nodes), dtype=bool)
+    held[at_level(space, mesh, level)] = True
+    return np.asarray(held[space.facets].all(axis=1))
+
+
+def _on_plate(
+    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate, nodes: Ints
+) -> ContactPoints:
+    """Points that may meet a plate; ``nodes`` are held in one already, or clamped."""
+    chosen = np.asarray(~np.isin(space.facets, nodes).all(axis=1))
+    points = meeting(problem, space, mesh, plate, chosen)
+    held = np.isin(points.nodes[:, 0], nodes)
+    return only(points, ~held)
+
+
+def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
+    """Height of the lowest point of an indenter that just touches some triangles, mm.
+
+    Parameters
+    ----------
+    triangles : ndarray, shape (m, 3, 3)
+        Corners; the axis of the indenter is x = y = 0.
+    height : float
+        Of the specimen, for messages and lengths.
+
+    Raises
+    ------
+    InputError
+        If nothing is below the indenter.
+
+    Notes
+    -----
+    The height of the profile is convex, that of a triangle linear: their difference has one
+    greatest value in each triangle, found by halving its sides where it is greatest.
+    """
+    pieces = profile(indenter, far_mm=1e3 * height)
+    _under_axis(triangles)
+    best, kept = -np.inf, triangles
+    for _ in range(_DIVISIONS):
+        places = np.einsum("qk,mkj->mqj", _HALVES, kept)
+        rho = np.hypot(places[:, :, 0], places[:, :, 1])
+        level = places[:, :, 2] - profile_height(pieces, rho.ravel()).reshape(rho.shape)
+        best = max(best, float(level.max()))
+        quarters = places[:, _QUARTERS].reshape(-1, 3, 3)
+        order = np.argsort(-level[:, _QUARTERS].max(axis=2).ravel(), kind="stable")
+        kept = quarters[order[:_KEPT]]
+    return best
+
+
+def _under_axis(triangles: Array) -> None:
+    """Refuse an axis that passes beside the specimen."""
+    x, y = triangles[:, :, 0], triangles[:, :, 1]
+    area = np.stack([x[:, k - 1] * y[:, k] - x[:, k] * y[:, k - 1] for k in range(3)], axis=1)
+    if not ((area >= 0).all(axis=1) | (area <= 0).all(axis=1)).any():
+        mend = "choose press_x and press_y inside its outline"
+        raise InputError(Fault("specimen.press_x", "the indenter misses the specimen", mend))

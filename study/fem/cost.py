@@ -1,0 +1,340 @@
+"""Unknowns and memory of a problem from its sizes alone, before anything is meshed.
+
+A mesh size with a wrong unit would fill the machine while it is meshed. Here the density of
+elements is integrated, so that a mesh of any number of cells is judged in milliseconds.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.arrays import Array
+from study.errors import Fault
+from study.fem.contact.constraints import constraints
+from study.fem.mesh.graded import UNDER_CONE, sizes_of
+from study.fem.mesh.mesh import Mesh
+from study.fem.mesh.mesher import build_mesh, mesh_size
+from study.fem.mesh.rings import BULGE, CORE, around, has_room, inward
+from study.fem.mesh.size_field import SizeField
+from study.fem.mesh.solid import expected_unknowns as inside
+from study.fem.mesh.structured import CORNER_FRACTION, GROWTH, equivalent_radius
+from study.setup.geometry import Block, Cone, Flat, Specimen, Surface
+from study.setup.load_steps import StepRule, StepSettings
+from study.setup.setup import Problem
+
+#: part of the machine's memory that one solution may take
+_SHARE = 0.8
+
+#: memory of a process before it has a mesh: numba, gmsh, scikit-fem, MKL
+_LIBRARIES_MB = 190.0
+
+#: cells of gmsh in a square or a cube of one size
+_PER_SQUARE, _PER_CUBE = 2.4, 5.3
+
+#: unknowns per cell of a large mesh: (shape, order) by dimension; the second without pressures
+_UNKNOWNS = {
+    (2, "simplex", "quadratic"): (4.5, 4.0), (2, "simplex", "linear"): (3.5, 1.0),
+    (2, "tensor", "quadratic"): (11.0, 8.0), (2, "tensor", "linear"): (3.0, 2.0),
+    (3, "simplex", "quadratic"): (4.3, 4.1), (3, "simplex", "linear"): (3.7, 0.55),
+    (3, "tensor", "quadratic"): (28.0, 24.0), (3, "tensor", "linear"): (4.0, 3.0),
+}  # fmt: skip
+
+#: places at which sizes are looked at, on each side of a feature
+_SAMPLES = 80
+
+
+def memory_MB(unknowns: float, *, solid: bool) -> float:  # noqa: N802
+    """Peak memory of a process that solves so many unknowns, its libraries included.
+
+    Measured with quadratic elements and factors in single precision, linear ones take less: see
+    ``test_memory_is_predicted``.
+    """
+    return float(_LIBRARIES_MB + (0.27e-3 * unknowns**1.3 if solid else 3e-3 * unknowns))
+
+
+def too_large(unknowns: float, there_MB: float, *, solid: bool = True) -> str:  # noqa: N803
+    """Say that a problem does not fit into memory; empty where it does.
+
+    Examples
+    --------
+    >>> too_large(1e5, 16e3), too_large(5e6, 16e3)
+    ('', 'about 5e+06 unknowns, which take 138 GB of 16 GB')
+    """
+    needed = memory_MB(unknowns, solid=solid)
+    if needed <= _SHARE * there_MB:
+        return ""
+    needed_GB, there_GB = needed / 1e3, there_MB / 1e3  # noqa: N806
+    return f"about {unknowns:.2g} unknowns, which take {needed_GB:.3g} GB of {there_GB:.3g} GB"
+
+
+def machine_MB() -> float:  # noqa: N802
+    """Memory of this machine; infinite where it is not told."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
+    except (AttributeError, ValueError, OSError):
+        return float("inf")
+
+
+def size_faults(problem: Problem) -> Iterator[Fault]:
+    """Say where a mesh would need more memory than there is, and which size would fit."""
+    there, solid = machine_MB(), problem.model.space == "3d"
+    rule = too_large(expected_unknowns(problem), there, solid=solid)
+    if not rule:
+        return
+    size = mesh_size(problem)
+    low, high = size, problem.specimen.height_mm
+    while high / low > 1.02:
+        middle = (low * high) ** 0.5
+        finer = replace(problem, model=replace(problem.model, mesh_size_mm=middle))
+        fits = not too_large(expected_unknowns(finer), there, solid=solid)
+        low, high = (low, middle) if fits else (middle, high)
+    mend = f'write mesh_size = "{1.05 * high:.2g} mm" or more'
+    if isinstance(problem.specimen, Surface):
+        mend += ", or check specimen.unit"
+    yield Fault("model.mesh_size", f"{size:.3g} mm gives {rule}", mend)
+
+
+def expected_unknowns(problem: Problem) -> float:
+    """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
+    if isinstance(problem.specimen, Surface):
+        return inside(problem)
+    model = problem.model
+    compressed = problem.test.kind == "compression"
+    cells = _between_plates(problem) if compressed else _under_indenter(problem)
+    dim = 2 if model.space == "axisymmetric" else 3
+    pair = _UNKNOWNS[(dim, model.element_shape, model.element_order)]
+    return cells * pair[0 if model.formulation == "mixed" else 1]
+
+
+def _between_plates(problem: Problem) -> float:
+    """Cells of a structured mesh: see :func:`study.fem.mesh.mesher.compressed_mesh`."""
+    test, specimen, h = problem.test, problem.specimen, mesh_size(problem)
+    bonded = [plate == "bonded" for plate in (test.interface, test.base)]
+    half = specimen.height_mm / 2
+    high = sum(_line(half, h, graded=plate) for plate in bonded)
+    if bonded[0] == bonded[1]:
+        high /= 2  # the half above the middle plane
+    simplex, rim = problem.model.element_shape == "simplex", any(bonded)
+    radius = equivalent_radius(specimen)
+    if problem.model.space == "axisymmetric":
+        return high * _line(radius, h, graded=rim) * (2 if simplex else 1)
+    if isinstance(specimen, Block):
+        plane = _line(specimen.width_mm / 2, h, graded=rim)
+        plane *= _line(specimen.depth_mm / 2, h, graded=rim)
+        return high * plane * (6 if simplex else 1)
+    if not simplex:
+        return high * _disc(_line(radius / 2, h, graded=False), _line(radius, h, graded=rim))
+    # ring k of triangles carries segments of the size h, see quarter_disc
+    inner = np.pi * radius**2 / (2 * h**2)
+    extra = _line(radius, h, graded=rim) - radius / h
+    return high * 3 * (inner + np.pi * radius / h * extra)
+
+
+def _line(length: float, h: float, *, graded: bool) -> float:
+    """Count the steps of :func:`study.fem.mesh.structured.graded_line`."""
+    if not graded:
+        return max(1.0, length / h)
+    coarse = min((1 - CORNER_FRACTION) * h / GROWTH, length)
+    return float(np.log1p(GROWTH * coarse / (CORNER_FRACTION * h)) / GROWTH + (length - coarse) / h)
+
+
+def _disc(inner: float, line: float) -> float:
+    """Quadrilaterals of a quarter disc: a square of half the radius, two blocks around it."""
+    return inner**2 + 2 * inner * max(line - inner, 1.0)
+
+
+def _under_indenter(problem: Problem) -> float:
+    """Cells of a graded mesh: see :func:`study.fem.mesh.graded.indentation_mesh`."""
+    specimen, field = problem.specimen, sizes_of(problem)
+    radius, flat = equivalent_radius(specimen), problem.model.space == "axisymmetric"
+    if problem.model.element_shape == "tensor":
+        return _grid(problem, field, radius)
+    rho = _places(radius, field.ring_mm, field)
+    z = specimen.height_mm - _places(specimen.height_mm, 0.0, field)
+    h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
+    density = np.asarray(1 / h**2 if flat else np.pi / 2 * rho / h**3)
+    total = abs(float(np.trapezoid(np.trapezoid(density, rho, axis=1), z)))
+    return (_PER_SQUARE if flat else _PER_CUBE) * total
+
+
+def _grid(problem: Problem, field: SizeField, radius: float) -> float:
+    """Quadrilaterals or hexahedra between lines."""
+    specimen, pressed = problem.specimen, problem.test.indenter
+    wide, tall = UNDER_CONE[problem.model.element_order] if isinstance(pressed, Cone) else (1, 1)
+    top = np.array([field.top_mm])
+
+    def along_top(length: float) -> float:
+        return _steps(length, field.ring_mm, field, lambda rho: wide * field.at(rho, top))
+
+    def along_axis(depth: Array) -> Array:
+        return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
+
+    high = _steps(specimen.height_mm, 0.0, field, along_axis)
+    solid = problem.model.space == "3d"
+    if solid and isinstance(pressed, Flat) and has_room(specimen, field.ring_mm):
+        return high * _rings(specimen, field)
+    if problem.model.space == "axisymmetric":
+        return high * along_top(radius)
+    if isinstance(specimen, Block):
+        return high * along_top(specimen.width_mm / 2) * along_top(specimen.depth_mm / 2)
+    return high * _disc(along_top(radius / 2), along_top(radius))
+
+
+def _rings(specimen: Specimen, field: SizeField) -> float:
+    """Quadrilaterals of :func:`study.fem.mesh.rings.punched` over a cross-section."""
+    n, ring = around(field), field.ring_mm
+    half = equivalent_radius(specimen)
+    if isinstance(specimen, Block):  # the mean of where rays meet a square
+        half = 0.56 * min(specimen.width_mm, specimen.depth_mm)
+    core = 0.5 * (1 + BULGE) * CORE * ring
+
+    def steps(own: SizeField, start: float, end: float) -> float:
+        places = np.unique(np.clip(_places(end, ring, own), start, end))
+        return float(np.trapezoid(1 / own.at(places, own.top_mm), places))
+
+    around_it = steps(inward(field), core, ring) + steps(field, ring, max(half, ring))
+    beyond = 0.0
+    if isinstance(specimen, Block):
+        ends = sorted((specimen.width_mm / 2, specimen.depth_mm / 2))
+        beyond = steps(field, *ends)
+    return n**2 + 2 * n * around_it + n * beyond
+
+
+def _steps(length: float, at: float, field: SizeField, size: Callable[[Array], Array]) -> float:
+    """Count the steps of a line whose spacing follows ``size``."""
+    places = _places(length, at, field)
+    return max(2.0, float(np.trapezoid(1 / size(places), places)))
+
+
+def _places(length: float, at: float, field: SizeField) -> Array:
+    """Places from 0 to ``length``, closer around ``at``."""
+    away = np.geomspace(0.1 * min(field.finest_mm, length), length, _SAMPLES)
+    kept = [at + away, at - away, np.array([0.0, at, length])]
+    kept += [edge + away * sign for edge in _edges(field, at) for sign in (1, -1)]
+    every = np.unique(np.concatenate(kept))
+    return np.asarray(every[(every >= 0) & (every <= length)])
+
+
+def _edges(field: SizeField, at: float) -> tuple[float, ...]:
+    """Distances where a zone of one size ends."""
+    return (at + field.feature_mm, field.contact_mm)
+
+
+#: Newton iterations of a load step: between plates, and where contact has to be found
+_ITERATIONS, _CONTACT_ITERATIONS = 4, 4
+
+#: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
+#: that is graded around an indenter: their matrices hold a third of the entries
+_LINEAR = 0.5
+
+#: larger meshes are not made to count their unknowns
+_COUNTED = 1e6
+
+#: edges and faces of a cell by its number of corners, as pairs and fours of its corners
+_EDGES = {
+    (2, 3): [(0, 1), (1, 2), (0, 2)],
+    (2, 4): [(0, 1), (1, 2), (2, 3), (0, 3)],
+    (3, 4): [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)],
+    (3, 8): [(0, 1), (1, 2), (2, 3), (0, 3), (4, 5), (5, 6), (6, 7), (4, 7),
+             (0, 4), (1, 5), (2, 6), (3, 7)],
+}  # fmt: skip
+_FACES = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (0, 3, 7, 4)]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Predicted cost of one forward solve.
+
+    Parameters
+    ----------
+    dofs : int
+        Unknowns.
+    seconds : float
+        Wall time on one thread, kernels compiled.
+    memory_MB : float
+        Peak memory of the factorization and the element arrays.
+    """
+
+    dofs: int
+    seconds: float
+    memory_MB: float
+
+
+def estimate(problem: Problem) -> Estimate:
+    """Predict the cost of a problem from its mesh and the measured cost of an iteration.
+
+    The seconds are those of one of two workers that are both busy.
+    """
+    dofs = expected_unknowns(problem)
+    if dofs < _COUNTED:
+        dofs = unknowns(problem, build_mesh(problem))
+    seconds = _load_steps(problem, problem.specimen.height_mm) * _iteration(problem, dofs)
+    memory = memory_MB(dofs, solid=problem.model.space == "3d")
+    return Estimate(int(dofs), float(seconds), memory)
+
+
+def _iteration(problem: Problem, dofs: float) -> float:
+    """Seconds of a Newton iteration.
+
+    Between plates 0.06 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
+    1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 9 ms at
+    2.9k axisymmetric, and 0.06 s at 5.5k, 0.15 s at 11k, 0.53 s at 27k quadratic solid unknowns.
+    """
+    solid, indented = problem.model.space == "3d", problem.test.kind == "indentation"
+    if not solid:
+        return float(3e-4 + 3.1e-6 * dofs if indented else 1e-3 + 0.06 * (dofs / 21e3) ** 1.2)
+    if not indented:
+        return float(0.5 * (dofs / 28e3) ** 1.95)
+    share = 1.0 if problem.model.element_order == "quadratic" else _LINEAR
+    return float(0.103 * share * (dofs / 8.2e3) ** 1.38)
+
+
+def unknowns(problem: Problem, mesh: Mesh) -> int:
+    """Free displacements and pressures of a problem on a mesh, without discretizing it."""
+    model, dim, cells = problem.model, mesh.points.shape[1], mesh.cells
+    vertices, n = len(mesh.points), len(cells)
+    tensor, quadratic = model.element_shape == "tensor", model.element_order == "quadratic"
+    mixed = model.formulation == "mixed"
+    nodes = vertices
+    if quadratic:
+        nodes += _distinct(cells, _EDGES[(dim, cells.shape[1])]) + (n if tensor else 0)
+        nodes += _distinct(cells, _FACES) if tensor and dim == 3 else 0
+    elif mixed and not tensor:
+        nodes += n  # bubbles
+    pressures = (dim + 1 if quadratic else 1) * n if tensor else vertices
+    # a held plane has about twice as many nodes in each direction as vertices
+    held = constraints(problem, _Vertices(mesh.points), mesh).dofs.size
+    held *= 2 ** (dim - 1) if quadratic else 1
+    return int(dim * nodes + (pressures if mixed else 0) - held)
+
+
+@dataclass(frozen=True)
+class _Vertices:
+    """Vertices of a mesh, as boundary conditions see the nodes of a discretization."""
+
+    nodes: NDArray[np.float64]
+
+    @property
+    def dim(self) -> int:
+        return int(self.nodes.shape[1])
+
+
+def _distinct(cells: NDArray[np.int64], parts: Sequence[tuple[int, ...]]) -> int:
+    groups = np.sort(np.vstack([cells[:, list(part)] for part in parts]), axis=1)
+    return len(np.unique(groups, axis=0))
+
+
+def _load_steps(problem: Problem, height_mm: float) -> float:
+    """Newton iterations of a run: requested steps, each cut to what the step rule allows."""
+    test = problem.test
+    rule = StepRule.of(problem, height_mm, StepSettings())
+    targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
+    length = test.displacement_mm / test.steps
+    pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)
+    touching = test.kind == "indentation" and not test.holds_face
+    return float(pieces * (_CONTACT_ITERATIONS if touching else _ITERATIONS))

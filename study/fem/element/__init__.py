@@ -1,0 +1,1 @@
+"""Finite elements: function spaces, material points, element forms and their assembly."""

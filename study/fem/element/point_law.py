@@ -1,0 +1,285 @@
+"""Compiled constitutive law at one point: polynomial and linear energies, and the pressure.
+
+With Penn's split ``I1bar = J^(-2/3) I1``, ``I2bar = J^(-4/3) I2`` the energy is
+``sum C_ij (I1bar - 3)^i (I2bar - 3)^j``. Nine numbers ``f[3 i + j] = F_ij`` hold a tensor.
+"""
+
+from __future__ import annotations
+
+from study.arrays import Array
+from study.compilation import FAST, part
+from study.fem.element.spectral import BY_EXPONENT, STRESS, ogden_stress, ogden_tangent
+
+#: what the rows of an energy's constants mean: C_ij; (mu, alpha); the same, for the sum of
+#: d(stress)/dalpha; a single shear modulus of small strain
+POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
+
+
+@part()
+def isochoric(family: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
+    """Isochoric stress by family; J is returned, row 0 of ``work`` is dJ/dF / J.
+
+    For small strain J is linear and row 0 is dJ/dF itself.
+    """
+    if family == POLYNOMIAL:
+        return float(polynomial_stress(f, constants, work, stress))
+    if family == LINEAR:
+        return float(linear_stress(f, constants[0, 0], work, stress))
+    J = cofactor(f, work[0])
+    if J > 0.0:
+        for i in range(9):
+            work[0, i] /= J
+        what = BY_EXPONENT if family == OGDEN_BY_EXPONENT else STRESS
+        ogden_stress(f, constants, what, work, stress)
+    return float(J)
+
+
+@part()
+def full_tangent(
+    family: int,
+    f: Array,
+    constants: Array,
+    plane: bool,
+    bend: float,
+    stiff: float,
+    work: Array,
+    tangent: Array,
+) -> None:
+    """Tangent of :func:`isochoric`, called before, and of a pressure.
+
+    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
+    """
+    if family == POLYNOMIAL:
+        polynomial_tangent(f, plane, bend, stiff, work, tangent)
+        return
+    if family == LINEAR:
+        linear_tangent(constants[0, 0], tangent)
+    else:
+        ogden_tangent(constants, work, tangent)
+    add_pressure_tangent(work[0], bend, stiff, tangent)
+
+
+@part()
+def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
+    """x^n and its first two derivatives, exact at x = 0."""
+    value = x**n if n > 0 else 1.0
+    first = n * x ** (n - 1) if n > 1 else (1.0 if n == 1 else 0.0)
+    second = n * (n - 1) * x ** (n - 2) if n > 2 else (2.0 if n == 2 else 0.0)
+    return value, first, second
+
+
+@part()
+def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
+    """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
+
+    ``out`` receives W_a, W_b, W_aa, W_ab, W_bb.
+    """
+    out[:] = 0.0
+    for i in range(table.shape[0]):
+        ai, ai1, ai2 = _power_derivatives(a, i)
+        for j in range(table.shape[1]):
+            c = table[i, j]
+            if c != 0.0:
+                bj, bj1, bj2 = _power_derivatives(b, j)
+                out[0] += c * ai1 * bj
+                out[1] += c * ai * bj1
+                out[2] += c * ai2 * bj
+                out[3] += c * ai1 * bj1
+                out[4] += c * ai * bj2
+
+
+@part()
+def cofactor(f: Array, g: Array) -> float:
+    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
+    g[0] = f[4] * f[8] - f[5] * f[7]
+    g[1] = f[5] * f[6] - f[3] * f[8]
+    g[2] = f[3] * f[7] - f[4] * f[6]
+    g[3] = f[2] * f[7] - f[1] * f[8]
+    g[4] = f[0] * f[8] - f[2] * f[6]
+    g[5] = f[1] * f[6] - f[0] * f[7]
+    g[6] = f[1] * f[5] - f[2] * f[4]
+    g[7] = f[2] * f[3] - f[0] * f[5]
+    g[8] = f[0] * f[4] - f[1] * f[3]
+    return float(f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
+
+
+@part(fastmath=FAST)
+def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> float:
+    """Isochoric nominal stress for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
+
+    Parameters
+    ----------
+    f : ndarray, shape (9,)
+        Deformation gradient.
+    table : ndarray, shape (n, m)
+        Constants C_ij.
+    work : ndarray, shape (7 or more, 9)
+        Scratch, of which the tangent makes use; row 0 receives F^-T.
+    stress : ndarray, shape (9,)
+        dW/dF, overwritten.
+
+    Returns
+    -------
+    J : float
+        Determinant of F; where it is not positive nothing else is valid.
+    """
+    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
+    J = cofactor(f, g)
+    if not J > 0.0:
+        return J
+    for i in range(9):
+        g[i] /= J
+    I1 = 0.0
+    for i in range(9):
+        I1 += f[i] * f[i]
+    s1 = J ** (-2.0 / 3.0)
+    second = table.shape[1] > 1
+    s2, I2 = s1 * s1, 0.0
+    if second:
+        trace = 0.0
+        for i in range(3):
+            for j in range(3):
+                c = 0.0
+                b = 0.0
+                for k in range(3):
+                    c += f[3 * k + i] * f[3 * k + j]
+                    b += f[3 * i + k] * f[3 * j + k]
+                right[3 * i + j] = c
+                left[3 * i + j] = b
+                trace += c * c
+        I2 = 0.5 * (I1 * I1 - trace)
+    polynomial_derivatives(table, s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0, w)
+    for i in range(9):
+        d1[i] = s1 * (2.0 * f[i] - 2.0 / 3.0 * I1 * g[i])
+        stress[i] = w[0] * d1[i]
+    if second:
+        for i in range(3):
+            for j in range(3):
+                fc = 0.0
+                for k in range(3):
+                    fc += f[3 * i + k] * right[3 * k + j]
+                n = 3 * i + j
+                d2[n] = s2 * (2.0 * (I1 * f[n] - fc) - 4.0 / 3.0 * I2 * g[n])
+                stress[n] += w[1] * d2[n]
+    work[6, 0], work[6, 1], work[6, 2], work[6, 3] = I1, I2, s1, s2
+    return J
+
+
+@part(fastmath=FAST)
+def polynomial_tangent(
+    f: Array, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
+) -> None:
+    """Tangent of :func:`polynomial_stress` in both invariants, called before, and of a pressure.
+
+    What an invariant owes to each dyad, and what its slope does. The pressure's part is that
+    of :func:`add_pressure_tangent` and costs nothing here. An energy of the first invariant
+    has a shorter way, see :mod:`study.fem.element.element_forms`.
+
+    Parameters
+    ----------
+    plane : bool
+        Whether F has no components between the hoop and the others: those stay unwritten.
+    tangent : ndarray, shape (9, 9)
+        Overwritten.
+    """
+    g, d1, w = work[0], work[3], work[5]
+    I1, s1 = work[6, 0], work[6, 2]
+    first, curved = w[0] * s1, w[2]
+    turned = 2.0 / 3.0 * first * I1 - bend
+    for i in range(3):
+        for j in range(3):
+            if not plane or (i == 2) == (j == 2):
+                n = 3 * i + j
+                along_f = -4.0 / 3.0 * first * g[n]
+                along_g = (4.0 / 9.0 * first * I1 + bend + stiff) * g[n] - 4.0 / 3.0 * first * f[n]
+                along_d = curved * d1[n]
+                for k in range(i, 3):
+                    crossed = turned * g[3 * k + j]
+                    for m in range(3):
+                        o = 3 * k + m
+                        if o >= n and (not plane or (k == 2) == (m == 2)):
+                            value = along_f * f[o] + along_g * g[o] + along_d * d1[o]
+                            tangent[n, o] = value + crossed * g[3 * i + m]
+                tangent[n, n] += 2.0 * first
+    _add_second_invariant(f, plane, work, tangent)
+    for n in range(1, 9):
+        for o in range(n):
+            tangent[n, o] = tangent[o, n]
+
+
+@part(fastmath=FAST)
+def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) -> None:
+    """Add what W owes to the second invariant, alone and together with the first."""
+    g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
+    I1, I2, s2 = work[6, 0], work[6, 1], work[6, 3]
+    slope = w[1] * s2
+    for i in range(3):
+        for j in range(3):
+            if plane and (i == 2) != (j == 2):
+                continue
+            n = 3 * i + j
+            # dI2/dF is d2 / s2 + 4/3 I2 G
+            along_g = -4.0 / 3.0 * (w[1] * d2[n] + 4.0 / 3.0 * slope * I2 * g[n])
+            along_d1 = w[3] * d2[n]
+            along_d2 = w[4] * d2[n] + w[3] * d1[n] - 4.0 / 3.0 * w[1] * g[n]
+            along_f = 4.0 * slope * f[n]
+            for k in range(i, 3):
+                crossed, turned = 4.0 / 3.0 * slope * I2 * g[3 * k + j], 2.0 * slope * f[3 * k + j]
+                for m in range(3):
+                    o = 3 * k + m
+                    if o >= n and (not plane or (k == 2) == (m == 2)):
+                        value = along_f * f[o] + along_g * g[o] + along_d1 * d1[o]
+                        value += along_d2 * d2[o] + crossed * g[3 * i + m]
+                        tangent[n, o] += value - turned * f[3 * i + m]
+            for k in range(3):
+                if k >= j:
+                    tangent[n, 3 * i + k] -= 2.0 * slope * right[3 * k + j]
+                if k >= i:
+                    tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
+            tangent[n, n] += 2.0 * slope * I1
+
+
+@part(fastmath=FAST)
+def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
+    """Deviatoric small-strain stress ``2 mu dev(eps)``; row 0 of ``work`` receives dJ/dF = 1.
+
+    Returns
+    -------
+    J : float
+        The linear measure of volume, 1 + tr(eps).
+    """
+    J = f[0] + f[4] + f[8] - 2.0
+    work[0, :] = 0.0
+    for i in range(3):
+        work[0, 4 * i] = 1.0
+        for j in range(3):
+            stress[3 * i + j] = mu * (f[3 * i + j] + f[3 * j + i])
+        stress[4 * i] -= 2.0 / 3.0 * mu * (J + 2.0)
+    return float(J)
+
+
+@part(fastmath=FAST)
+def linear_tangent(mu: float, tangent: Array) -> None:
+    """Tangent of :func:`linear_stress`, shape (9, 9), overwritten."""
+    tangent[:, :] = 0.0
+    for i in range(3):
+        for j in range(3):
+            tangent[3 * i + j, 3 * i + j] += mu
+            tangent[3 * i + j, 3 * j + i] += mu
+            tangent[4 * i, 4 * j] -= 2.0 / 3.0 * mu
+
+
+@part(fastmath=FAST)
+def add_pressure_tangent(g: Array, bend: float, stiff: float, tangent: Array) -> None:
+    """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``.
+
+    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
+    """
+    for i in range(3):
+        for j in range(3):
+            n = 3 * i + j
+            along = (bend + stiff) * g[n]
+            for k in range(3):
+                crossed = bend * g[3 * k + j]
+                for m in range(3):
+                    tangent[n, 3 * k + m] += along * g[3 * k + m] - crossed * g[3 * i + m]

@@ -1,0 +1,1 @@
+"""Meshes of a setup: structured, graded, and inside a surface."""

@@ -1,0 +1,264 @@
+"""How large elements should be around an indenter: one reference field, scaled as a whole.
+
+A mesh level multiplies the whole field, so that coarse, medium and fine are a refinement
+series with one ratio everywhere, as an observed order of convergence presumes.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.arrays import Array
+from study.compilation import callback, carray, kernel, part
+from study.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.setup.setup import Model, mesh_level
+
+#: elements across the contact radius, and across the radius of a rounded tip or edge
+_PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
+
+#: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
+#: still, within a smaller part: the surface is stretched three times there, five times if its
+#: energy softens in tension, and facets as wide as the tip let it snap (linear and tensor elements
+#: collapse the sooner the smaller they are)
+_TIP_ZONE = 1.5
+_TIP_FINER, _TIP_CORE = 7.0, {"axisymmetric": 0.3, "3d": 0.2}
+_STRETCHED = ("quadratic", "simplex")
+
+#: elements of one size around a sharp edge, and the growth beyond them, in a plane
+_EVEN, _EVEN_GROWTH = 4.0, 0.12
+
+#: up to this depth over the radius the last of them is halved, and with it the error; deeper,
+#: the smaller an element at a sharp edge is, the sooner it collapses
+_SHALLOW = 0.1
+
+#: growth beyond a ring of hexahedra, and how much finer they are across a sharp edge
+_RING_GROWTH, _RING_FINER = 0.27, 3.0
+
+#: how fast sizes grow away from the contact, and the largest part of the specimen
+_GROWTH, _LARGEST = 0.4, 0.3
+
+
+@dataclass(frozen=True)
+class SizeField:
+    """Element size around the point (or the ring) where an indenter presses.
+
+    Parameters
+    ----------
+    top_mm : float
+        Height of the loaded surface.
+    size_mm : float
+        What ``mesh_size`` names: the size at the contact or at an edge. A rounded tip is finer.
+    finest_mm, largest_mm : float
+        Sizes at the sharpest feature and far away.
+    feature_mm : float
+        Distance from the feature within which the size stays the finest.
+    ring_mm : float
+        Radius of the feature: 0 for a tip, that of the edge for a flat end.
+    zone_mm, contact_mm : float
+        Size within the contact radius, and that radius.
+    growth : float
+        Growth of the size per distance.
+    even : float
+        How many elements around the feature have the finest size, whatever that is. The
+        neighborhood of a singular edge then looks the same on every mesh of a series, which
+        is what its error of first order comes from.
+    halvings : int
+        How often that size is halved within the last of these elements.
+    """
+
+    top_mm: float
+    size_mm: float
+    finest_mm: float
+    largest_mm: float
+    feature_mm: float
+    ring_mm: float
+    zone_mm: float
+    contact_mm: float
+    growth: float
+    even: float = 0.0
+    halvings: int = 0
+
+    def at(self, rho: ArrayLike, z: ArrayLike) -> Array:
+        """Size at radius ``rho`` from the axis and height ``z``, of their common shape."""
+        both = np.broadcast_arrays(np.asarray(rho, float), np.asarray(z, float))
+        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self.numbers())
+        return np.asarray(sizes.reshape(both[0].shape))
+
+    @classmethod
+    def uniform(cls, size_mm: float) -> SizeField:
+        """Return a field of one size."""
+        return cls(0.0, size_mm, size_mm, size_mm, 0.0, 0.0, size_mm, 0.0, 0.0)
+
+    def numbers(self) -> tuple[float, ...]:
+        """All that the size at a place depends on, in the order of the compiled formula."""
+        return (
+            self.top_mm, self.finest_mm, self.largest_mm, self.feature_mm, self.ring_mm,
+            self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
+        )  # fmt: skip
+
+    def callback(self, dim: int) -> Any:
+        """C function that tells gmsh the size at a place."""
+        return size_callback(dim)
+
+    def scaled(self, factor: float) -> SizeField:
+        """Return the field with every size and the growth multiplied by ``factor``."""
+        return replace(
+            self,
+            size_mm=self.size_mm * factor,
+            finest_mm=self.finest_mm * factor,
+            largest_mm=self.largest_mm * factor,
+            zone_mm=self.zone_mm * factor,
+            growth=self.growth * factor,
+        )
+
+
+@part()
+def _size(
+    rho: float, z: float, top: float, finest: float, largest: float, feature: float, ring: float,
+    zone: float, contact: float, growth: float, even: float, halvings: float,
+) -> float:  # fmt: skip
+    """Size at one place; the arguments are the fields of :class:`SizeField`."""
+    depth = z - top
+    from_feature = math.hypot(rho - ring, depth)
+    if ring > 0.0:
+        outside = math.hypot(max(rho - contact, 0.0), depth)
+    else:
+        outside = math.hypot(rho, depth) - contact
+    near = finest + growth * max(from_feature - feature - even * finest, 0.0)
+    size = min(near, zone + growth * max(outside, 0.0), largest)
+    if halvings > 0.0:
+        rings = max(from_feature / finest, 0.5**halvings)
+        if rings < 1.0:
+            size *= 0.5 ** math.ceil(-math.log2(rings))
+    return size
+
+
+@kernel()
+def _sizes(
+    rho: Array, z: Array, top: float, finest: float, largest: float, feature: float, ring: float,
+    zone: float, contact: float, growth: float, even: float, halvings: float,
+) -> Array:  # fmt: skip
+    """Sizes at places, shape (n,)."""
+    out = np.empty(rho.size)
+    for i in range(rho.size):
+        out[i] = _size(
+            rho[i], z[i], top, finest, largest, feature, ring, zone, contact, growth, even, halvings
+        )
+    return out
+
+
+@functools.cache
+def size_callback(dim: int) -> Any:
+    """C function of a mesh generator's size: it asks at tens of thousands of places.
+
+    Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
+    of :meth:`SizeField.numbers`. In a plane x is the radius and y the height.
+    """
+    plane = dim == 2
+
+    @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
+    def size(
+        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: Any
+    ) -> float:
+        n = carray(numbers, (10,), np.float64)
+        rho, height = (x, y) if plane else (math.hypot(x, y), z)
+        return float(_size(rho, height, n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9]))
+
+    return size
+
+
+def contact_radius(indenter: Indenter, depth_mm: float) -> float:
+    """Contact radius on a half-space of the same indenter, mm (Hertz; Sneddon 1965)."""
+    if isinstance(indenter, Flat):
+        return indenter.radius_mm
+    if isinstance(indenter, Sphere):
+        return float(min(np.sqrt(indenter.radius_mm * depth_mm), indenter.radius_mm))
+    sharp = 2 / np.pi * depth_mm * np.tan(np.radians(indenter.half_angle_deg))
+    wide = max(sharp, np.sqrt(indenter.tip_radius_mm * depth_mm) if _round(indenter) else 0.0)
+    return float(min(wide, indenter.shaft_radius_mm or np.inf))
+
+
+def sharp_edge(indenter: Indenter | None) -> bool:
+    """Whether an indenter ends in a flat face with a sharp edge."""
+    return isinstance(indenter, Flat) and indenter.edge_radius_mm == 0
+
+
+def _round(cone: Cone) -> bool:
+    """Whether the contact at small depth is that of the tip's sphere."""
+    return cone.tip_radius_mm > 0
+
+
+def reference_field(
+    indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
+) -> SizeField:
+    """Sizes of the fine mesh.
+
+    Parameters
+    ----------
+    depth_mm : float
+        Displacement at the end of the test.
+    top_mm, extent_mm : float
+        Height of the loaded surface, and the smaller of height and half-width.
+    """
+    a = contact_radius(indenter, depth_mm)
+    zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
+    size, reach = zone, 1.3 * a
+    if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
+        size = min(zone, indenter.tip_radius_mm / _PER_TIP)
+        # pressed in but a little, a tip touches a small part of its own radius
+        feature = min(_TIP_ZONE * indenter.tip_radius_mm, reach)
+    elif isinstance(indenter, Flat):
+        edge = indenter.edge_radius_mm
+        size = min(edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE, zone)
+        ring, feature, reach = a - edge, 1.5 * edge, a
+    largest = _LARGEST * extent_mm
+    return SizeField(top_mm, size, size, largest, feature, ring, zone, reach, _GROWTH)
+
+
+def size_field(
+    model: Model, indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
+) -> SizeField:
+    """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level."""
+    reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
+    if sharp_edge(indenter) and model.space == "axisymmetric":
+        reference = _about_sharp_edge(reference, indenter, depth_mm)
+    if isinstance(indenter, Flat) and (model.space, model.element_shape) == ("3d", "tensor"):
+        reference = _of_rings(reference, indenter, depth_mm)
+    if isinstance(indenter, Cone) and (model.element_order, model.element_shape) == _STRETCHED:
+        reference = _under_tip(reference, indenter, _TIP_CORE[model.space])
+    if model.mesh_size_mm is not None:
+        return reference.scaled(model.mesh_size_mm / reference.size_mm)
+    return reference.scaled(mesh_level(model))
+
+
+def _about_sharp_edge(field: SizeField, indenter: Indenter, depth_mm: float) -> SizeField:
+    """Let the error of the edge, of first order, rule that of the smooth rest.
+
+    In 3D so slow a growth would cost too much.
+    """
+    halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
+    return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
+
+
+def _of_rings(field: SizeField, indenter: Flat, depth_mm: float) -> SizeField:
+    """Sizes of rings of hexahedra around an edge, which are cheap to be small across it.
+
+    Linear ones need a slower growth; the singular edge takes as much off the force as they do.
+    """
+    shallow = sharp_edge(indenter) and depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm)
+    finest = field.finest_mm / (_RING_FINER if shallow else 1.0)
+    return replace(field, finest_mm=finest, growth=_RING_GROWTH)
+
+
+def _under_tip(field: SizeField, cone: Cone, core: float) -> SizeField:
+    """Smaller elements under a rounded tip, where a deep needle stretches them most."""
+    finest = cone.tip_radius_mm / (_PER_TIP * _TIP_FINER)
+    if not 0 < finest < field.finest_mm:
+        return field
+    return replace(field, finest_mm=finest, feature_mm=core * cone.tip_radius_mm)

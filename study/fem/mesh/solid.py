@@ -1,0 +1,224 @@
+"""Tetrahedra inside a closed surface, by gmsh.
+
+The triangles are split into faces at sharp edges, each face is parametrized and meshed
+again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. Meth. Eng. 83,
+403); the volume is filled with tetrahedra. Nodes lie on the triangles of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from study.arrays import Array, Ints
+from study.errors import Fault, MeshError
+from study.fem.mesh.graded import generated, gmsh_session, snapped, turned
+from study.fem.mesh.mesh import Mesh
+from study.fem.mesh.size_field import SizeField, size_field
+from study.fem.mesh.surface_size_field import SizeTable, expected_cubes, graded_table
+from study.setup.geometry import Flat, Surface
+from study.setup.setup import Problem, mesh_level
+from study.surface.surface import Body, body
+
+#: angle between triangles at which an edge counts as sharp (rad)
+FEATURE = np.radians(35.0)
+
+#: reference sizes in one cube root of the volume; coarser than for half or quarter models
+CELLS_PER_LENGTH = 12.0
+
+#: the same where elements get smaller towards bonded plates: as many in all on a medium mesh
+GRADED_PER_LENGTH = 6.5
+
+#: largest part of the volume that straight-sided elements may cut off
+_LOST = 0.05
+
+#: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
+_PER_CUBE, _UNKNOWNS = 6.0, {"quadratic": 5.0, "linear": 4.0}
+
+
+def surface_mesh(problem: Problem) -> Mesh:
+    """Tetrahedra in a specimen given as a surface.
+
+    Raises
+    ------
+    InputError
+        If the surface has faults.
+    MeshError
+        If gmsh fails, or the elements are too large to follow the shape.
+    """
+    found = _body_of(problem)
+    field = _field(problem, found)
+    plates = _bonded(problem, found)
+    sizes = graded_table(found, field.size_mm, plates) if plates else field
+    points, cells = _tetrahedra(found, sizes)
+    points = snapped(points, [(2, 0.0), (2, found.height_mm)])
+    points = _standing(points, found.height_mm)
+    _check_volume(points, cells, found.volume_mm3, field.size_mm)
+    points, cells = _same_volume(points, cells, found.volume_mm3), turned(points, cells)
+    return Mesh(points, cells, False, field.size_mm, sizes.finest_mm)
+
+
+def surface_mesh_size(problem: Problem) -> float:
+    """Element size in mm: everywhere in compression, under the indenter in indentation."""
+    return _field(problem, _body_of(problem)).size_mm
+
+
+def expected_unknowns(problem: Problem) -> float:
+    """Unknowns that the mesh of a problem will have, from volume and sizes alone.
+
+    Right within a factor of 1.5. In indentation the sizes are integrated over spheres about
+    the point of contact.
+    """
+    found = _body_of(problem)
+    field = _field(problem, found)
+    if problem.test.kind == "compression":
+        plates = _bonded(problem, found)
+        uniform = found.volume_mm3 / field.size_mm**3
+        cubes = expected_cubes(found, field.size_mm, plates) if plates else uniform
+    else:
+        reach = (3 * found.volume_mm3 / (2 * np.pi)) ** (1 / 3)  # a half ball of the same volume
+        s = np.linspace(0, reach, 2001)
+        h = field.at(s, np.full(s.shape, found.height_mm))
+        cubes = float(np.trapezoid(2 * np.pi * s**2 / h**3, s))
+    return _PER_CUBE * _UNKNOWNS[problem.model.element_order] * cubes
+
+
+def _body_of(problem: Problem) -> Body:
+    if not isinstance(problem.specimen, Surface):
+        raise MeshError("a mesh inside a surface needs a surface")
+    return body(problem.specimen)
+
+
+def _field(problem: Problem, found: Body) -> SizeField:
+    """Sizes of an indented surface; of a compressed one before bonded plates are looked at."""
+    test, model = problem.test, problem.model
+    if test.kind == "compression" or test.indenter is None:
+        per_length = GRADED_PER_LENGTH if _bonded(problem, found) else CELLS_PER_LENGTH
+        usual = found.volume_mm3 ** (1 / 3) / per_length
+        return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
+    extent = min(found.height_mm, found.half_width_mm)
+    return size_field(model, test.indenter, test.displacement_mm, found.height_mm, extent)
+
+
+def _bonded(problem: Problem, found: Body) -> tuple[float, ...]:
+    """Heights of the bonded faces of a compressed surface."""
+    test, plates = problem.test, []
+    if test.kind == "compression" and test.base == "bonded" and found.touches("base"):
+        plates.append(0.0)
+    if test.kind == "compression" and test.interface == "bonded" and found.touches("top"):
+        plates.append(found.height_mm)
+    return tuple(plates)
+
+
+def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]:
+    with gmsh_session(field, 3) as gmsh:
+        try:
+            _enclose(gmsh, found)
+        except Exception as error:  # gmsh raises nothing more specific
+            raise MeshError(f"gmsh cannot use the surface: {error}") from error
+        return generated(gmsh, 3)
+
+
+def _enclose(gmsh: Any, found: Body) -> None:
+    """Faces and the volume between them, from the triangles."""
+    mesh, n = gmsh.model.mesh, len(found.points)
+    tag = gmsh.model.addDiscreteEntity(2)
+    mesh.addNodes(2, tag, np.arange(1, n + 1), found.points.ravel())
+    mesh.addElementsByType(tag, 2, [], (found.triangles + 1).ravel())
+    mesh.classifySurfaces(FEATURE, True, True, FEATURE)
+    mesh.createGeometry()
+    faces = [face for _, face in gmsh.model.getEntities(2)]
+    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(faces)])
+
+
+def _standing(points: Array, height: float) -> Array:
+    """Let the mesh reach both plates: where the ends are round, no node may lie on their poles."""
+    points = points.copy()
+    lowest, highest = int(points[:, 2].argmin()), int(points[:, 2].argmax())
+    points[lowest, 2], points[highest, 2] = 0.0, height
+    return points
+
+
+def _same_volume(points: Array, cells: Ints, volume: float) -> Array:
+    """Widen the mesh until its volume is that of the surface.
+
+    Straight sides cut a little off every round part: with ten segments on a quarter circle
+    0.41 % of the cross-section, which would look like an effect of the mesh. A specimen with
+    plane faces stays as it is.
+    """
+    wider = float(np.sqrt(volume / _volume(points, cells)))
+    return np.asarray(points * np.array([wider, wider, 1.0]))
+
+
+def _volume(points: Array, cells: Ints) -> float:
+    edges = points[cells[:, 1:]] - points[cells[:, :1]]
+    return float(np.abs(np.linalg.det(edges)).sum() / 6)
+
+
+def _check_volume(points: Array, cells: Ints, volume: float, size: float) -> None:
+    """Refuse elements that cannot follow the shape; what they cut off goes as their size squared.
+
+    Raises
+    ------
+    MeshError
+        With the size that can.
+    """
+    own = _volume(points, cells)
+    lost = abs(own / volume - 1)
+    if lost > _LOST:
+        rule = f"the mesh has {own:.4g} mm^3 where the surface encloses {volume:.4g} mm^3"
+        finer = size * float(np.sqrt(_LOST / lost))
+        raise MeshError(f"{rule}: a mesh_size of {finer:.2g} mm or less follows the shape")
+
+
+def surface_faults(problem: Problem) -> list[Fault]:
+    """Everything that speaks against a test of a specimen given as a surface.
+
+    Raises
+    ------
+    InputError
+        If the surface itself has faults.
+    """
+    if not isinstance(problem.specimen, Surface):
+        return []
+    wrong = list(_model(problem))
+    if wrong:
+        return wrong
+    found = body(problem.specimen)
+    return [*_plates(problem, found), *_punch(problem)]
+
+
+def _model(problem: Problem) -> Iterator[Fault]:
+    model = problem.model
+    if model.space == "axisymmetric":
+        rule = "a surface from a file has no axis of symmetry that could be relied on"
+        yield Fault("model.space", rule, 'write space = "3d"')
+    if model.element_shape == "tensor":
+        rule = "the inside of a surface is meshed with tetrahedra"
+        yield Fault("model.element_shape", rule, 'write element_shape = "tetrahedron"')
+
+
+def _plates(problem: Problem, found: Body) -> Iterator[Fault]:
+    test, specimen = problem.test, problem.specimen
+    clamped = isinstance(specimen, Surface) and specimen.clamp_below_mm is not None
+    if not clamped and not found.touches("base"):
+        rule = "no face of the specimen lies in the plane of its lowest point: nothing holds it"
+        mend = "hold it with clamp_below, turn it with axis, or raise plate_tolerance"
+        yield Fault("test.base", rule, mend)
+    if test.kind == "compression" and test.interface == "bonded" and not found.touches("top"):
+        rule = "no face of the specimen lies in the plane of its highest point: nothing to bond"
+        mend = 'use interface = "frictionless", turn it with axis, or raise plate_tolerance'
+        yield Fault("test.interface", rule, mend)
+
+
+def _punch(problem: Problem) -> Iterator[Fault]:
+    pressed = problem.test.indenter
+    if problem.test.kind != "indentation" or not isinstance(pressed, Flat):
+        return
+    why = "a mesh of a surface has no line of nodes along the edge of a flat punch"
+    if problem.test.interface == "bonded":
+        yield Fault("test.interface", why, 'use interface = "frictionless" and an edge_radius')
+    elif not pressed.edge_radius_mm:
+        yield Fault("test.indenter.edge_radius", why, "round the edge, or use a block or cylinder")

@@ -1,0 +1,1 @@
+"""Equilibrium: Newton iterations, load steps, linear solvers and sensitivities."""

@@ -1,0 +1,364 @@
+"""The discrete equations of one problem: unknowns, boundary conditions, residual and tangent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.arrays import Array
+from study.fem.contact.adhesion import TiedPoints, hold, nothing_held
+from study.fem.contact.collocation import contact_points, touch_radius
+from study.fem.contact.constraints import Constraints, constraints
+from study.fem.contact.contact import ContactPoints, ContactState, Glue, Meeting
+from study.fem.element.function_space import Discretization, discretize
+from study.fem.element.sparsity import Pattern
+from study.fem.mesh.mesh import Mesh
+from study.fem.solver.internal_force import (
+    EVENNESS,
+    EVENNESS_OF_SOLIDS,
+    LOCAL_BULK,
+    ContactBlocks,
+    Internal,
+    StoredEnergy,
+    Tangent,
+)
+from study.fem.solver.linear_solver import LinearSolver, make_solver
+from study.fem.solver.reused_factorization import KeptFactors
+from study.material.material import Material
+from study.setup.geometry import Surface
+from study.setup.setup import Problem
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns at one displacement.
+
+    Parameters
+    ----------
+    displacement_mm : float
+        Displacement of the test.
+    x : ndarray, shape (n,)
+        Displacements node by node, then pressures.
+    multipliers : tuple of ndarray
+        Contact pressures, one array for each set of contact points.
+    closed : tuple of ndarray of bool
+        Imposed active sets; empty where every contact point decides for itself.
+    glue : Glue, optional
+        What a bonded indenter has taken hold of.
+    """
+
+    displacement_mm: float
+    x: Array
+    multipliers: tuple[Array, ...] = ()
+    closed: tuple[NDArray[np.bool_], ...] = ()
+    glue: Glue | None = None
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``place`` (n,)."""
+
+    weights: Array
+    place: Array
+
+
+@dataclass
+class Assembly:
+    """Residual, tangent entries and contact at one state (arrays are the system's own)."""
+
+    min_j: float
+    internal: Array
+    residual: Array
+    contact: list[ContactState]
+
+
+def _local_bulk(problem: Problem) -> float:
+    """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
+    model, test = problem.model, problem.test
+    solid = model.space == "3d" and model.element_order == "quadratic"
+    return LOCAL_BULK if solid and test.kind == "indentation" else 0.0
+
+
+def _evenness(problem: Problem) -> float:
+    """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
+    model = problem.model
+    mixed = model.element_shape == "simplex" and model.formulation != "displacement"
+    if not mixed or problem.test.kind != "indentation":
+        return 0.0
+    if model.element_order == "linear":
+        return EVENNESS
+    return EVENNESS_OF_SOLIDS if model.space == "3d" else 0.0
+
+
+@dataclass
+class System:
+    """One problem on one mesh, ready to be solved for any constants of its material."""
+
+    mesh: Mesh
+    space: Discretization
+    internal: Internal
+    constraints: Constraints
+    contact: tuple[ContactPoints, ...]
+    force_scale: float
+    area_mm2: float
+    height_mm: float
+    touch_mm: float
+    material: Material
+    tangent: Tangent
+    kept: KeptFactors
+    seconds: dict[str, float] = field(default_factory=dict)
+    drag: Drag | None = None
+    _met: tuple[Array, float, list[Meeting]] | None = None
+    _ratios: tuple[Array, Array] | None = None
+    _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    _contact_blocks: list[ContactBlocks] = field(default_factory=list)
+
+    @classmethod
+    def build(
+        cls, problem: Problem, mesh: Mesh, *, solver: str = "auto", folding: bool = True
+    ) -> System:
+        """Discretize, constrain and analyze a problem on a mesh."""
+        start = time.perf_counter()
+        space = discretize(mesh, problem.model, stretched=problem.test.kind == "indentation")
+        held = constraints(problem, space, mesh)
+        pattern = Pattern.build(space.dofs, space.n, held.dofs)
+        whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
+        sector = 1.0 if whole else 4.0
+        direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
+        height = mesh.height_mm
+        bottom = height / 2 if mesh.half_height else 0.0
+        system = cls(
+            mesh=mesh,
+            space=space,
+            internal=Internal.on(space, _local_bulk(problem), _evenness(problem)),
+            constraints=held,
+            contact=contact_points(problem, space, mesh, folding=folding),
+            force_scale=sector * (2.0 if mesh.half_height else 1.0),
+            area_mm2=float(space.weights.sum()) * sector / (height - bottom),
+            height_mm=height,
+            touch_mm=touch_radius(problem),
+            material=problem.material,
+            tangent=Tangent.of(pattern, space.dofs),
+            kept=KeptFactors(direct, pattern),
+        )
+        system._place_contact()
+        system.seconds["setup"] = time.perf_counter() - start
+        return system
+
+    def with_material(self, material: Material) -> System:
+        """Return the same discretization for other constants; solver and arrays are shared."""
+        return replace(self, material=material)
+
+    def dragged(self, weights: Array, place: Array) -> System:
+        """Return the same equations with a drag; solver and arrays are shared."""
+        return replace(self, drag=Drag(weights, place))
+
+    @property
+    def small_strain(self) -> bool:
+        """Whether the material is linear: contact then belongs to the reference state."""
+        return self.material.family == "linear-elastic"
+
+    @property
+    def pattern(self) -> Pattern:
+        """Free unknowns and the entries of the tangent."""
+        return self.tangent.pattern
+
+    @property
+    def data(self) -> Array:
+        """Entries of the last assembled tangent, contact and drag included."""
+        return self.tangent.data
+
+    @property
+    def solver(self) -> LinearSolver:
+        """Direct solver of the tangents."""
+        return self.kept.solver
+
+    @property
+    def dofs(self) -> int:
+        """Number of free unknowns."""
+        return int(self.pattern.free.size)
+
+    @property
+    def sticks(self) -> bool:
+        """Whether points that touch are tied to what they touch."""
+        return any(isinstance(points, TiedPoints) for points in self.contact)
+
+    def force_floor(self, displacement_mm: float) -> float:
+        """Force that residuals are compared with where there is none yet (first touch), N."""
+        strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
+        floor = 1e-6 * self.material.mu0 * self.area_mm2 * strain
+        return max(floor, 0.5 * self.material.mu0 * self.touch_mm**2)
+
+    def start(self) -> State:
+        """Return the unloaded state."""
+        zeros = tuple(np.zeros(c.size) for c in self.contact)
+        glue = nothing_held(self.contact[0], self.space.dim) if self.sticks else None
+        return State(0.0, np.zeros(self.space.n), zeros, glue=glue)
+
+    def prescribed(self, displacement_mm: float) -> Array:
+        """Values of the constrained unknowns."""
+        return self.constraints.rate * displacement_mm
+
+    def volume_ratios(self, x: Array) -> Array:
+        """J at every quadrature point, shape (n_elements, n_quadrature)."""
+        if self._ratios is None or self._ratios[0] is not x:
+            self._ratios = x, self.internal.volume_ratios(self.material, x)
+        return self._ratios[1]
+
+    def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
+        """Residual at a state; the tangent stays in the system's own arrays.
+
+        Where an element is inverted ``min_j`` is not positive and nothing else is valid.
+        """
+        began = time.perf_counter()
+        into = self.tangent if tangent else None
+        min_j = self.internal.evaluate(self.material, state.x, into)
+        internal = self.internal.gathered()
+        residual, contacts = internal.copy(), self._touching_as(state, state.closed)
+        for points, touch, blocks in zip(self.contact, contacts, self._contact_blocks, strict=True):
+            np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
+            if tangent:
+                blocks.fill(points.stiffness(touch), self.data)
+        if self.drag is not None:
+            residual += self.drag.weights * (state.x - self.drag.place)
+            if tangent:  # rows begin with their diagonal
+                self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
+        self._touching = np.concatenate([np.zeros(0, bool), *(t.active for t in contacts)])
+        self._count("assembly", began)
+        return Assembly(min_j, internal, residual, contacts)
+
+    def touching(self, state: State) -> list[ContactState]:
+        """Contact at a state as every point itself decides it."""
+        return self._touching_as(state, ())
+
+    def _touching_as(
+        self, state: State, sides: tuple[NDArray[np.bool_], ...]
+    ) -> list[ContactState]:
+        each = zip(
+            self.contact,
+            self._meetings(state),
+            state.multipliers,
+            sides or (None,) * len(self.contact),
+            strict=True,
+        )
+        return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
+
+    def _meetings(self, state: State) -> list[Meeting]:
+        """Where the contact points are, found once for the decision and for the forces."""
+        met = self._met
+        if met is None or met[0] is not state.x or met[1] != state.displacement_mm:
+            u = self.displacements(state.x)
+            found = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
+            self._met = met = state.x, state.displacement_mm, found
+        return met[2]
+
+    def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
+        """Return a converged state with all that touches held by the indenter.
+
+        ``rates`` are the derivatives of the unknowns by every constant.
+        """
+        if state.glue is None:
+            return state
+        glue, multipliers = hold(
+            state.glue,
+            self.contact,
+            assembly.contact,
+            self.space.nodes,
+            self.displacements(state.x),
+            state.displacement_mm,
+            {name: self.displacements(rate) for name, rate in rates.items()},
+        )
+        return replace(state, glue=glue, multipliers=multipliers)
+
+    def factorize(self, *, exact: bool = False) -> None:
+        """Factorize the last assembled tangent; ``exact`` asks for double precision."""
+        began = time.perf_counter()
+        if exact:
+            self.solver.sharpen()
+        self.solver.factorize(self.data)
+        self.kept.renewed(self._touching)
+        self._count("factorization", began)
+
+    def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
+        """Solve with the last assembled tangent, by an older factorization where that pays.
+
+        ``change`` is the residual that the iteration has come down to.
+        """
+        began = time.perf_counter()
+        found = self.kept.solve(self.data, right, scale, tolerance, self._touching, change)
+        self._count("solve", began)
+        if found is not None:
+            return found
+        self.factorize()
+        return self.solve_afresh(right, tolerance, scale)
+
+    def solve_afresh(self, right: Array, tolerance: float, scale: Array | None = None) -> Array:
+        """Solve with the last assembled tangent, which was just factorized.
+
+        Parameters
+        ----------
+        tolerance : float
+            On the residual over that of zero, where the factors are not exact.
+        scale : ndarray, optional
+            Weights of the equations in it.
+        """
+        began = time.perf_counter()
+        weights = np.ones(right.shape) if scale is None else scale
+        found = self.kept.solve_afresh(self.data, right, weights, tolerance)
+        self._count("solve", began)
+        return found
+
+    def factors_serve(self) -> bool:
+        """Whether the last factorization is of a tangent near the last assembled one."""
+        return self.kept.serves(self._touching)
+
+    def lift_product(self, lift: Array) -> Array:
+        """Force of prescribed increments on the free unknowns, contact left out."""
+        jump = np.zeros(self.space.n)
+        jump[self.constraints.dofs] = lift
+        return self.tangent.beside(jump)[self.pattern.free]
+
+    def back_substitute(self, right: Array) -> Array:
+        """Solve with the last factorization for the free unknowns, as exactly as that goes."""
+        began = time.perf_counter()
+        solution = self.solver.solve(right)
+        self._count("solve", began)
+        return solution
+
+    def tangent_product(self, v: Array, *, contact: bool = True) -> Array:
+        """K v of the last assembled tangent, constrained rows and columns included."""
+        if contact:
+            out = self.tangent.product(v)
+            for blocks in self._contact_blocks:
+                blocks.add_beside(v, out)
+            return out
+        with ExitStack() as without:
+            # last in, first out: each remembers the entries as those before it left them
+            for blocks in reversed(self._contact_blocks):
+                without.enter_context(blocks.taken_out(self.data))
+            return self.tangent.product(v)
+
+    def constant_derivative(self, state: State, name: str) -> Array:
+        """dR/dconstant at fixed unknowns, shape (n,), K(nu) included."""
+        return self.internal.constant_derivative(self.material, state.x, name)
+
+    def stored_energy(self, state: State) -> StoredEnergy:
+        """Energy of the elements of the model, N mm: of a quarter, say, not of the whole."""
+        return self.internal.stored(self.material, state.x)
+
+    def displacements(self, x: Array) -> Array:
+        """Nodal displacements, shape (n_nodes, dim)."""
+        return x[: self.space.n_displacement].reshape(-1, self.space.dim)
+
+    def _place_contact(self) -> None:
+        for points in self.contact:
+            dofs = points.dofs(self.space.dim)
+            self._contact_blocks.append(ContactBlocks.at(dofs, self.pattern.locate(dofs)))
+
+    def _count(self, what: str, began: float) -> None:
+        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - began

@@ -1,0 +1,97 @@
+"""Closed form of the one homogeneous test, compression between frictionless plates, and starts.
+
+Force = area x nominal stress at the stretch 1 - d/H, positive in compression, with the
+lateral stretch of the nearly incompressible material where K is finite. The gradient with
+respect to the constants is analytic, so a fit costs microseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from study.arrays import Array
+from study.curve import Curve
+from study.errors import Fault, InputError
+from study.forward import halfspace
+from study.material.homogeneous import response
+from study.material.material import Material
+from study.runner import build
+
+
+def compression(specimen: Mapping[str, Any], material: Material, displacement_mm: Array) -> Curve:
+    """Force of a cylinder or block compressed between frictionless plates.
+
+    Parameters
+    ----------
+    specimen : mapping
+        Specimen section with a height and a cross-section.
+    displacement_mm : ndarray, shape (n,)
+        Displacements, from 0 to below the height.
+
+    Returns
+    -------
+    Curve
+        With ``force_gradient`` in N per MPa for every constant.
+
+    Raises
+    ------
+    InputError
+        If a displacement reaches the height of the specimen.
+    """
+    height, area = build.height_mm(specimen), build.area_mm2(specimen)
+    d = np.asarray(displacement_mm, dtype=float)
+    if height is None or d.max(initial=0.0) >= height:
+        rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
+        raise InputError(Fault("test.displacement", rule))
+    stretch = 1 - d / height
+    state = response(material, "uniaxial", stretch)
+    gradient = {name: -area * slope for name, slope in state.gradient.items()}
+    return Curve(d, -area * state.stress, force_gradient=gradient)
+
+
+def neo_hookean_start(
+    config: Mapping[str, Any], displacement_mm: Array, force_N: Array
+) -> dict[str, float]:
+    """C10 (MPa) of the closed form that fits a measured curve best.
+
+    The force is linear in C10 where Poisson's ratio is given, so one linear least squares
+    step is the answer between frictionless plates; elsewhere it is close enough for a start.
+    """
+    model = _force_per_C10(config, np.asarray(displacement_mm, dtype=float))
+    c10 = float(model @ force_N / (model @ model))
+    if not np.isfinite(c10) or c10 <= 0:
+        raise InputError(
+            Fault(
+                "measurements",
+                "the measured force does not resist (wrong sign?)",
+                "check measurements.sign and the force column",
+            )
+        )
+    return {"C10": c10}
+
+
+def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
+    """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
+    # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
+    unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
+    pressed = config["test"].get("indenter")
+    if config["test"]["kind"] != "indentation" or pressed is None:
+        return compression(config["specimen"], unit, d).force_N
+    nu = float(config["material"].get("poisson_ratio") or 0.5)
+    height = build.height_mm(config["specimen"])
+    per_modulus = halfspace.indentation(
+        build.indenter(pressed),
+        np.maximum(d, 0.0),
+        height_mm=np.inf if height is None else height,
+        poisson_ratio=nu,
+        bonded=build.loading(config["test"], 1.0).base == "bonded",
+    )
+    # E = 4 (1 + nu) C10
+    force = 4 * (1 + nu) * per_modulus
+    if height is None or d.max(initial=0.0) >= height:
+        return force
+    # an indenter as wide as the specimen is a plate, and none needs more force than that
+    return np.minimum(force, compression(config["specimen"], unit, d).force_N)

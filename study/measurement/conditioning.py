@@ -1,0 +1,250 @@
+"""From the rows of one measured test to a curve on an even grid, by stated rules.
+
+The rules are applied in this order, and every row they drop or change is counted:
+
+1. sign: force, and displacement where it runs the other way, made positive into the specimen;
+   a force that falls with displacement is refused;
+2. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
+   ``fit``: the start of a straight line through the first tenth of the travel);
+3. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
+4. ``toe``: displacement counts from where the force passes this load for good;
+5. resampling by linear interpolation at ``points`` displacements even over the range.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.arrays import Array
+from study.errors import Fault, InputError
+
+ZERO_RULES = ("none", "first", "fit")
+SIGNS = ("positive", "negative")
+ZERO_FIT_SHARE = 0.1
+MIN_ROWS = 3
+EQUAL_MM = 1e-9
+
+#: the one rule that a user is warned of: it may mean that the file holds something else
+SORTED = "rows out of order sorted by displacement"
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How the rows of every test of a study become a curve.
+
+    Parameters
+    ----------
+    low_mm, high_mm : float
+        Range of displacement that is kept.
+    points : int
+        Number of displacements, even over the range.
+    sign : {"positive", "negative"}
+        Declared sign of the force where the specimen resists.
+    zero : {"none", "first", "fit"}
+        Rule of the load cell's zero.
+    toe_N : float, optional
+        Force at which contact counts as made.
+    height_mm : float, optional
+        Height of the specimen, for messages in percent.
+    """
+
+    low_mm: float
+    high_mm: float
+    points: int = 200
+    sign: str = "positive"
+    zero: str = "none"
+    toe_N: float | None = None
+    height_mm: float | None = None
+
+    def grid(self) -> Array:
+        """Displacements in mm at which the force is taken, shape (points,)."""
+        return np.linspace(self.low_mm, self.high_mm, self.points)
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """Force of one test on the grid of its rules, shape (points,), and what was done."""
+
+    force_N: Array
+    counts: Counter[str]
+    zero_N: float
+    toe_mm: float
+    rows: int
+
+
+def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> Conditioned:
+    """Apply the rules of this module to one test.
+
+    Parameters
+    ----------
+    displacement_mm, force_N : ndarray, shape (rows,)
+        The test as recorded, in the order of the file.
+    rules : Rules
+        What to apply.
+    where : str
+        Name of the test, for messages.
+
+    Raises
+    ------
+    InputError
+        If the test has too few rows, the wrong sign, a constant force, or does not cover the
+        range.
+    """
+    counts: Counter[str] = Counter()
+    if displacement_mm.size < MIN_ROWS:
+        raise InputError(
+            Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
+        )
+    d, f = _apply_sign(displacement_mm, force_N, rules, where, counts)
+    zero = _zero(d, f, rules.zero)
+    d, f = _sorted_unique(d, f - zero, counts)
+    d, f, toe = _toe(d, f, rules, where, counts)
+    force = _resample(d, f, rules, where, counts)
+    inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
+    return Conditioned(force, counts, zero, toe, inside)
+
+
+def _apply_sign(
+    d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
+) -> tuple[Array, Array]:
+    span = float(np.ptp(f))
+    if span <= 1e-12 * max(float(np.abs(f).max()), 1e-300) or np.ptp(d) == 0:
+        what = "displacement" if np.ptp(d) == 0 else "force"
+        value = d[0] if what == "displacement" else f[0]
+        raise InputError(
+            Fault(
+                where,
+                f"the {what} is constant ({value:.6g}): nothing to fit",
+                "check the columns and the recording",
+            )
+        )
+    backwards = abs(float(d.min())) > abs(float(d.max()))
+    if rules.sign == "negative":
+        f = -f
+        if backwards:
+            d = -d
+            counts["displacement reversed (declared sign negative)"] += d.size
+    elif backwards:
+        raise InputError(
+            Fault(
+                where,
+                f"displacement runs from {d.max():.4g} to {d.min():.4g} mm where the "
+                "declared sign is positive into the specimen",
+                'write sign = "negative" if compression is recorded as negative',
+            )
+        )
+    if _covariance(d, f) < 0:
+        other = "negative" if rules.sign == "positive" else "positive"
+        raise InputError(
+            Fault(
+                where,
+                "force falls as displacement grows: the declared sign "
+                f"({rules.sign}) does not fit the data",
+                f'write sign = "{other}", or check the columns',
+            )
+        )
+    return d, f
+
+
+def _covariance(d: Array, f: Array) -> float:
+    """Covariance over squares of the largest values, so that it cannot overflow."""
+    d, f = d / np.abs(d).max(), f / np.abs(f).max()
+    return float(np.mean((d - d.mean()) * (f - f.mean())))
+
+
+def _zero(d: Array, f: Array, rule: str) -> float:
+    """Read the load cell without load, in N (d, f in the order of the recording)."""
+    if rule == "first":
+        return float(f[0])
+    if rule == "fit":
+        order = np.argsort(d, kind="stable")
+        d, f = d[order], f[order]
+        count = int(np.count_nonzero(d <= d[0] + ZERO_FIT_SHARE * np.ptp(d)))
+        count = min(max(count, MIN_ROWS), d.size)
+        x = d[:count] - d[:count].mean()
+        y = f[:count]
+        slope = float(x @ y / (x @ x)) if np.any(x) else 0.0
+        return float(y.mean() + slope * x[0])
+    return 0.0
+
+
+def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Array]:
+    out_of_order = int(np.count_nonzero(np.diff(d) < 0))
+    if out_of_order:
+        counts[SORTED] += out_of_order
+        order = np.argsort(d, kind="stable")
+        d, f = d[order], f[order]
+    places, inverse, repeats = np.unique(
+        np.round(d / EQUAL_MM), return_inverse=True, return_counts=True
+    )
+    if places.size < d.size:
+        counts["rows of equal displacement averaged"] += int(repeats[repeats > 1].sum())
+        d = np.bincount(inverse, weights=d) / repeats
+        f = np.bincount(inverse, weights=f) / repeats
+    return d, f
+
+
+def _toe(
+    d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
+) -> tuple[Array, Array, float]:
+    """Shift displacement to where the force passes the toe for the last time from below."""
+    if rules.toe_N is None:
+        return d, f, 0.0
+    below = np.flatnonzero(f <= rules.toe_N)
+    start = int(below[-1]) + 1 if below.size else 0
+    if start >= d.size:
+        raise InputError(
+            Fault(where, f"the force never stays above the toe of {rules.toe_N:.4g} N", "lower toe")
+        )
+    contact = float(d[start])
+    if start:
+        share = (rules.toe_N - f[start - 1]) / (f[start] - f[start - 1])
+        contact = float(d[start - 1] + share * (d[start] - d[start - 1]))
+        counts["rows before contact dropped (toe)"] += start
+        d, f = np.r_[contact, d[start:]], np.r_[rules.toe_N, f[start:]]
+    return d - contact, f, contact
+
+
+def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]) -> Array:
+    low, high = rules.low_mm, rules.high_mm
+    spacing = (high - low) / max(rules.points - 1, 1)
+    slack = 1e-9 * high
+    if d[-1] < high - slack:
+        raise InputError(
+            Fault(
+                where,
+                f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}",
+                "shorten the range or leave this test out",
+            )
+        )
+    if d[0] > low + slack:
+        if d[0] > low + spacing or low < 0:
+            raise InputError(
+                Fault(
+                    where,
+                    f"begins at {_place(d[0], rules)}, the range asks for {_place(low, rules)}",
+                    "raise the lower end of the range",
+                )
+            )
+        # the unloaded origin is part of every curve; it bridges less than one grid step here
+        counts["tests whose start was joined to the unloaded origin"] += 1
+        d, f = np.r_[0.0, d], np.r_[0.0, f]
+    inside = int(np.count_nonzero((d >= low - slack) & (d <= high + slack)))
+    if inside < MIN_ROWS:
+        raise InputError(
+            Fault(
+                where,
+                f"has {inside} rows between {_place(low, rules)} and "
+                f"{_place(high, rules)}, a curve needs at least {MIN_ROWS}",
+                "widen the range or record more points",
+            )
+        )
+    return np.asarray(np.interp(rules.grid(), d, f), dtype=float)
+
+
+def _place(value_mm: float, rules: Rules) -> str:
+    percent = f" ({100 * value_mm / rules.height_mm:.4g} %)" if rules.height_mm else ""
+    return f"{value_mm:.4g} mm{percent}"

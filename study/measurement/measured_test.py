@@ -1,0 +1,210 @@
+"""Measured tests on one grid of displacements, and the averages taken from them.
+
+Repeats on one specimen are nested in it: they are averaged, never counted as independent
+(pseudo-replication; Hurlbert 1984, Ecol. Monogr. 54, 187).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from study.arrays import Array
+from study.curve import Curve
+from study.errors import Fault, InputError, nearest
+
+
+@dataclass(frozen=True)
+class SingleTest:
+    """One recorded test on the common grid: its group labels and force, shape (points,)."""
+
+    groups: Mapping[str, str]
+    force_N: Array
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class MeasuredTest:
+    """Average of the repeats that a selection matches.
+
+    Parameters
+    ----------
+    curve : Curve
+        Mean force at the even displacements of the range.
+    scatter_N : ndarray, shape (points,), or None
+        Standard deviation of the repeats at each point; None for a single test.
+    n_repeats : int
+        Number of tests averaged.
+    groups : mapping of str to str
+        Labels that all averaged tests share.
+    notes : tuple of str
+        What was done to the rows of these tests.
+    """
+
+    curve: Curve
+    scatter_N: Array | None
+    n_repeats: int
+    groups: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """All tests of a study, on one grid of displacements.
+
+    Parameters
+    ----------
+    tests : tuple of SingleTest
+        Every test, in the order of the files.
+    displacement_mm : ndarray, shape (points,)
+        The common grid.
+    block : str or None
+        Column of the blocks.
+    average : tuple of str
+        Columns over which :meth:`curve` averages.
+    fit, score : mapping or None
+        Selections that give constants and responses.
+    swap : bool
+        Whether fit and score also change places.
+    notes : tuple of str
+        Counted report of every rule that touched the data.
+    files : mapping of str to str
+        Name of each file and its sha256.
+    """
+
+    tests: tuple[SingleTest, ...]
+    displacement_mm: Array
+    block: str | None = None
+    average: tuple[str, ...] = ()
+    fit: Mapping[str, Any] | None = None
+    score: Mapping[str, Any] | None = None
+    swap: bool = False
+    notes: tuple[str, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Labels of the blocks, in the order of the files; empty without a block column."""
+        if self.block is None:
+            return ()
+        return tuple(dict.fromkeys(test.groups[self.block] for test in self.tests))
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Labels of every grouping column, in the order of the files."""
+        return {
+            name: tuple(dict.fromkeys(test.groups[name] for test in self.tests))
+            for name in self.tests[0].groups
+        }
+
+    @property
+    def data_hash(self) -> str:
+        """One sha256 over the contents of all files, whatever their names."""
+        return hashlib.sha256("\n".join(sorted(self.files.values())).encode()).hexdigest()
+
+    def curve(self, block: str | None = None, **where: Any) -> MeasuredTest:
+        """Average of the tests of one block that match ``where``.
+
+        Parameters
+        ----------
+        block : str, optional
+            Label of the block; left out where the study has none.
+        **where
+            Grouping columns and the label (or list of labels) wanted.
+
+        Raises
+        ------
+        InputError
+            If nothing matches, or the matching tests differ in a column that is not averaged.
+        """
+        chosen = self._matching(block, where)
+        shared = _shared(chosen)
+        loose = [n for n in chosen[0].groups if n not in shared and n not in self.average]
+        if loose:
+            values = ", ".join(dict.fromkeys(t.groups[loose[0]] for t in chosen))
+            raise InputError(
+                Fault(
+                    "measurements",
+                    f"several tests match {_words(block, where)}: {loose[0]} = {values}",
+                    f"name {loose[0]!r} in `fit` and `score`, or in `average` if its tests are "
+                    "repeats on one specimen",
+                )
+            )
+        forces = np.array([test.force_N for test in chosen])
+        scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
+        curve = Curve(self.displacement_mm.copy(), forces.mean(axis=0))
+        notes = tuple(note for test in chosen for note in test.notes)
+        return MeasuredTest(curve, scatter, len(chosen), shared, notes)
+
+    def curves(self, block: str | None = None, **where: Any) -> list[tuple[dict[str, str], Curve]]:
+        """Every matching group (labels, averaged curve), repeats averaged."""
+        keep: dict[tuple[tuple[str, str], ...], None] = {}
+        for test in self._matching(block, where):
+            key = tuple((k, v) for k, v in test.groups.items() if k not in self.average)
+            keep.setdefault(key)
+        out = []
+        for key in keep:
+            groups = dict(key)
+            rest = {k: v for k, v in groups.items() if k != self.block}
+            found = self.curve(groups.get(self.block) if self.block else None, **{**where, **rest})
+            out.append((groups, found.curve))
+        return out
+
+    def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
+        """Pair fit with score for a block: one pair, or two where they also change places."""
+        fit, score = dict(self.fit or {}), dict(self.score or self.fit or {})
+        pairs = [(self.curve(block, **fit), self.curve(block, **score))]
+        if self.swap:
+            pairs.append((pairs[0][1], pairs[0][0]))
+        return pairs
+
+    def _matching(self, block: str | None, where: Mapping[str, Any]) -> list[SingleTest]:
+        wanted = {name: _labels(value) for name, value in where.items()}
+        if self.block is not None and block is not None:
+            wanted[self.block] = (block,)
+        for name in wanted:
+            if name not in self.tests[0].groups:
+                raise InputError(
+                    Fault(
+                        "measurements",
+                        f"there is no grouping column {name!r}",
+                        nearest(name, self.tests[0].groups),
+                    )
+                )
+        chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in wanted.items())]
+        if not chosen:
+            raise InputError(self._nothing(block, wanted))
+        return chosen
+
+    def _nothing(self, block: str | None, wanted: Mapping[str, Sequence[str]]) -> Fault:
+        mend = "this combination is missing from the data"
+        for name, values in wanted.items():
+            known = self.groups[name]
+            unknown = [value for value in values if value not in known]
+            if unknown:
+                mend = f"{name}: " + nearest(unknown[0], known[:50])
+                break
+        return Fault("measurements", f"no test matches {_words(block, wanted)}", mend)
+
+
+def _shared(tests: Sequence[SingleTest]) -> dict[str, str]:
+    return {n: v for n, v in tests[0].groups.items() if all(t.groups[n] == v for t in tests)}
+
+
+def _labels(value: Any) -> tuple[str, ...]:
+    """Labels wanted, as the text they are in a file (1 and 1.0 are both "1")."""
+    values = value if isinstance(value, (list, tuple, set, frozenset)) else [value]
+    return tuple(
+        str(int(v)) if isinstance(v, float) and v.is_integer() else str(v).strip() for v in values
+    )
+
+
+def _words(block: str | None, where: Mapping[str, Any]) -> str:
+    items = [f"{n} = {', '.join(_labels(v))}" for n, v in where.items()]
+    if block is not None and not any(item.endswith(f"= {block}") for item in items):
+        items.insert(0, f"block = {block}")
+    return ", ".join(items) or "the study"

@@ -1,0 +1,204 @@
+"""Checks that follow from the analysis: outcome, finding, and what it means for the reader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.reporting.content import sentences, verdicts
+from study.reporting.numbers import clean, count, listing, p_phrase, term_name
+from study.reporting.report import MATTERS, Facts
+from study.study_result.report_data import Check, ReportData
+
+_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
+
+
+@dataclass(frozen=True)
+class CheckGroup:
+    """One check for all responses; its outcome is the worst of them."""
+
+    name: str
+    items: tuple[Check, ...]
+
+    @property
+    def outcome(self) -> str:
+        """Worst outcome."""
+        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
+
+    @property
+    def consequence(self) -> str:
+        """What follows, where it is the same for two responses or more; else empty."""
+        said = [check.consequence for check in self.items if check.consequence]
+        return said[0] if len(said) > 1 and len(set(said)) == 1 else ""
+
+    @property
+    def agreed(self) -> bool:
+        """Whether every response has the same outcome."""
+        return len({check.outcome for check in self.items}) == 1
+
+
+def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
+    """Gather checks of the same name into one, the worst first."""
+    by_name: dict[str, list[Check]] = {}
+    for check in made:
+        by_name.setdefault(check.name, []).append(check)
+    found = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
+    return tuple(sorted(found, key=lambda group: _ORDER[group.outcome]))
+
+
+def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
+    """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
+    # controls that pass stand under numerical credibility alone
+    bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
+    made = [*data.checks, *bad, *_of_cases(data)]
+    for facts in found:
+        if facts.terms:
+            made += [
+                _normality(facts, data.alpha),
+                _spread(facts, data.alpha),
+                *_sphericity(facts, data),
+                *_additivity(facts, data),
+                _resolution(facts, data),
+            ]
+        else:
+            made.append(_not_analyzed(facts))
+    return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
+
+
+def _of_cases(data: ReportData) -> list[Check]:
+    if not data.failures:
+        return []
+    finding = sentences.failures(data.failures, len(data.table))
+    return [Check("Failed cases", "caution", finding, "See the failure map.")]
+
+
+def _not_analyzed(facts: Facts) -> Check:
+    why = facts.warnings[0] if facts.warnings else "no reason was recorded"
+    return Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
+
+
+def _normality(facts: Facts, alpha: float) -> Check:
+    found, name = facts.normality, "Residuals as from a normal distribution"
+    if not found or found.get("rj") is None:
+        finding = verdicts.normality(facts, alpha)
+        return Check(name, "not applicable", finding, of=facts.title)
+    rejected = verdicts.rejects_normality(facts, alpha)
+    finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
+    if found.get("p_exact") is not None:
+        finding += f" ({p_phrase(found['p_exact'])})"
+    if not rejected:
+        return Check(name, "pass", finding, of=facts.title)
+    return Check(
+        name,
+        "caution",
+        finding,
+        "Small p-values are approximate; the verdicts rest on the size of the effect "
+        "against what matters."
+        + ("" if facts.ratio else " The log of a positive response often helps."),
+        facts.title,
+    )
+
+
+def _untested(tests: Mapping[str, Any], alpha: float) -> str:
+    """Why neither test of the spread applies, said once where both have one reason."""
+    reasons = {str(test.get("reason")) for test in tests.values()}
+    if len(tests) == 2 and len(reasons) == 1:
+        return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
+    return " ".join(verdicts.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
+
+
+def _spread(facts: Facts, alpha: float) -> Check:
+    name = "Equal spread of the cells"
+    tests = {key: test for key, test in facts.variance.items() if test}
+    applicable = {k: t for k, t in tests.items() if t.get("statistic") is not None}
+    if not applicable:
+        return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
+    against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
+    said = listing(
+        [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
+    )
+    if not against:
+        return Check(name, "pass", f"not rejected ({said})", of=facts.title)
+    return Check(
+        name,
+        "caution",
+        f"rejected by {listing(against)} ({said})",
+        "Intervals are too short for the cells that scatter most and too long for the others.",
+        facts.title,
+    )
+
+
+def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
+    least = verdicts.least_sphericity(facts)
+    if least is None:
+        return []
+    term, epsilon = least
+    name = "Sphericity"
+    finding = f"smallest epsilon {epsilon:.2f}, of {term_name(term, data.labels)}"
+    changed = [
+        term_name(str(row["term"]), data.labels)
+        for row in facts.rows
+        if row.get("p_gg") is not None and row["p"] < data.alpha <= row["p_gg"]
+    ]
+    if changed:
+        return [
+            Check(
+                name,
+                "caution",
+                finding,
+                f"The correction decides for {listing(changed)}: read the corrected p.",
+                facts.title,
+            )
+        ]
+    return [Check(name, "pass", f"{finding}; the correction changes no decision", of=facts.title)]
+
+
+def _additivity(facts: Facts, data: ReportData) -> list[Check]:
+    found = facts.non_additivity
+    if not found or found.get("p") is None:
+        return []
+    p = float(found["p"])
+    name = f"Cells and {clean(data.block) or 'blocks'} add up"
+    if p >= data.alpha:
+        finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
+        return [Check(name, "pass", finding, of=facts.title)]
+    return [
+        Check(
+            name,
+            "caution",
+            f"rejected by Tukey's one-degree test ({p_phrase(p)})",
+            f"Effects grow or shrink with the level of the {clean(data.block) or 'block'}: "
+            "consider the log.",
+            facts.title,
+        )
+    ]
+
+
+def _resolution(facts: Facts, data: ReportData) -> Check:
+    name = "Effects resolved by the mesh"
+    known = [effect for effect in facts.effects if effect.over_u_num is not None]
+    if not known:
+        return Check(
+            name,
+            "not applicable",
+            "No numerical uncertainty is known.",
+            "Refine the mesh of one block before trusting small differences.",
+            facts.title,
+        )
+    weak = [e for e in known if (e.over_u_num or 0) < 3]
+    named = listing([term_name(effect.term, data.labels) for effect in weak])
+    if any(effect.verdict == MATTERS for effect in weak):
+        return Check(
+            name, "fail", f"within 3 u_num: {named}", "Refine before believing these.", facts.title
+        )
+    if weak:
+        return Check(
+            name,
+            "pass",
+            f"{len(known) - len(weak)} of {count(len(known), 'effect')} exceed 3 u_num; "
+            f"{named} {'does' if len(weak) == 1 else 'do'} not and "
+            f"{'is' if len(weak) == 1 else 'are'} not called a difference",
+            of=facts.title,
+        )
+    return Check(name, "pass", f"all {count(len(known), 'effect')} exceed 3 u_num", of=facts.title)

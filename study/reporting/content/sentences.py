@@ -1,0 +1,368 @@
+"""Every sentence of a report, made from numbers.
+
+Each function takes facts and returns finished plain text (never markup: the templates
+escape it). Wording rules: p never decides alone; a test is "not rejected", data are never
+called "normal"; units always; ratios for log responses.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from study.reporting.content.verdicts import change, size
+from study.reporting.numbers import (
+    MISSING,
+    THIN,
+    clean,
+    count,
+    listing,
+    name_of,
+    percent,
+    plural_of,
+    quantity,
+    sentence,
+    term_name,
+)
+from study.reporting.report import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    Effect,
+    Facts,
+    cells,
+    comparable,
+    describe,
+    groups,
+    practical_of,
+)
+from study.study_result.report_data import Failure, ReportData
+
+if TYPE_CHECKING:
+    from study.reporting.report import Group
+
+_SOURCES = {
+    "E0": "independent replicates in the cells",
+    "E1": "measured replicates as blocks",
+    "E2": "measurement noise, by bootstrap through the fit",
+    "E3": "mesh-seed replicates",
+    "E4": "numerical uncertainty",
+    "E5": "pooled high-order interactions (an assumption)",
+    "E6": "Lenth's pseudo standard error",
+    "E7": "none",
+}
+
+
+def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
+    """Three sentences that answer the study's question: what matters, what does not, so what."""
+    if not any(facts.terms for facts in found):
+        return ("No response could be analyzed; the reasons stand below.",)
+    return (
+        " ".join(
+            [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
+        ),
+        _one_not_other(data, found),
+        best_cell(data, found),
+    )
+
+
+def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
+    """Say which levels failed in too many of their cells to be compared with the others."""
+    gone: dict[str, None] = {}
+    for effect in (effect for facts in found for effect in facts.effects):
+        own = [str(level) for level in data.factors.get(effect.term, ())]
+        if effect.levels and set(effect.levels) < set(own):
+            gone.update(dict.fromkeys(clean(o) for o in own if o not in effect.levels))
+    return [f"Left out, for want of answers: {listing(list(gone))}."] if gone else []
+
+
+def _which(data: ReportData, facts: Facts) -> str:
+    named: dict[str, list[Effect]] = {MATTERS: [], NO_DIFFERENCE: [], CANNOT_TELL: []}
+    for effect in sorted(facts.effects, key=_magnitude, reverse=True):
+        named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
+    parts = []
+    if named[MATTERS]:
+        listed = listing([f"{_label(e, data)} ({_to_reader(e, facts)})" for e in named[MATTERS]])
+        several = len(named[MATTERS]) > 1
+        parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
+    if named[NO_DIFFERENCE]:
+        names = listing([_label(e, data) for e in named[NO_DIFFERENCE]], "or")
+        choice = "that of" if parts else "the choice of"
+        parts.append(f"{choice} {names} makes no practical difference")
+    if named[CANNOT_TELL]:
+        names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
+        parts.append(f"whether {names} matters these data cannot tell")
+    return sentence(f"for the {facts.title}, " + "; ".join(parts))
+
+
+def _label(effect: Effect, data: ReportData) -> str:
+    return term_name(effect.term, data.labels)
+
+
+def _to_reader(effect: Effect, facts: Facts) -> str:
+    return size(effect, facts) if effect.ratio else f"{size(effect, facts)} between extremes"
+
+
+def _magnitude(effect: Effect) -> float:
+    if effect.difference is None or not effect.practical:
+        return 0.0
+    if effect.ratio:
+        return abs(effect.difference - 1) / max(abs(effect.practical - 1), 1e-12)
+    return abs(effect.difference) / effect.practical
+
+
+def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
+    """Say where a factor is immaterial for one response and material for another."""
+    by_factor: dict[str, dict[str, Effect]] = {}
+    for facts in found:
+        for effect in facts.effects:
+            by_factor.setdefault(effect.term, {})[facts.name] = effect
+    titles = {facts.name: facts for facts in found}
+    for term, effects in by_factor.items():
+        yes = [n for n, e in effects.items() if e.verdict == MATTERS]
+        no = [n for n, e in effects.items() if e.verdict != MATTERS]
+        if yes and no:
+            changed = titles[yes[0]]
+            return sentence(
+                f"the choice of {name_of(term, data.labels)} "
+                f"{_cannot_be_seen(effects[no[0]])} the {titles[no[0]].title}, yet it changes the "
+                f"{changed.title} by {change(effects[yes[0]], changed)}"
+            )
+    return _interactions(data, found)
+
+
+def _cannot_be_seen(effect: Effect) -> str:
+    if effect.verdict == NO_DIFFERENCE:
+        return "makes no practical difference to"
+    return "cannot be told from"
+
+
+def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
+    strong = [
+        (facts, effect)
+        for facts in found
+        for effect in facts.interactions
+        if effect.verdict == MATTERS
+    ]
+    if not strong:
+        return _no_interaction(data, found)
+    facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
+    return sentence(
+        f"the factors do not act alone: {term_name(effect.term, data.labels)} matters for the "
+        f"{facts.title} ({size(effect, facts)})"
+    )
+
+
+def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
+    every = [effect for facts in found for effect in facts.interactions]
+    if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
+        return "Interactions are no part of this analysis, so it cannot rule them out."
+    open_ones = sum(effect.verdict == CANNOT_TELL for effect in every)
+    if not open_ones:
+        return "No interaction was found to matter: each factor may be chosen on its own."
+    return (
+        f"No interaction is shown to matter, but of {open_ones} of {len(every)} these data cannot "
+        "tell."
+    )
+
+
+def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
+    """Name the best cell of the first response that has a better end, and the tie around it."""
+    for facts in found:
+        if facts.response.better not in ("lower", "higher"):
+            continue
+        ranked = groups(data, facts)
+        if not ranked:
+            continue
+        if facts.response.better == "higher":
+            ranked = ranked[::-1]
+        word = "lowest" if facts.response.better == "lower" else "highest"
+        mean = quantity(ranked[0].mean, facts.unit)
+        return sentence(
+            f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
+            f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
+        )
+    return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def _over_fewer(data: ReportData, facts: Facts) -> str:
+    """Say where means are taken over fewer blocks than there are."""
+    if not data.blocks or "block" not in data.table:
+        return ""
+    shared = comparable(data, facts.name)["block"].nunique()
+    if shared == len(data.blocks):
+        return ""
+    blocks = plural_of(clean(data.block) or "block")
+    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
+
+
+def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
+    """Say how many other computations are as good in practice."""
+    if len(ranked) == 1 and len(ranked[0]) > 1:
+        return "; on these meshes no cell can be told from another"
+    limit = practical_of(facts, cells(data, facts.name))
+    near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
+    if not near:
+        return "; no other cell comes within the difference that matters" if limit else ""
+    within = f"within {limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
+    copies = any(len(group) > 1 for group in ranked)
+    noun = "distinct computation" if copies else "cell"
+    holding = f" ({count(sum(map(len, near)), 'cell')})" if copies else ""
+    others = f"the {len(near)} other" if len(near) == len(ranked) - 1 else f"{len(near)} other"
+    if len(near) == 1:
+        other = "the other" if len(ranked) == 2 else "one other"
+        return f"; {other} {noun}{holding} lies {within}"
+    return f"; {others} {plural_of(noun)}{holding} lie {within}"
+
+
+def would_change(data: ReportData, found: Sequence[Facts]) -> str:
+    """Say what would change the answer."""
+    open_ones = [e for facts in found for e in facts.effects if e.verdict == CANNOT_TELL]
+    doubts = _names([e for e in open_ones if not _of_the_mesh(e)], data)
+    coarse = _names([e for e in open_ones if _of_the_mesh(e)], data)
+    parts = []
+    if doubts:
+        unit = clean(data.block) if data.block else "replicate"
+        parts.append(
+            f"more {plural_of(unit)} would narrow the interval"
+            f"{'s' if len(doubts) > 1 else ''} of {listing(doubts)}"
+        )
+    if coarse:
+        parts.append(f"finer meshes could resolve {listing(coarse)}")
+    if data.assumed:
+        names = listing([name_of(key, data.labels) for key in data.assumed])
+        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
+    if data.failures:
+        parts.append(f"{count(len(data.failures), 'failed case')} may hide an effect")
+    if data.virtual:
+        parts.append("real measurements would, since these were generated")
+    if not parts:
+        parts.append(
+            "a different smallest difference that matters, or measurements of another material"
+        )
+    return sentence("; ".join(parts))
+
+
+def _of_the_mesh(effect: Effect) -> bool:
+    """Whether it is the numerical uncertainty that leaves an effect open."""
+    return "u_num" in effect.why or "numerical uncertainty" in effect.why
+
+
+def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
+    return list(dict.fromkeys(term_name(effect.term, data.labels) for effect in effects))
+
+
+def error_term(facts: Facts, data: ReportData) -> str:
+    """Say where the error of the table comes from and what its p answers."""
+    if not facts.source:
+        return "No error term: the response was not analyzed."
+    what = _SOURCES.get(facts.source, facts.source)
+    reason = f": {facts.reason}" if facts.reason else ""
+    text = sentence(f"the error term is {facts.source}, {what}{reason}")
+    return f"{text} {_question(facts, data)}".strip()
+
+
+def _question(facts: Facts, data: ReportData) -> str:
+    """Say what the p-values answer, then how they were made (which comes in parentheses)."""
+    if not facts.question:
+        return ""
+    question = facts.question.rstrip(".")
+    if data.block and data.block != "block":
+        block = clean(data.block)
+        question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)
+        question = re.sub(r"\bblock\b", lambda _: block, question)
+        question = question.replace(f"levels of {block}", plural_of(block))
+    asked = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
+    said = f"{asked[1]} {sentence(asked[2])}" if asked else question
+    end = "" if said[-1] in ".?" else "."
+    return f"The p-values answer one question: {said}{end}"
+
+
+_BY_TERM = (
+    "u_num is the numerical uncertainty of the difference itself: the same difference was taken "
+    "on each of the study's meshes alone, and counts the uncertainty of its value on the finest "
+    "(grid convergence index, or thrice the range without an order) plus the distance from there "
+    "to the mean over all meshes, at the worst pair of levels. Where kinds of elements are a "
+    "factor, any other effect is followed with the better kind alone, for both have one limit. "
+    "The mesh itself and its interactions have none, for their differences are the error of the "
+    "discretization."
+)
+_BY_COLUMN = (
+    "u_num is the largest numerical uncertainty of the response in any cell that was refined, "
+    "the same for every factor."
+)
+
+
+def numerical(found: Sequence[Facts]) -> str:
+    """Say what the numerical uncertainty beside an effect is; empty where none is known."""
+    known = [facts for facts in found if any(e.u_num is not None for e in facts.terms)]
+    if not known:
+        return ""
+    own = [facts for facts in known if facts.u_num_by_term]
+    if not own:
+        return _BY_COLUMN
+    if len(own) == len(known):
+        return _BY_TERM
+    return f"For the {listing([facts.title for facts in own])}, {_BY_TERM} Elsewhere {_BY_COLUMN}"
+
+
+VIRTUAL = (
+    "The measurements are virtual, so p describes the scatter of their generator; the verdicts "
+    "rest on the effects against what matters and on the numerical uncertainty."
+)
+
+
+def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
+    """Statements about the error term, each once, with the responses that it holds for."""
+    by_text: dict[str, list[str]] = {}
+    for facts in found:
+        for text in (error_term(facts, data), distinct(facts, data)):
+            if text:
+                by_text.setdefault(text, []).append(facts.title)
+    return tuple(
+        ("" if len(titles) == len(found) > 1 else sentence(listing(titles)), text)
+        for text, titles in by_text.items()
+    )
+
+
+def distinct(facts: Facts, data: ReportData) -> str:
+    """Say how many computations were really different."""
+    total = data.planned
+    if facts.distinct is None or facts.distinct >= total:
+        return ""
+    only = (
+        "one is a distinct computation"
+        if facts.distinct == 1
+        else (f"{facts.distinct} are distinct computations")
+    )
+    return (
+        f"Of {count(total, 'cell')} only {only}: the others agree with one of them in every "
+        f"{clean(data.block) or 'block'}. Tests of the residuals use one cell of each."
+    )
+
+
+def failures(items: Sequence[Failure], total: int) -> str:
+    """Failures in one sentence; none is said plainly."""
+    if not items:
+        return f"None: {'the case' if total == 1 else f'all {total:,} cases'} gave a response."
+    kinds: dict[str, int] = {}
+    for item in items:
+        kinds[item.status] = kinds.get(item.status, 0) + 1
+    named = listing([f"{number} {clean(status)}" for status, number in kinds.items()])
+    share = percent(len(items) / total) if total else MISSING
+    return (
+        f"{count(len(items), 'case')} of {total:,} ({share}) failed: {named}.{_in_common(items)} "
+        "Cases that fail are not missing at random, so effects of the factors they share are "
+        "uncertain beyond their intervals."
+    )
+
+
+def _in_common(items: Sequence[Failure]) -> str:
+    """Levels that all failed cases have, where they have any."""
+    levels = dict(items[0].levels) if len(items) > 1 else {}
+    for item in items:
+        levels = {k: v for k, v in levels.items() if item.levels.get(k) == v}
+    if not levels:
+        return ""
+    return f" All have {listing([clean(level) for level in levels.values()])}."

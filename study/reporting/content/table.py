@@ -1,0 +1,26 @@
+"""A table of a report, before it is drawn in any format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Table:
+    """Plain text in rows.
+
+    ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
+    ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
+    groups of rows.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int = 1
+    tail: int = 0
+    note: str = ""
+    raw: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
+    grouped: bool = False

@@ -1,0 +1,257 @@
+"""The tables of a report: shown text and, for the CSV beside the report, the raw values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from study.reporting.content import sentences
+from study.reporting.content.table import Table
+from study.reporting.content.verdicts import numerical as u_num_of
+from study.reporting.content.verdicts import over_numerical, practical, size, size_interval
+from study.reporting.numbers import (
+    MISSING,
+    clean,
+    duration,
+    f_value,
+    interval,
+    name_of,
+    p_value,
+    plural_of,
+    quantity,
+    share,
+    significant,
+    term_name,
+)
+from study.reporting.report import Facts, cells, deciding_p, is_effect
+from study.study_result.report_data import NumericalRow, ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
+    """One row a factor and response, and interactions that are not negligible."""
+    rows, raw = [], []
+    for facts in found:
+        strong = [e for e in facts.interactions if e.verdict == "matters"]
+        for effect in (*facts.effects, *strong):
+            rows.append(
+                (
+                    facts.title,
+                    term_name(effect.term, data.labels),
+                    effect.verdict,
+                    size(effect, facts),
+                    size_interval(effect, facts),
+                    practical(effect, facts),
+                    u_num_of(effect, facts),
+                    over_numerical(effect),
+                    p_value(effect.p),
+                )
+            )
+            raw.append(
+                {
+                    "response": facts.name,
+                    "factor": effect.term,
+                    "verdict": effect.verdict,
+                    "effect": effect.difference,
+                    "low": effect.low,
+                    "high": effect.high,
+                    "practical": effect.practical,
+                    "u_num": effect.u_num,
+                    "effect_over_u_num": effect.over_u_num,
+                    "p": effect.p,
+                    "scale": "ratio" if effect.ratio else "difference",
+                }
+            )
+    columns = (
+        "response",
+        "factor",
+        "verdict",
+        "largest difference",
+        "95 % interval",
+        "matters from",
+        "u_num",
+        "effect / u_num",
+        "p",
+    )
+    return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(found), tuple(raw))
+
+
+def anova(facts: Facts, data: ReportData) -> Table:
+    """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
+    effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
+    corrected = any(row.get("epsilon_gg") is not None for row in effects)
+    tested = any(row.get("f") is not None for row in effects)
+    columns = ["term", "df"]
+    if tested:
+        columns += ["F", "p"] + (["GG epsilon", "p corrected"] if corrected else [])
+        columns += ["omega squared", "partial eta squared"]
+    else:
+        columns += ["sum of squares"] + (["p (Lenth)"] if facts.lenth else [])
+    columns.append("share")
+    rows = []
+    for row in effects:
+        cell = [term_name(str(row["term"]), data.labels), _df(row)]
+        if tested:
+            cell += [f_value(row.get("f")), p_value(row.get("p"))]
+            if corrected:
+                cell += [_fixed(row.get("epsilon_gg")), p_value(deciding_p(row))]
+            cell += [_fixed(row.get("omega_sq"), 3), _eta(row)]
+        else:
+            cell += [significant(row.get("ss"))]
+            cell += [p_value(row.get("p"))] if facts.lenth else []
+        rows.append((*cell, share(row.get("share")) if row.get("df") else MISSING))
+    note = " ".join(_anova_notes(effects, data, tested))
+    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
+
+
+def _anova_notes(
+    effects: Sequence[Mapping[str, Any]], data: ReportData, tested: bool
+) -> Iterator[str]:
+    """Say what a reader may stumble over: a huge F, a test that was not made, the share."""
+    block = clean(data.block)
+    if any((row.get("f") or 0) > 1e4 for row in effects):
+        where = f"in every {block}" if block else "in every run"
+        yield (
+            f"F > 10,000: the effect is nearly the same {where}, so the error below the line is "
+            "nearly zero; read the size of the effect, not its F."
+        )
+    if any(not row.get("df") for row in effects):
+        yield "df 0: not estimable, because cells without any answer leave no such comparison."
+    if block and tested and any(row.get("f") is None and row.get("df") for row in effects):
+        yield (
+            f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "
+            "so there is nothing to test it against."
+        )
+    if data.block:
+        yield f"Share: part of the total sum of squares, the {plural_of(block)} included."
+
+
+def strata(facts: Facts, data: ReportData) -> Table:
+    """Rows of the ANOVA table that are blocks or error."""
+    names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
+    rows = tuple(
+        (
+            term_name(str(row["term"]), names),
+            significant(row.get("df")) if row.get("df") is None else f"{row['df']:g}",
+            significant(row.get("ss")),
+            significant(row.get("ms")),
+            share(row.get("share")),
+        )
+        for row in facts.rows
+        if not is_effect(row, list(data.factors))
+    )
+    columns = ("stratum", "df", "sum of squares", "mean square", "share")
+    return Table(f"{facts.name}-strata", columns, rows)
+
+
+def _df(row: Mapping[str, Any]) -> str:
+    if row.get("df") is None:
+        return MISSING
+    error = row.get("df_error")
+    return f"{row['df']:g}" + (f", {error:g}" if error is not None else "")
+
+
+def _fixed(value: float | None, decimals: int = 2) -> str:
+    if value is None:
+        return MISSING
+    least = 10.0**-decimals
+    return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
+
+
+def _eta(row: Mapping[str, Any]) -> str:
+    text = _fixed(row.get("partial_eta_sq"), 3)
+    ends = row.get("partial_eta_sq_ci95")
+    return f"{text} ({interval(ends[0], ends[1])})" if ends else text
+
+
+def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
+    """Every cell: how many cases gave a response, its means, its cost."""
+    factors = list(data.factors)
+    known = [facts for facts in found if facts.name in data.table]
+    means = {
+        facts.name: dict(zip(*_columns(cells(data, facts.name), "cell", "mean"), strict=True))
+        for facts in known
+    }
+    rows, raw = [], []
+    for levels, group in data.table.groupby(factors, sort=False):
+        labels = [str(level) for level in levels]
+        values = [means[facts.name].get(":".join(labels)) for facts in known]
+        done = int((group["status"] == "converged").sum())
+        seconds = float(group["seconds"].mean()) if "seconds" in group else None
+        shown = [quantity(v, f.unit) for v, f in zip(values, known, strict=True)]
+        status = f"{done} of {len(group)}"
+        rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
+        raw.append(
+            {
+                **dict(zip(factors, labels, strict=True)),
+                "converged": done,
+                "cases": len(group),
+                **dict(zip(means, values, strict=True)),
+                "seconds": seconds,
+            }
+        )
+    columns = (
+        *(name_of(f, data.labels) for f in factors),
+        "cases",
+        *(facts.title for facts in known),
+        "mean time",
+    )
+    return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
+
+
+def _columns(frame: pd.DataFrame, *names: str) -> list[list[Any]]:
+    return [frame[name].tolist() for name in names]
+
+
+def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:
+    """Numerical uncertainty of each kind of discretization."""
+    names = list(dict.fromkeys(name for item in items for name in item.levels))
+    rows = tuple(
+        (
+            *(clean(item.levels.get(name, MISSING)) for name in names),
+            name_of(item.response, data.labels),
+            quantity(item.value, item.unit),
+            quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
+            clean(item.behaviour) or MISSING,
+            clean(item.note),
+        )
+        for item in items
+    )
+    raw = tuple(
+        {
+            **{name: item.levels.get(name) for name in names},
+            "response": item.response,
+            "value": item.value,
+            "u_num": item.u_num,
+            "unit": item.unit,
+            "behaviour": item.behaviour,
+            "note": item.note,
+        }
+        for item in items
+    )
+    columns = (
+        *(name_of(name, data.labels) for name in names),
+        "response",
+        "value",
+        "u_num",
+        "behavior",
+        "how",
+    )
+    return Table("numerical", columns, rows, len(names) + 1, 2, raw=raw)
+
+
+def failures(data: ReportData) -> Table:
+    """Every failed case with what was said."""
+    rows = tuple(
+        (
+            clean(item.case_id, 16),
+            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
+            clean(item.block) or MISSING,
+            clean(item.status),
+            clean(item.message, 400),
+        )
+        for item in data.failures
+    )
+    return Table("failures", ("case", "cell", data.block or "block", "status", "message"), rows, 5)

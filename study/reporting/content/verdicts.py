@@ -1,0 +1,277 @@
+"""Words for one effect: its size, its interval, what matters, its verdict.
+
+A difference is rounded to what the declared threshold makes meaningful: a thousandth of
+0.5 pp is 0.0005 pp, so nothing is printed finer than 0.001 pp.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from study.reporting.numbers import (
+    MINUS,
+    MISSING,
+    THIN,
+    TIMES,
+    clean,
+    decimals_that_count,
+    p_phrase,
+    percent,
+    quantity,
+    ratio_digits,
+    rounded,
+    sentence,
+    significant,
+    span,
+    term_name,
+)
+from study.reporting.report import MATTERS, NO_DIFFERENCE, Effect, Facts
+from study.study_result.report_data import ReportData
+
+Labels = Mapping[str, str] | None
+
+#: ratios effect / u_num beyond this are only said to be so
+_FAR = 100.0
+
+
+def decimals(effect: Effect) -> int | None:
+    """Decimals at which an effect is worth printing."""
+    if effect.practical is None:
+        return None
+    return decimals_that_count(abs(effect.practical - 1) if effect.ratio else effect.practical)
+
+
+def size(effect: Effect, facts: Facts) -> str:
+    """Largest difference of an effect with its unit, or as a ratio."""
+    number = _number(effect)
+    if number == MISSING:
+        return number
+    if effect.ratio:
+        return f"{TIMES}{THIN}{number}"
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+
+
+def _number(effect: Effect) -> str:
+    digits = ratio_digits(effect.difference) if effect.ratio else 3
+    return rounded(effect.difference, decimals(effect), digits)
+
+
+def size_interval(effect: Effect, facts: Facts) -> str:
+    """Simultaneous 95 % interval of the largest difference."""
+    digits = ratio_digits(effect.difference) if effect.ratio else 3
+    places = decimals(effect)
+    ends = span(effect.low, effect.high, places, digits)
+    low, _, high = ends.partition(" to ")
+    if low == high:
+        # blocks that answer alike to the last digit leave no width to print
+        ends = f"narrower than {10.0**-places:.{places}f}" if places is not None else low
+    if ends == MISSING or effect.ratio or not facts.difference_unit:
+        return ends
+    return f"{ends}{THIN}{facts.difference_unit}"
+
+
+def practical(effect: Effect, facts: Facts) -> str:
+    """Return the smallest difference that matters, as it was declared."""
+    if effect.practical is None:
+        return MISSING
+    text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
+    return f"{TIMES}{THIN}{text}" if effect.ratio else f"{text}{THIN}{facts.difference_unit}"
+
+
+def numerical(effect: Effect, facts: Facts) -> str:
+    """Numerical uncertainty on the scale of the effect: a ratio for a log response."""
+    if not effect.ratio:
+        return _with_unit(rounded(effect.u_num, decimals(effect), 2), facts.difference_unit)
+    if effect.over_u_num is None or not effect.over_u_num or not effect.difference:
+        return quantity(effect.u_num, facts.unit, 2)
+    u = math.exp(abs(math.log(effect.difference)) / abs(effect.over_u_num))
+    return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
+
+
+def _with_unit(number: str, unit: str) -> str:
+    return number if number == MISSING or not unit else f"{number}{THIN}{unit}"
+
+
+def over_numerical(effect: Effect) -> str:
+    """Effect over its numerical uncertainty; below 3 it may be the mesh."""
+    times = effect.over_u_num
+    if times is None or not math.isfinite(times):
+        return MISSING
+    if times >= _FAR:
+        return f"> {_FAR:.0f}"
+    return f"{times:.2g}" if times >= 0.1 else "< 0.1"
+
+
+def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
+    """One sentence: what a factor does to a response, and how sure that is.
+
+    The verdict itself comes from the analysis; this says it with its numbers.
+    """
+    name = term_name(effect.term, labels)
+    if effect.difference is None:
+        return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
+    numbers = f"{size(effect, facts)} ({_ninety_five(effect, facts)})"
+    if effect.low is None:
+        numbers = size(effect, facts)
+    if effect.verdict == MATTERS:
+        return _matters(effect, facts, name, numbers)
+    if effect.verdict == NO_DIFFERENCE:
+        return sentence(
+            f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
+            f"within {practical(effect, facts)}{_repeatable(effect)}"
+        )
+    limit = practical(effect, facts)
+    against = "" if limit == MISSING else f" against {limit} that matters"
+    return sentence(
+        f"{name}: these data cannot tell whether it matters for the {facts.title}; the largest "
+        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}"
+    )
+
+
+def _ninety_five(effect: Effect, facts: Facts) -> str:
+    return f"95{THIN}% interval {size_interval(effect, facts)}"
+
+
+def _repeatable(effect: Effect) -> str:
+    """Say that a tiny difference may well be real: p never decides alone."""
+    if effect.p is None or effect.p >= 0.05:
+        return ""
+    return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
+
+
+def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
+    if not effect.is_main or effect.pair is None:
+        return sentence(f"{name}: matters for the {facts.title}, {numbers}")
+    low, high = clean(effect.lowest), clean(effect.highest)
+    # "1.37 times the modulus", yet "1.20 pp more error"
+    text = f"{high} gives " + (
+        f"{_number(effect)} times the {facts.title} of {low}"
+        if effect.ratio
+        else f"{size(effect, facts)} more {facts.title} than {low}"
+    )
+    if effect.low is not None:
+        text += f" ({_ninety_five(effect, facts)})"
+    return sentence(f"{name}: matters; {text}")
+
+
+def change(effect: Effect, facts: Facts) -> str:
+    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
+    if effect.ratio and effect.difference is not None:
+        return f"{percent(effect.difference - 1)} (ratio {_number(effect)})"
+    return size(effect, facts)
+
+
+WHAT_IF: tuple[tuple[str, str], ...] = (
+    (
+        "Residuals are far from normal",
+        "p-values near the limit are uncertain; means and their differences stay unbiased. "
+        "Verdicts rest on the effect against what matters, so few of them would change.",
+    ),
+    (
+        "Cells scatter unequally",
+        "one error term is too small for some cells and too large for others. With each effect "
+        "tested against its own interaction with the blocks, only its own spread enters.",
+    ),
+    (
+        "Correlations between levels differ (no sphericity)",
+        "an uncorrected F rejects too often; the corrected p is the one to read.",
+    ),
+    (
+        "Blocks and cells do not add up",
+        "the effect depends on the block. The mean over blocks still answers for this family, "
+        "but not for one specimen; the log of a positive response often helps.",
+    ),
+)
+
+
+def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
+    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
+    found = facts.normality or {}
+    exact, printed = found.get("p_exact"), str(found.get("p_minitab") or "")
+    if exact is not None:
+        return bool(exact < alpha)
+    number = printed.strip("<> ")
+    if not number or printed.startswith(">"):
+        return False
+    return float(number) <= alpha if printed.startswith("<") else float(number) < alpha
+
+
+def normality(facts: Facts, alpha: float = 0.05) -> str:
+    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
+    found = facts.normality
+    if not found or found.get("rj") is None:
+        reason = (found or {}).get("reason") or "there are no residuals to test"
+        return sentence(f"Ryan-Joiner: not applicable, {reason}")
+    exact, printed = found.get("p_exact"), str(found.get("p_minitab"))
+    parts = [f"RJ = {found['rj']:.4f}", f"n = {found.get('n')}"]
+    if exact is not None:
+        parts.append(f"simulated {p_phrase(exact)}")
+    parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
+    decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
+    level = f"{100 * alpha:g}{THIN}%"
+    return f"Ryan-Joiner: normality of the residuals is {decision} at {level} ({', '.join(parts)})."
+
+
+def rejects(test: Mapping[str, Any], alpha: float = 0.05) -> bool:
+    """Whether a test rejects; a Monte-Carlo p decides where there is one."""
+    p = p_of(test)
+    return p is not None and p < alpha
+
+
+def p_of(test: Mapping[str, Any]) -> float | None:
+    """Return the p of a test that decides: the Monte-Carlo one where there is one."""
+    monte = test.get("p_monte_carlo")
+    return monte if monte is not None else test.get("p")
+
+
+def spread(test: str, found: Mapping[str, Any] | None, alpha: float = 0.05) -> str:
+    """Bartlett or Levene in one sentence."""
+    title = test.capitalize()
+    if not found or found.get("statistic") is None:
+        reason = (found or {}).get("reason") or "it was not run"
+        return sentence(f"{title}: not applicable, {reason}")
+    decision = "rejected" if rejects(found, alpha) else "not rejected"
+    rough = ", approximate" if found.get("approximate") else ""
+    df = found.get("df")
+    shown = " and ".join(f"{part:g}" for part in df) if isinstance(df, list | tuple) else f"{df:g}"
+    return (
+        f"{title}: equal spread is {decision} at {100 * alpha:g}{THIN}% "
+        f"(statistic {significant(found['statistic'])}, df {shown}, {p_phrase(p_of(found))}"
+        f"{rough})."
+    )
+
+
+def additivity(found: Mapping[str, Any], data: ReportData) -> str:
+    """Tukey's one-degree test in one sentence."""
+    decision = "rejected" if rejects(found, data.alpha) else "not rejected"
+    return (
+        f"Tukey's one-degree test: that cells and {clean(data.block) or 'block'} simply add up is "
+        f"{decision} (F = {significant(found.get('f'))}, {p_phrase(found.get('p'))})."
+    )
+
+
+def least_sphericity(facts: Facts) -> tuple[str, float] | None:
+    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
+    known = {
+        term: item["epsilon_gg"]
+        for term, item in facts.sphericity.items()
+        if item and item.get("epsilon_gg") is not None and item.get("df") != 0
+    }
+    if not known:
+        return None
+    term = min(known, key=lambda t: float(known[t]))
+    return term, float(known[term])
+
+
+def sphericity(facts: Facts, labels: Labels = None) -> str:
+    """Say how far the correlations between cells are from what an uncorrected F assumes."""
+    least = least_sphericity(facts)
+    if least is None:
+        return ""
+    term, epsilon = least
+    return (
+        f"The smallest Greenhouse-Geisser epsilon is {epsilon:.2f} "
+        f"({term_name(term, labels)}; 1 would be sphericity); every p is corrected by its own."
+    )

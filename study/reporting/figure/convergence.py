@@ -1,0 +1,249 @@
+"""Figures of mesh convergence: value and fit, error and slope, error and seconds, meshes.
+
+Everything comes as plain values: a series is the document that ``study converge`` gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.arrays import Array
+from study.reporting.figure.style import (
+    BAND,
+    INK,
+    MARKERS,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    color_of,
+    plain_ticks,
+    wrap,
+)
+from study.reporting.numbers import clean, percent
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+Document = Mapping[str, Any]
+
+#: more panels than these are no picture any more; the table has them all
+MOST_PANELS, COLUMNS = 12, 4
+
+
+def label_of(cell: Document) -> str:
+    """Name of a cell: its levels, or the quantity."""
+    return " / ".join(str(v) for v in (cell.get("levels") or {}).values()) or str(cell["qoi"])
+
+
+def value_points(cells: Sequence[Document]) -> pd.DataFrame:
+    """One row a mesh: size, value, and what the series says of it."""
+    import pandas as pd
+
+    rows = [
+        {
+            "cell": label_of(cell), "quantity": cell["qoi"], "unit": cell["unit"],
+            "mesh_size": h, "value": v, "behaviour": cell["behaviour"],
+            "observed_order": cell["observed_order"], "formal_order": cell["formal_order"],
+            "order_used": cell.get("order_used"), "extrapolated": cell["extrapolated"],
+            "u_num": cell["u_num"] if k == 0 else None,
+        }
+        for cell in cells
+        for k, (h, v) in enumerate(zip(cell["mesh_size"], cell["value"], strict=True))
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def draw_values(frame: pd.DataFrame) -> Canvas:
+    """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
+    groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
+    columns = min(COLUMNS, len(groups))
+    rows = -(-len(groups) // columns)
+    figure = canvas(WIDTH_IN, 0.5 + 2.1 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    for ax, (cell, part) in zip(axes, groups, strict=False):
+        _value_panel(ax, part)
+        ax.set_title(wrap(cell, 30), fontsize=7.5)
+    for ax in axes[len(groups) :]:
+        ax.set_visible(False)
+    figure.supxlabel("mesh size (mm)", fontsize=8.5)
+    figure.supylabel(_axis(frame), fontsize=8.5)
+    return figure
+
+
+def _axis(frame: pd.DataFrame) -> str:
+    """Name of the quantity where all panels share one."""
+    if len(set(frame["quantity"])) > 1:
+        return "value (unit of each)"
+    quantity = clean(str(frame["quantity"].iloc[0]).replace("_", " "))
+    unit = clean(str(frame["unit"].iloc[0]))
+    return f"{quantity} ({unit})" if unit else quantity
+
+
+def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
+    h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
+    limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
+    if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
+        x = np.linspace(0, h.max(), 100)
+        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=MUTED, linewidth=1.0)
+        ax.plot([0], [limit], marker="D", color=MUTED, markersize=4, clip_on=False)
+    u = part["u_num"].iloc[0]
+    if u is not None and np.isfinite(u):
+        ax.errorbar(h[:1], v[:1], yerr=[u], color=INK, linewidth=1.0, capsize=3)
+    ax.plot(h, v, marker="o", linestyle="none", color=color_of(0), markersize=4.5)
+    order_seen = part["observed_order"].iloc[0]
+    known = order_seen is not None and np.isfinite(order_seen)
+    text = f"order {order_seen:.2f}" if known else str(part["behaviour"].iloc[0])
+    ax.text(0.97, 0.05, text, transform=ax.transAxes, ha="right", fontsize=7.5, color=MUTED)
+    ax.set_xlim(left=0)
+    ax.margins(y=0.15)
+    plain_ticks(ax, "y")
+
+
+def error_points(cells: Sequence[Document]) -> pd.DataFrame:
+    """Relative distance of every mesh to the limit of its own series, where there is one."""
+    frame = value_points(cells)
+    limit = frame["extrapolated"].astype(float)
+    frame["error"] = (frame["value"] - limit).abs() / limit.abs()
+    kept: pd.DataFrame = frame[np.isfinite(frame["error"]) & (frame["error"] > 0)]
+    return kept.reset_index(drop=True)
+
+
+def draw_errors(frame: pd.DataFrame) -> Canvas:
+    """Draw the error against the mesh size in logarithms, with the formal slope beside."""
+    figure = canvas(WIDTH_IN, 3.8)
+    ax = figure.subplots()
+    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
+        ax.plot(
+            part["mesh_size"], part["error"], marker=MARKERS[k % 7], color=color_of(k),
+            markersize=4.5, label=clean(cell, 60),
+        )  # fmt: skip
+    _slopes(ax, frame)
+    _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
+    sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
+    ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
+    _legend(ax)
+    return figure
+
+
+def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw a line of each formal order below the points."""
+    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
+    start = float(frame["error"].min()) / 2
+    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
+        y = start * 0.7**k * (h / h[0]) ** order
+        ax.plot(h, y, color=RULE, linewidth=1.2, linestyle="--", zorder=0)
+        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=MUTED, va="center")
+
+
+def front_points(front: Document) -> pd.DataFrame:
+    """Error and cost of every mesh of every cell."""
+    import pandas as pd
+
+    return pd.DataFrame(front["points"])
+
+
+def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
+    """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
+    figure = canvas(WIDTH_IN, 3.8)
+    ax = figure.subplots()
+    ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
+    ax.axhline(accuracy, color=MUTED, linewidth=0.8)
+    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
+        ax.plot(
+            part["seconds"], part["error"].clip(lower=1e-12), marker=MARKERS[k % 7],
+            color=color_of(k), markersize=4.5, label=clean(cell, 60),
+        )  # fmt: skip
+    _logarithmic(ax, "seconds of one solution", "error, part of the limit")
+    ax.text(
+        0.01, accuracy, f"{100 * accuracy:g} % ", transform=ax.get_yaxis_transform(),
+        va="bottom", fontsize=7.5, color=MUTED,
+    )  # fmt: skip
+    _legend(ax)
+    return figure
+
+
+def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: Array) -> Canvas:
+    """Draw plane meshes side by side, all in the same window.
+
+    Parameters
+    ----------
+    meshes : sequence of (label, points, cells)
+        Points in mm, shape (n, 2); triangles or quadrilaterals.
+    window : ndarray, shape (2, 2)
+        Lower left and upper right corner of what is shown, mm.
+    """
+    from matplotlib.collections import PolyCollection
+
+    columns = min(COLUMNS, len(meshes))
+    rows = -(-len(meshes) // columns)
+    figure = canvas(WIDTH_IN, 0.4 + 2.3 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    for ax, (label, points, cells) in zip(axes, meshes, strict=False):
+        near = cells[_seen(points[cells], window)]
+        shapes = PolyCollection(
+            list(points[near]), facecolors="none", edgecolors=INK, linewidths=0.35
+        )
+        ax.add_collection(shapes)
+        ax.set_xlim(window[0, 0], window[1, 0])
+        ax.set_ylim(window[0, 1], window[1, 1])
+        ax.set_aspect("equal")
+        ax.set_title(wrap(label, 34), fontsize=7.5)
+    for ax in axes[len(meshes) :]:
+        ax.set_visible(False)
+    figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
+    return figure
+
+
+def _seen(corners: Array, window: Array) -> NDArray[np.bool_]:
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    return np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))
+
+
+def _logarithmic(ax: Axes, x: str, y: str) -> None:
+    from matplotlib.ticker import FuncFormatter, NullFormatter
+
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    ax.grid(visible=True, color=RULE, linewidth=0.4)
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    ax.margins(x=0.12)
+
+
+def _legend(ax: Axes) -> None:
+    ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+
+
+def value_caption(cells: Sequence[Document]) -> str:
+    """State how many cells converge, and what the marks are."""
+    good = [c for c in cells if c["u_num"] is not None]
+    shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
+    text = f"{len(good)} of {len(cells)} series have an interval"
+    if shares:
+        text += f"; the widest is {percent(max(shares), 2)} of its value"
+    left = len(cells) - MOST_PANELS
+    more = f" {left} more series stand in the table." if left > 0 else ""
+    return (
+        f"{text}. Points: meshes; line and diamond: power law and its limit; bar: interval of the "
+        f"finest mesh.{more}"
+    )
+
+
+def error_caption(cells: Sequence[Document]) -> str:
+    """State observed beside formal orders, and why the formal order is what it is."""
+    orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
+    if not orders:
+        return "No series has an order."
+    why = "; ".join(dict.fromkeys(str(c["formal_reason"]) for c in cells if c.get("formal_reason")))
+    text = f"Observed orders {min(orders):.2f} to {max(orders):.2f}."
+    return f"{text} Dashed: the formal order, limited by {why}." if why else text

@@ -1,0 +1,374 @@
+"""Figures of effects: sizes against what matters, level means, interactions, cells.
+
+Compute, then draw: each ``draw_*`` takes the frame that its function computed, and that
+frame is the figure's CSV.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.reporting.content.verdicts import size, size_interval
+from study.reporting.figure.style import (
+    BAND,
+    INK,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    color_of,
+    name_rows,
+    plain_ticks,
+    word_color_of,
+    wrap,
+)
+from study.reporting.numbers import clean, name_of, quantity, significant, term_name
+from study.reporting.report import (
+    MATTERS,
+    NO_DIFFERENCE,
+    Facts,
+    cells,
+    comparable,
+    describe,
+    groups,
+)
+from study.study_result.report_data import ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+_VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
+
+
+def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
+    """Largest difference of every term with its interval; factors first, then interactions."""
+    import pandas as pd
+
+    strong = [effect for effect in facts.interactions if effect.verdict != NO_DIFFERENCE]
+    shown = [e for e in (*facts.effects, *strong[:6]) if e.difference is not None]
+    return pd.DataFrame(
+        {
+            "term": [effect.term for effect in shown],
+            "name": [term_name(effect.term, labels) for effect in shown],
+            "difference": [effect.difference for effect in shown],
+            "low": [effect.low for effect in shown],
+            "high": [effect.high for effect in shown],
+            "practical": [effect.practical for effect in shown],
+            "verdict": [effect.verdict for effect in shown],
+        }
+    ).astype({"difference": float, "low": float, "high": float, "practical": float})
+
+
+def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw one row a term: its largest difference and interval against the band."""
+    figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
+    ax = figure.subplots()
+    zero = 1.0 if facts.ratio else 0.0
+    limits = frame["practical"].dropna()
+    if not limits.empty:
+        limit = float(limits.iloc[0])
+        below = 1 / limit if facts.ratio else -limit
+        ax.axvspan(below, limit, color=BAND, zorder=0)
+        ax.text(
+            zero,
+            1.0,
+            "no practical difference",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            color=MUTED,
+            fontsize=7.5,
+        )
+    ax.axvline(zero, color=MUTED, linewidth=0.7)
+    _mark_effects(ax, frame)
+    shown = {effect.term: effect for effect in facts.terms}
+    for place, term in enumerate(frame["term"]):
+        effect = shown[term]
+        ax.annotate(
+            size(effect, facts)
+            + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
+            (1.0, place),
+            xycoords=ax.get_yaxis_transform(),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            annotation_clip=False,
+        )
+    name_rows(ax, range(len(frame)), [wrap(name, 34) for name in frame["name"]], 8)
+    ax.set_ylim(len(frame) - 0.5, -0.6)
+    plain_ticks(ax, "x")
+    what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
+    ends = ", with 95 % simultaneous interval" if frame["low"].notna().any() else ""
+    ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
+    _clean_left(ax)
+    return figure
+
+
+def _mark_effects(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw each difference on its interval, in the color of its verdict."""
+    import seaborn as sns
+
+    places = np.arange(len(frame))
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
+    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
+    sns.scatterplot(
+        x=frame["difference"].to_numpy(),
+        y=places,
+        hue=colors,
+        palette={color: color for color in colors},
+        s=49,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
+
+
+def level_means(facts: Facts) -> pd.DataFrame:
+    """Mean of every level of every factor."""
+    import pandas as pd
+
+    return pd.DataFrame(
+        [
+            {"factor": effect.term, "level": level, "mean": mean}
+            for effect in facts.effects
+            for level, mean in zip(effect.levels, effect.means, strict=False)
+        ],
+        columns=["factor", "level", "mean"],
+    ).astype({"mean": float})
+
+
+def grand_mean(data: ReportData, facts: Facts) -> float:
+    """Mean over the cells, geometric for a log response."""
+    means = cells(data, facts.name)["mean"].to_numpy(float)
+    return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
+
+
+def draw_level_means(
+    frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
+) -> Canvas:
+    """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    figure = canvas(WIDTH_IN, 3.5)
+    ax = figure.subplots()
+    if practical is not None:
+        low, high = center - practical / 2, center + practical / 2
+        if facts.ratio:
+            low, high = center / practical**0.5, center * practical**0.5
+        ax.axhspan(low, high, color=BAND, zorder=0)
+    ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+    _at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
+    placed = _connect_levels(ax, frame)
+    for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
+        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
+        ax.text(
+            float(group["place"].mean()),
+            1.02,
+            clean(name_of(str(factor), data.labels), 30),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            fontweight="bold",
+            color=word_color_of(index),
+        )
+    names = [wrap(level, 12, 40) for level in frame["level"]]
+    many = len(names) > 13
+    ax.set_xticks(
+        placed["place"],
+        names,
+        rotation=45 if many else 0,
+        ha="right" if many else "center",
+        fontsize=7.5 if len(names) < 9 else 7,
+    )
+    ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
+    ax.margins(y=0.2)
+    plain_ticks(ax, "y")
+    ax.set(xlabel="", ylabel=axis_label(facts))
+    ax.tick_params(axis="x", length=0)
+    return figure
+
+
+def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
+    """Draw a line a factor through its level means; return them with their places."""
+    import seaborn as sns
+
+    factors = frame.groupby("factor", sort=False)
+    # levels are 1 apart, and half a step more parts the factors
+    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
+    sns.pointplot(
+        placed,
+        x="place",
+        y="mean",
+        hue="factor",
+        palette=[color_of(index) for index in range(factors.ngroups)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=5.5,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    return placed
+
+
+def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
+    """Write its number at the mean of every level of one factor."""
+    for place, mean, side in zip(places, means, _sides(means), strict=True):
+        ax.annotate(
+            significant(mean),
+            (place, mean),
+            xytext=(0, 6 * side),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7.5,
+            va="bottom" if side > 0 else "top",
+        )
+
+
+def _at_right(ax: Axes, words: str, height: float, **looks: Any) -> None:
+    """Write outside the right edge at a height of the vertical axis."""
+    ax.annotate(
+        words,
+        (1.0, height),
+        xytext=(4, 0),
+        xycoords=ax.get_yaxis_transform(),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        annotation_clip=False,
+        **looks,
+    )
+
+
+def _sides(means: Sequence[float]) -> list[int]:
+    """Side of each point on which its number meets no line: 1 above, -1 below."""
+    values = np.asarray(means, dtype=float)
+    left = np.r_[values[1:2], values[:-1]]
+    right = np.r_[values[1:], values[-2:-1]]
+    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
+
+
+def axis_label(facts: Facts) -> str:
+    """Name and unit of a response for an axis."""
+    return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
+
+
+def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
+    """Every observation of each distinct computation with its rank, best first.
+
+    Returns
+    -------
+    DataFrame
+        ``label`` names the cells of a computation, ``copies`` counts them; the levels are
+        those of the first. At most ``most`` computations.
+    """
+    import pandas as pd
+
+    ranked = groups(data, facts)
+    if facts.response.better == "higher":
+        ranked = ranked[::-1]
+    factors = list(data.factors)
+    known = comparable(data, facts.name)
+    levels = known[factors].astype(str).agg(tuple, axis=1)
+    columns = [*factors, *(["block"] if "block" in known else [])]
+    parts = []
+    for rank, group in enumerate(ranked[:most]):
+        first = group.members[0]
+        rows = known[levels == tuple(first[name] for name in factors)]
+        parts.append(
+            rows[columns].assign(
+                label=describe(group, data),
+                copies=len(group),
+                value=rows[facts.name],
+                cell_mean=group.mean,
+                rank=rank,
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
+    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
+    count = int(frame["rank"].max()) + 1
+    figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
+    ax = figure.subplots()
+    best = float(frame["cell_mean"].iloc[0])
+    if facts.response.better and practical > 0:
+        sign = -1 if facts.response.better == "higher" else 1
+        ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
+        ax.text(
+            best + sign * practical / 2,
+            1.0,
+            "as good as the best",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=MUTED,
+        )
+    means = frame.drop_duplicates("rank")
+    _mark_cells(ax, frame, means)
+    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
+        _at_right(ax, significant(float(mean)), float(place))
+    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
+    ax.set_ylim(count - 0.4, -0.8)
+    plain_ticks(ax, "x")
+    ax.set(xlabel=axis_label(facts), ylabel="")
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    _clean_left(ax)
+    return figure
+
+
+def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
+    """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
+    import seaborn as sns
+
+    if "block" in frame and frame["block"].nunique() <= 40:
+        sns.lineplot(
+            frame,
+            x="value",
+            y="rank",
+            units="block",
+            estimator=None,
+            sort=False,
+            color=MUTED,
+            alpha=0.28,
+            linewidth=0.5,
+            ax=ax,
+        )
+    sns.stripplot(
+        frame,
+        x="value",
+        y="rank",
+        orient="y",
+        native_scale=True,
+        jitter=False,
+        color="#56B4E9",
+        size=3,
+        clip_on=False,
+        alpha=0.8,
+        zorder=2.5,
+        ax=ax,
+    )
+    sns.scatterplot(
+        means,
+        x="cell_mean",
+        y="rank",
+        marker="D",
+        color=INK,
+        s=26,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
+
+
+def _clean_left(ax: Axes) -> None:
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)

@@ -1,0 +1,195 @@
+"""The page of a mesh convergence study: answer, figures with their data, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.reporting.content.table import Table
+from study.reporting.figure import convergence
+from study.reporting.figure.registry import Figure, make, slug
+from study.reporting.numbers import MISSING, clean, significant
+from study.reporting.output import write
+from study.reporting.output.page import _environment
+from study.reporting.output.write import _replace
+
+if TYPE_CHECKING:
+    from study.reporting.figure.convergence import Document
+
+Meshes = Sequence[tuple[str, Any, Any]]
+
+
+def write_convergence(
+    name: str,
+    question: str,
+    document: Document,
+    out_dir: str | Path,
+    meshes: Meshes = (),
+    window: Any = None,
+) -> Path:
+    """Write the page of a convergence document, with the data of its figures beside it.
+
+    Parameters
+    ----------
+    document : mapping
+        Of ``study converge --json``: one series, or ``cells`` and ``fronts``.
+    meshes : sequence of (label, points, cells)
+        Plane meshes to be shown side by side.
+    window : array_like, shape (2, 2), optional
+        What part of them, in mm.
+    """
+    cells = list(document.get("cells", [document]))
+    figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
+    tables = [series_table(cells), *sources_tables(cells)]
+    folder = Path(out_dir)
+    stem = f"{slug(name)}-convergence"
+    beside = folder / f"{stem}-data"
+    beside.mkdir(parents=True, exist_ok=True)
+    for figure in figures:
+        if figure.data is not None:
+            _replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+    for table in tables:
+        _replace(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+    text = _environment().get_template("convergence.html.j2").render(
+        name=clean(name), question=clean(question), answer=answers(cells, document),
+        figures=figures, tables=tables, warnings=_warnings(cells),
+    )  # fmt: skip
+    _replace(folder / f"{stem}.html", clean(text))
+    return folder / f"{stem}.html"
+
+
+def convergence_figures(
+    cells: Sequence[Document],
+    fronts: Sequence[Document] = (),
+    meshes: Meshes = (),
+    window: Any = None,
+) -> list[Figure]:
+    """Value against size, error against size, error against seconds, meshes."""
+    shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
+    found = []
+    if shown:
+        found.append(make("convergence-values", "Value against mesh size", lambda: _values(shown)))
+    if any(cell["extrapolated"] is not None for cell in shown):
+        found.append(make("convergence-errors", "Error and formal order", lambda: _errors(shown)))
+    for k, front in enumerate(fronts):
+        name = f"convergence-front-{k + 1}"
+        found.append(make(name, "Error against seconds", partial(_front, front)))
+    if meshes:
+        found.append(make("convergence-meshes", "Meshes", lambda: _meshes(meshes, window)))
+    return found
+
+
+def _values(cells: Sequence[Document]) -> Any:
+    frame = convergence.value_points(cells)
+    return frame, lambda: convergence.draw_values(frame), convergence.value_caption(cells)
+
+
+def _errors(cells: Sequence[Document]) -> Any:
+    frame = convergence.error_points(cells)
+    return frame, lambda: convergence.draw_errors(frame), convergence.error_caption(cells)
+
+
+def _front(front: Document) -> Any:
+    frame = convergence.front_points(front)
+    accuracy = float(front["accuracy"])
+    return frame, lambda: convergence.draw_front(frame, accuracy), f"{front['answer']}."
+
+
+def _meshes(meshes: Meshes, window: Any) -> Any:
+    import pandas as pd
+
+    counts = pd.DataFrame(
+        [{"mesh": label, "points": len(points), "cells": len(cells)}
+         for label, points, cells in meshes]
+    )  # fmt: skip
+    caption = "The coarsest and the finest mesh, in the same window."
+    return counts, lambda: convergence.draw_meshes(meshes, np.asarray(window, float)), caption
+
+
+def answers(cells: Sequence[Document], document: Document) -> list[str]:
+    """Say in a few sentences what was found."""
+    lines = [f"{front['answer']}." for front in document.get("fronts", ())]
+    for cell in cells[:1] if len(cells) == 1 else ():
+        lines.append(f"{clean(cell['verdict'])}.")
+        given = cell.get("given_mesh")
+        if given and given["u_num"] is not None and given["value"]:
+            share = 100 * given["u_num"] / abs(given["value"])
+            lines.append(f"On the mesh as given the value is known to {share:.2g} %.")
+    lines += formal_orders(cells)
+    if len(cells) > 1:
+        kinds = [str(cell["behaviour"]) for cell in cells]
+        counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
+        lines.append(
+            f"{len(cells)} series: " + ", ".join(f"{n} {kind}" for kind, n in counts.items()) + "."
+        )
+    return lines
+
+
+def formal_orders(cells: Sequence[Document]) -> list[str]:
+    """Say which order is to be expected, and why, once for every reason."""
+    known = [
+        (float(cell["formal_order"]), str(cell["formal_reason"]))
+        for cell in cells
+        if cell.get("formal_reason") and cell.get("formal_order")
+    ]
+    return [f"Formal order {order:.3g}: {clean(why)}." for order, why in dict.fromkeys(known)]
+
+
+def series_table(cells: Sequence[Document]) -> Table:
+    """Every quantity of every cell: behavior, order, limit, uncertainty."""
+    rows, raw = [], []
+    for cell in cells:
+        for name, q in (cell.get("quantities") or {cell["qoi"]: cell}).items():
+            if not q["value"]:
+                continue
+            u = q["u_num"]
+            share = (
+                MISSING
+                if u is None or not q["value"][0]
+                else f"{100 * u / abs(q['value'][0]):.2g} %"
+            )  # noqa: E501
+            rows.append((
+                clean(convergence.label_of(cell)), clean(str(name).replace("_", " ")),
+                f"{significant(q['value'][0], 4)} {clean(q['unit'])}".strip(),
+                significant(q["extrapolated"], 4), significant(q["observed_order"]),
+                significant(q["formal_order"]), share, clean(str(q["behaviour"])),
+            ))  # fmt: skip
+            raw.append({
+                "cell": convergence.label_of(cell), "quantity": name, "unit": q["unit"],
+                "finest_value": q["value"][0], "extrapolated": q["extrapolated"],
+                "observed_order": q["observed_order"], "formal_order": q["formal_order"],
+                "u_num": u, "gci_fine": q["gci_fine"], "behaviour": q["behaviour"],
+                "verdict": q["verdict"],
+            })  # fmt: skip
+    columns = ("cell", "quantity", "finest value", "limit", "order", "formal", "u_num", "behavior")
+    return Table("Series", columns, tuple(rows), 2, 1, raw=tuple(raw))
+
+
+def sources_tables(cells: Sequence[Document]) -> list[Table]:
+    """One table of mesh, load steps and solver tolerance for all cells that have it."""
+    rows, raw = [], []
+    for cell in cells:
+        for row in cell.get("sources") or ():
+            part = MISSING if row["relative"] is None else f"{row['relative']:.1e}"
+            name = clean(str(row["quantity"]).replace("_", " "))
+            rows.append((clean(convergence.label_of(cell)), name, clean(row["source"]), part))
+            raw.append({"cell": convergence.label_of(cell)} | {
+                k: row[k] for k in ("quantity", "source", "unit", "u", "relative")
+            })  # fmt: skip
+    if not rows:
+        return []
+    columns = ("cell", "quantity", "source of error", "part of the value")
+    return [Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw))]
+
+
+def _warnings(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+    found = [
+        f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
+        for cell in cells
+        for text in cell.get("warnings") or ()
+    ]
+    return [clean(line) for line in dict.fromkeys(found)]

@@ -1,0 +1,257 @@
+"""The page: one self-contained HTML document, every word of a user escaped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.reporting.content import (
+    checks,
+    comparison,
+    fit_tables,
+    hypotheses,
+    methods,
+    sentences,
+    tables,
+    verdicts,
+)
+from study.reporting.content.table import Table
+from study.reporting.content.verdicts import verdict
+from study.reporting.figure import registry, validation
+from study.reporting.figure.registry import Figure
+from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
+from study.reporting.report import Facts, facts, grouped_inputs
+from study.study_result.report_data import ReportData, ResponseAnalysis
+
+_NO_FIGURE = "was not drawn"
+_VERSION = "version of "
+
+
+@dataclass(frozen=True)
+class Section:
+    """Everything the page shows about one response."""
+
+    facts: Facts
+    anchor: str
+    verdicts: tuple[str, ...]
+    anova: Table | None
+    strata: Table | None
+    figures: Mapping[str, Figure]
+    assumptions: tuple[str, ...]
+    recommendation: str
+    cheaper: str
+
+
+@dataclass(frozen=True)
+class Contents:
+    """A report with everything computed, before any markup."""
+
+    data: ReportData
+    found: tuple[Facts, ...]
+    sections: tuple[Section, ...]
+    figures: Mapping[str, Figure]
+    tables: Mapping[str, Table]
+
+    @property
+    def all_figures(self) -> tuple[Figure, ...]:
+        """Figures in the order of the page."""
+        own = [figure for section in self.sections for figure in section.figures.values()]
+        return (*own, *self.figures.values())
+
+
+def prepare(data: ReportData) -> Contents:
+    """Compute every sentence, table and figure of a report."""
+    found = facts(data)
+    known: dict[str, Table] = {
+        "verdicts": tables.verdicts(found, data),
+        "cells": tables.matrix(data, found),
+    }
+    if data.fits:
+        known["fits"] = fit_tables.fits(data)
+        known["every_fit"] = fit_tables.every_fit(data)
+    if data.numerical:
+        known["numerical"] = tables.numerical(data.numerical, data)
+    if data.expected:
+        known["expected"] = hypotheses.table(data, found)
+    if data.validation:
+        known["validation"] = validation.table(data.validation, data.block)
+    if data.beside is not None:
+        known["beside"] = comparison.table(data.beside, data.labels)
+        known["changes"] = comparison.changes(data.beside)
+    if data.failures:
+        known["failures"] = tables.failures(data)
+    sections = tuple(_section(data, item) for item in found)
+    return Contents(data, found, sections, registry.of_study(data), known)
+
+
+def _section(data: ReportData, item: Facts) -> Section:
+    strata = tables.strata(item, data) if item.rows else None
+    judged = [effect for effect in item.terms if effect.is_main or effect.verdict == "matters"]
+    return Section(
+        facts=item,
+        anchor=f"r-{registry.slug(item.name)}",
+        verdicts=tuple(verdict(effect, item, data.labels) for effect in judged),
+        anova=tables.anova(item, data) if item.rows else None,
+        strata=strata if strata is not None and strata.rows else None,
+        figures=registry.of_response(data, item),
+        assumptions=_assumptions(data, item),
+        recommendation=_recommendation(data, item),
+        cheaper=hypotheses.cheaper(data, item),
+    )
+
+
+def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
+    if not item.terms:
+        return ()
+    lines = [verdicts.normality(item, data.alpha)]
+    lines += [
+        verdicts.spread(test, item.variance.get(test), data.alpha)
+        for test in ("bartlett", "levene")
+    ]
+    lines.append(verdicts.sphericity(item, data.labels))
+    if item.non_additivity and item.non_additivity.get("p") is not None:
+        lines.append(verdicts.additivity(item.non_additivity, data))
+    return tuple(line for line in lines if line)
+
+
+def _recommendation(data: ReportData, item: Facts) -> str:
+    if not item.response.better or item.name not in data.table:
+        return ""
+    if not data.table[item.name].notna().any():
+        return ""
+    return hypotheses.recommendation(data, item)
+
+
+def build(context: ReportData) -> str:
+    """Return the report as one HTML document.
+
+    Nothing is loaded from anywhere: styles and drawings are inline, there is no script, and
+    the content security policy forbids all else. Every text that came from a user is escaped
+    by the templates.
+    """
+    return render(prepare(context))
+
+
+def render(contents: Contents) -> str:
+    """Return the HTML of computed contents."""
+    environment = _environment()
+    data = contents.data
+    text: str = environment.get_template("page.html.j2").render(
+        c=contents,
+        data=data,
+        answer=(
+            *sentences.answer(data, contents.found),
+            *comparison.answer_lines(data.beside, data.labels),
+        ),
+        would_change=sentences.would_change(data, contents.found),
+        checks=checks.grouped(checks.all_checks(data, contents.found)),
+        controls=checks.grouped(data.controls),
+        error_terms=sentences.error_terms(data, contents.found),
+        virtual=sentences.VIRTUAL if data.virtual and contents.found else "",
+        inputs=grouped_inputs(data.inputs),
+        planned=_planned(data, len(contents.tables["cells"].rows)),
+        methods=methods.paragraph(data, contents.found),
+        failures=sentences.failures(data.failures, len(data.table)),
+        warnings=_warnings(contents),
+        verdict_groups=_groups(contents.tables["verdicts"]),
+        what_if=verdicts.WHAT_IF,
+        two=comparison,
+        provenance=_provenance(data),
+        total_time=sum(data.timings.values()),
+    )
+    # control and direction characters are no markup, yet no document may hold them
+    return clean(text)
+
+
+def _planned(data: ReportData, present: int) -> str:
+    """Count the cells, against those of the design where some have no case yet."""
+    if present >= data.planned:
+        return count(present, "cell")
+    return f"{present:,} of {count(data.planned, 'cell')} computed"
+
+
+def _provenance(data: ReportData) -> dict[str, str]:
+    """Provenance with all versions in one line; the seed has its own."""
+    versions = [
+        f"{clean(key).removeprefix(_VERSION)} {clean(value)}"
+        for key, value in data.provenance.items()
+        if key.startswith(_VERSION)
+    ]
+    rest = {k: v for k, v in data.provenance.items() if k != "seed" and not k.startswith(_VERSION)}
+    return ({"versions": ", ".join(versions)} if versions else {}) | rest
+
+
+def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Rows of a table by their first column, in the order given."""
+    groups: dict[str, list[tuple[str, ...]]] = {}
+    for row in table.rows:
+        groups.setdefault(row[0], []).append(row)
+    return list(groups.items())
+
+
+def _warnings(contents: Contents) -> tuple[str, ...]:
+    found = [(item.title, warning) for item in contents.found for warning in item.warnings]
+    return (*dict.fromkeys(contents.data.warnings), *folded(found, contents.data))
+
+
+def _environment() -> Any:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("study.reporting", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["duration"] = duration
+    environment.filters["name"] = name_of
+    # only drawings that this package rendered pass unescaped
+    environment.filters["drawing"] = _drawing
+    environment.filters["slug"] = registry.slug
+    environment.filters["sentence"] = sentence
+    environment.filters["sub"] = _subscripts
+    environment.globals["groups"] = _groups
+    environment.globals["plural_of"] = plural_of
+    environment.globals["response_note"] = response_note
+    return environment
+
+
+def _subscripts(text: str) -> Any:
+    """Text with ``u_num`` and its kin as a letter and its subscript, all else escaped."""
+    from markupsafe import Markup, escape
+
+    parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
+    # escaped first, so nothing but these tags is markup
+    return Markup(parts)  # noqa: S704
+
+
+def _drawing(figure: Figure) -> Any:
+    from markupsafe import Markup
+
+    return Markup(figure.svg)  # noqa: S704
+
+
+def response_note(response: ResponseAnalysis) -> str:
+    """Say what was declared of a response: its unit, what matters, how it is analyzed."""
+    parts = [response.unit] if response.unit else []
+    if response.practical is not None:
+        if response.relative:
+            limit = f"{100 * response.practical:g} % of the mean"
+        else:
+            limit = f"{response.practical:g} {'pp' if response.unit == '%' else response.unit}"
+        parts.append(f"a difference of {limit.strip()} matters")
+    if response.transform == "log":
+        parts.append("analyzed on the log, effects are ratios")
+    if response.better:
+        parts.append(f"{response.better} is better")
+    return "; ".join(parts)
+
+
+def missing(drawn: Sequence[Figure]) -> tuple[str, ...]:
+    """Sentences about figures that could not be drawn."""
+    return tuple(
+        f"{figure.title} {_NO_FIGURE}: {figure.missing}" for figure in drawn if figure.missing
+    )

@@ -1,0 +1,323 @@
+"""Write a report: the page, the data of its figures and tables, other formats on request."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.errors import Fault, InputError, StudyError, nearest
+from study.reporting.content.methods import paragraph
+from study.reporting.content.table import Table
+from study.reporting.figure.registry import slug
+from study.reporting.numbers import MINUS, MISSING, THIN, TIMES, clean
+from study.reporting.output.page import Contents, prepare, render
+from study.study_result.report_data import CurvePair, ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMATS = ("html", "csv", "tex", "pdf")
+
+
+def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)) -> Path:
+    """Write a report into a folder and return its main file.
+
+    The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and
+    table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every measured and predicted
+    point) and ``numbers.json``, the statistics as the interface defines them: enough to compute
+    every figure again. Files are replaced whole, never left half written.
+
+    Parameters
+    ----------
+    report_data : ReportData
+    out_dir : path
+        Created where missing.
+    formats : sequence of {"html", "csv", "tex", "pdf"}
+        ``csv`` writes the data alone; they are always written.
+
+    Raises
+    ------
+    InputError
+        For an unknown format, or ``pdf`` without a browser (before anything is written).
+    """
+    asked = _checked(formats)
+    folder = Path(out_dir)
+    stem = slug(report_data.name)
+    contents = prepare(report_data)
+    beside = folder / f"{stem}-data"
+    beside.mkdir(parents=True, exist_ok=True)
+    _numbers(contents, beside)
+    _tables(contents, beside)
+    _replace(beside / "cases.csv", of_frame(report_data.table))
+    if report_data.curves:
+        _replace_packed(beside / "curves.csv.gz", _points(report_data.curves))
+    for figure in contents.all_figures:
+        if figure.data is not None:
+            _replace(beside / f"figure-{figure.name}.csv", of_frame(figure.data))
+    html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
+    if "html" in asked or "pdf" in asked:
+        _replace(html, render(contents))
+    if "tex" in asked:
+        _replace(latex, _latex(contents))
+    if "pdf" in asked:
+        print_page(html, portable)
+    return {"html": html, "pdf": html, "tex": latex, "csv": beside / "cases.csv"}[asked[0]]
+
+
+def _checked(formats: Sequence[str]) -> tuple[str, ...]:
+    asked = tuple(dict.fromkeys(formats)) or ("html",)
+    faults = [
+        Fault(f"report format {name!r}", "is not known", nearest(name, FORMATS))
+        for name in asked
+        if name not in FORMATS
+    ]
+    if faults:
+        raise InputError(faults)
+    if "pdf" in asked:
+        browser()
+    return tuple(sorted(asked, key=FORMATS.index))
+
+
+def _tables(contents: Contents, beside: Path) -> None:
+    known: list[Table] = list(contents.tables.values())
+    known += [section.anova for section in contents.sections if section.anova is not None]
+    for table in known:
+        text = of_records(table.raw) if table.raw else of_rows(table.columns, table.rows)
+        _replace(beside / f"table-{slug(table.name)}.csv", text)
+
+
+def _numbers(contents: Contents, beside: Path) -> None:
+    numbers: dict[str, Any] = {
+        response.name: None if response.result is None else response.result.to_json()
+        for response in contents.data.responses
+    }
+    text = json.dumps(
+        {"study": contents.data.name, "responses": numbers}, indent=1, allow_nan=False
+    )
+    _replace(beside / "numbers.json", text + "\n")
+
+
+def _points(curves: Sequence[CurvePair]) -> str:
+    """Every measured point of every case with the predicted force there, as CSV text.
+
+    A prediction that stopped early leaves the cells beyond its end empty.
+    """
+    parts = ["case_id,curve,role,displacement_mm,measured_N,predicted_N\n"]
+    for pair in curves:
+        head = of_rows((pair.case_id, pair.label, pair.role), ()).removesuffix("\n")
+        d, measured = pair.measured.displacement_mm, pair.measured.force_N
+        reached = d[d <= pair.predicted.displacement_mm[-1]]
+        force = [repr(f) for f in pair.predicted.force_at(reached).tolist()]
+        force += [""] * (d.size - reached.size)
+        points = zip(d.tolist(), measured.tolist(), force, strict=True)
+        parts += [f"{head},{x!r},{m!r},{f}\n" for x, m, f in points]
+    return "".join(parts)
+
+
+def _latex(contents: Contents) -> str:
+    known = [("Verdicts", contents.tables["verdicts"])]
+    known += [
+        (f"Analysis of variance of the {section.facts.title}", section.anova)
+        for section in contents.sections
+        if section.anova is not None
+    ]
+    known.append(("Cells", contents.tables["cells"]))
+    return document(known, paragraph(contents.data, contents.found))
+
+
+def _replace_packed(path: Path, text: str) -> None:
+    """Write a gzip file, the same bytes for the same text."""
+    import gzip
+
+    partial = path.with_name(path.name + ".part")
+    partial.write_bytes(gzip.compress(text.encode(), 6, mtime=0))
+    os.replace(partial, path)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write beside, then rename: a reader never sees half a file."""
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(text, encoding="utf-8", newline="\n")
+    os.replace(partial, path)
+
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"\textquotedbl{}",
+    MINUS: r"$-$",
+    TIMES: r"$\times$",
+    MISSING: "--",
+    THIN: "~",
+    "\N{MIDDLE DOT}": r"\textperiodcentered{}",
+    "\n": " ",
+    "\t": " ",
+}
+
+
+def escape(text: object) -> str:
+    r"""Return text in which no character is a command.
+
+    Examples
+    --------
+    >>> escape("50% of $x_1$")
+    '50\\% of \\$x\\_1\\$'
+    """
+    return "".join(_SPECIAL.get(character, character) for character in clean(text))
+
+
+def table(found: Table, caption: str) -> str:
+    """Return a ``table`` environment with plain rules, no package needed."""
+    words = found.left, len(found.columns) - found.tail
+    columns = "".join(
+        "l" if i < words[0] or i >= words[1] else "r" for i in range(len(found.columns))
+    )
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{escape(caption)}}}",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\hline",
+        _row(found.columns),
+        r"\hline",
+        *(_row(row) for row in found.rows),
+        r"\hline",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _row(cells: Sequence[str]) -> str:
+    return " & ".join(escape(cell) for cell in cells) + r" \\"
+
+
+def document(tables: Sequence[tuple[str, Table]], methods: str) -> str:
+    """Tables and methods as a fragment to be included in a paper."""
+    parts = ["% Generated by study; include with \\input.\n", escape(methods) + "\n"]
+    return "\n".join([*parts, *(table(found, caption) for caption, found in tables)])
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_SECONDS = 120
+
+
+def browser() -> str:
+    """Path of a Chromium-like browser.
+
+    Raises
+    ------
+    InputError
+        If none is on the path.
+    """
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found:
+            return found
+    raise InputError(
+        Fault(
+            "report format 'pdf'",
+            "needs Chromium or Chrome, and none was found",
+            "install it (Debian: apt-get install chromium), or open the HTML report and print it",
+        )
+    )
+
+
+def print_page(page: Path, out: Path) -> None:
+    """Print an HTML file to a PDF file.
+
+    Raises
+    ------
+    InputError
+        If no browser is installed.
+    StudyError
+        If the browser fails or takes longer than two minutes.
+    """
+    program = browser()
+    with tempfile.TemporaryDirectory() as profile:
+        command = [
+            program,
+            "--headless",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={profile}",
+            f"--print-to-pdf={out}",
+        ]
+        if hasattr(os, "geteuid") and os.geteuid() == 0:
+            command.append("--no-sandbox")  # Chromium's sandbox refuses to run as root
+        command.append(page.resolve().as_uri())
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise StudyError(f"{program} did not print {page} within {_SECONDS} s") from error
+    if done.returncode or not out.is_file():
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
+        raise StudyError(f"{program} could not print {page}: {last[0][:300]}")
+
+
+# CWE-1236: a text cell that starts with one of these is a formula to a spreadsheet
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+
+
+def safe_cell(value: Any) -> Any:
+    """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote.
+
+    Examples
+    --------
+    >>> safe_cell("=1+1"), safe_cell(-1.5), safe_cell("-1.5"), safe_cell(None)
+    ("'=1+1", -1.5, "'-1.5", '')
+    """
+    if hasattr(value, "item"):
+        value = value.item()
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, bool | int | float):
+        return value
+    # the csv module quotes a line feed but not a lone carriage return
+    text = clean(value).replace("\r\n", "\n").replace("\r", "\n")
+    # leading spaces do not protect: some programs strip them
+    return f"'{text}" if text.lstrip(" ").startswith(_FORMULA) or text[:1] in _FORMULA else text
+
+
+def of_frame(frame: pd.DataFrame) -> str:
+    """CSV text of a data frame, without its index."""
+    return of_rows(list(frame.columns), frame.itertuples(index=False, name=None))
+
+
+def of_records(records: Sequence[Mapping[str, Any]]) -> str:
+    """CSV text of mappings; columns in the order of first appearance."""
+    columns = list(dict.fromkeys(key for record in records for key in record))
+    return of_rows(columns, ([record.get(key) for key in columns] for record in records))
+
+
+def of_rows(columns: Iterable[Any], rows: Iterable[Iterable[Any]]) -> str:
+    """CSV text: comma, quotes where needed, one newline a row."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([safe_cell(column) for column in columns])
+    writer.writerows([safe_cell(cell) for cell in row] for row in rows)
+    return buffer.getvalue()

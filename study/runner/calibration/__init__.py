@@ -1,0 +1,1 @@
+"""Constants from measured tests: the verb `calibrate`."""

@@ -1,0 +1,337 @@
+"""Constants of one material from one or several measured tests (``study calibrate``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.arrays import Array
+from study.calibration.iteration import EvaluationFailed
+from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
+from study.calibration.profile_likelihood import profile
+from study.canonical import digest
+from study.curve import Curve
+from study.errors import Fault, InputError
+from study.material.stability import check, stability
+from study.measurement.conditioning import SORTED
+from study.runner import build
+from study.runner.calibration.measured_tests import (
+    FitCurve,
+    in_order,
+    left_out,
+    of_specimens,
+    parts_of,
+    problem_of,
+    read_tests,
+    warnings_of,
+)
+from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import (
+    Checkpoint,
+    Progress,
+    Staged,
+    begun_stage,
+    cheaper,
+    staged_fit,
+)
+from study.runner.fitting.starts import gentler
+from study.runner.provenance import code_version
+
+if TYPE_CHECKING:
+    from study.calibration.fit import Fit
+    from study.calibration.profile_likelihood import Profile
+    from study.material.material import Material
+
+Config = Mapping[str, Any]
+
+#: correlation of neighboring residuals from which intervals cannot be trusted
+_ORDERED = 0.5
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """What all fits of one calibration share."""
+
+    config: Config
+    tests: Sequence[Config]
+    names: tuple[str, ...]
+    start: Array
+    bounds: Sequence[tuple[float, float]] | None
+    progress: Progress | None
+
+    def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
+        """Fit to the curves whose role is ``fit``."""
+        parts = parts_of(self.tests, in_order(curves))
+        return staged_fit(
+            parts, self.names, self.start, fit_task.model, bounds=self.bounds,
+            progress=self.progress, checkpoint=checkpoint,
+        )  # fmt: skip
+
+
+def calibrate(
+    config: Config,
+    root: Path,
+    *,
+    progress: Progress | None = None,
+    profiles: bool = False,
+    folder: Path | None = None,
+) -> CalibrationResult:
+    """Fit one material to all tests of a calibration at once.
+
+    Parameters
+    ----------
+    config : mapping
+        Of :func:`study.design.load_calibration`.
+    root : Path
+        Data root.
+    progress : callable, optional
+        Gets every accepted iteration of every stage.
+    profiles : bool
+        Whether profile-likelihood intervals are computed.
+    folder : Path, optional
+        Where accepted iterations are kept, so that an interrupted calibration can go on.
+
+    Raises
+    ------
+    InputError
+        If data are missing or malformed, or cannot answer.
+    """
+    began = time.perf_counter()
+    curves, notes = read_tests(config["tests"], root)
+    own, left = _splits(config, curves)
+    checkpoint = _checkpoint(folder, config, curves)
+    setting = _setting(config, curves, progress, checkpoint)
+    done = setting.fitted(curves, checkpoint)
+    found = done.fit
+    specimens = tuple(_partial(setting, label, group) for label, group in own.items())
+    cross = tuple(_partial(setting, label, group) for label, group in left)
+    result = _result(setting, curves, done)
+    result = replace(
+        result,
+        specimens=specimens,
+        same_constants_p=_same_constants(found, specimens),
+        cross_validation=cross,
+        profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
+        notes=notes,
+        warnings=(*(note for note in notes if SORTED in note), *result.warnings),
+        seconds=time.perf_counter() - began,
+    )
+    checkpoint.clear()
+    return result
+
+
+def _checkpoint(folder: Path | None, config: Config, curves: Sequence[FitCurve]) -> Checkpoint:
+    if folder is None:
+        return Checkpoint()
+    data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
+    problems = [problem_of(test).config for test in config["tests"]]
+    key = digest([problems, dict(config["calibration"]), data, code_version()], 32)
+    return Checkpoint(folder / "calibration.checkpoint.json", key)
+
+
+def _setting(
+    config: Config, curves: Sequence[FitCurve], progress: Progress | None, checkpoint: Checkpoint
+) -> _Setting:
+    tests = config["tests"]
+    names, start = _start(tests, curves, progress, checkpoint)
+    given = config["calibration"]["bounds"]
+    bounds = [given.get(name, (-np.inf, np.inf)) for name in names]
+    outside = [
+        Fault(
+            f"calibration.bounds.{name}",
+            f"{low:g} to {high:g} excludes the start {value:.6g} (MPa; exponents plain)",
+            "widen them, or give constants inside them to start from",
+        )
+        for name, value, (low, high) in zip(names, start, bounds, strict=True)
+        if not low <= value <= high
+    ]
+    if outside:
+        raise InputError(outside)
+    return _Setting(config, tests, names, start, bounds if given else None, progress)
+
+
+def _start(
+    tests: Sequence[Config],
+    curves: Sequence[FitCurve],
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> tuple[tuple[str, ...], Array]:
+    """Find the start: the given constants, or those of a simpler fit of one fitted test.
+
+    A homogeneous test is preferred: its closed form costs nothing.
+    """
+    fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
+    problems = {number: problem_of(tests[number]) for number in fitted}
+    closed = [number for number in fitted if problems[number].method == "closed-form"]
+    number = (closed or fitted)[0]
+    problem = problems[number]
+    part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
+    measured = [m.curve for m in part.measured]
+    constants: dict[str, float] | None = None
+    for before in _simpler(problem):
+        names, first = fit_task.start_values(before.config, measured, constants)
+        own = replace(part, config=before.config)
+        stage = f"start ({before.config['material']['model']}, {len(names)} constants)"
+        found = begun_stage(
+            stage,
+            [cheaper(own) or own],
+            names,
+            gentler(names, first),
+            fit_task.model,
+            None,
+            progress,
+            checkpoint,
+        ).fit
+        if not found.status.usable:
+            message = f"the {stage} did not converge: {found.message}"
+            raise InputError(Fault("calibration", message, "give constants to start from"))
+        constants = found.constants()
+    return fit_task.start_values(problem.config, measured, constants)
+
+
+def _simpler(problem: fit_task.FitProblem) -> list[fit_task.FitProblem]:
+    """Problems whose constants lead to those of a fit, the neo-Hookean one first."""
+    chain: list[fit_task.FitProblem] = []
+    before = fit_task.start_problem(problem)
+    while before is not None:
+        chain.insert(0, before)
+        before = fit_task.start_problem(before)
+    return chain
+
+
+def _splits(
+    config: Config, curves: Sequence[FitCurve]
+) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
+    """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
+    asked = config["calibration"]
+    own = of_specimens(curves) if asked["specimens"] == "each" else {}
+    if asked["specimens"] == "each" and len(own) < 2:
+        mend = "name the column of the specimens in measurements.block"
+        raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
+    return own, left_out(curves, asked["leave_out"]) if asked["leave_out"] else []
+
+
+def _partial(setting: _Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
+    done = setting.fitted(curves)
+    return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
+
+
+def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> tuple[CurveFit, ...]:
+    """Every curve beside its prediction; those of held-out tests are made now."""
+    fitted = iter(found.curves)
+    known = {id(c): next(fitted, None) for c in in_order(curves)}
+    out = []
+    for curve in curves:
+        predicted, message = known.get(id(curve)), "" if found.converged else found.message
+        if curve.role == "held-out" and found.converged:
+            predicted, message = _predicted(setting, curve, found)
+        out.append(
+            CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
+        )
+    return tuple(out)
+
+
+def _predicted(setting: _Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
+    (part,) = parts_of(setting.tests, [curve])
+    try:
+        model = fit_task.model(part.method, part.config, [curve.measured.curve], setting.names)
+        return model(found.values)[0], ""
+    except EvaluationFailed as error:
+        return None, str(error)
+
+
+def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None:
+    if len(specimens) < 2 or not all(one.fit.converged for one in specimens):
+        return None
+    own = sum(one.fit.rss for one in specimens)
+    return same_constants(found.rss, own, found.n, len(found.names), len(specimens))
+
+
+def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
+    parts = parts_of(setting.tests, in_order(curves))
+    models = [
+        fit_task.model(p.method, p.config, [m.curve for m in p.measured], setting.names)
+        for p in parts
+    ]
+
+    def predict(values: Array) -> list[Curve]:
+        return [curve for model in models for curve in model(values)]
+
+    measured = [m for part in parts for m in part.measured]
+    known = {n for n, e in zip(found.names, found.standard_error, strict=True) if e > 0}
+    return {
+        name: profile(predict, measured, found, name, bounds=setting.bounds)
+        for name in found.names
+        if name in known
+    }
+
+
+def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
+    found, section = done.fit, setting.config["material"]
+    predictions = _predictions(setting, curves, found)
+    status, message = "converged" if found.converged else "not-converged", done.message
+    material, stable, stability = None, False, "nothing is known of it"
+    cautions: list[str] = []
+    if found.converged:
+        material = build.material(section, found.constants())
+        status, message, cautions = _plausible(material, message)
+        stable, stability = _stability(setting.tests, curves, material)
+    judged = list(zip(in_order(curves), found.curves, strict=False))
+    repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
+    order = pattern([c.residual(p) for c, p in judged])
+    if order is not None and order.lag1 > _ORDERED:
+        cautions.append(
+            f"neighboring residuals are correlated by {order.lag1:.2f}: they are misfit rather "
+            "than noise, so that intervals and AICc claim more than the data hold"
+        )
+    return CalibrationResult(
+        name=setting.config["name"],
+        model=section["model"],
+        status=status,
+        message=message,
+        fit=found,
+        material=material,
+        stable=stable,
+        stability=stability,
+        curves=predictions,
+        evaluations=done.evaluations,
+        seconds=0.0,
+        lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
+        pattern=order,
+        warnings=(*warnings_of(curves), *cautions),
+    )
+
+
+def _plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
+    """Status of a converged fit by its initial shear modulus."""
+    if not material.mu0 > 0:
+        rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
+        return "unstable", rule, []
+    try:
+        found = list(check(material))
+    except InputError as error:
+        return "unstable", str(error), []
+    if found:
+        return "implausible", found[0], []
+    return "converged", message, []
+
+
+def _stability(
+    tests: Sequence[Config], curves: Sequence[FitCurve], material: Material
+) -> tuple[bool, str]:
+    """Drucker's criterion over the compressions that were fitted, else over the usual range."""
+    strains = [
+        float(c.measured.curve.displacement_mm.max()) / height
+        for c in curves
+        if tests[c.test]["test"]["kind"] == "compression"
+        and (height := build.height_mm(tests[c.test]["specimen"])) is not None
+    ]
+    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
+    judged = stability(material, *range_of)
+    return bool(judged.stable), judged.sentence

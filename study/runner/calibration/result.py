@@ -1,0 +1,234 @@
+"""What a calibration found, in values and as the document of ``study calibrate --json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.curve import Curve
+from study.errors import Fault, InputError
+from study.material import conversions
+from study.material.material import Material
+from study.measurement.measured_test import MeasuredTest
+from study.record.record import plain
+from study.runner import response
+
+if TYPE_CHECKING:
+    from study.calibration.fit import Fit
+    from study.calibration.lack_of_fit import LackOfFit, Pattern
+    from study.calibration.profile_likelihood import Profile
+    from study.material.conversions import Converted
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """One measured curve and its prediction.
+
+    Parameters
+    ----------
+    file : str
+        Its file.
+    specimen : str or None
+        Label of the specimen, where the file has several.
+    role : str
+        ``fit`` or ``held-out``.
+    measured : MeasuredTest
+        Mean and scatter of its repeats.
+    predicted : Curve or None
+        None where the model has no answer.
+    message : str
+        Why it has none.
+    """
+
+    file: str
+    specimen: str | None
+    role: str
+    measured: MeasuredTest
+    predicted: Curve | None
+    message: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Errors of the prediction in N and in % of the RMS force."""
+        errors: dict[str, float | None] = {
+            "rms_force_error": None,
+            "relative_rms_force_error": None,
+        }
+        if self.predicted is not None:
+            pair = self.predicted, self.measured.curve
+            errors["rms_force_error"] = response.rms_force_error(*pair)
+            errors["relative_rms_force_error"] = response.relative_rms_force_error(*pair)
+        return {
+            "file": self.file,
+            "specimen": self.specimen,
+            "role": self.role,
+            "repeats": self.measured.n_repeats,
+            **errors,
+            "message": self.message,
+        }
+
+
+@dataclass(frozen=True)
+class PartialFit:
+    """Fit to a part of the data, and what it predicts of the rest.
+
+    Parameters
+    ----------
+    label : str
+        The specimen fitted for itself, or what was left out.
+    fit : Fit
+        In MPa.
+    curves : tuple of CurveFit
+        Its curves, those left out as ``held-out``.
+    """
+
+    label: str
+    fit: Fit
+    curves: tuple[CurveFit, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Constants in kPa, and the errors of the curves."""
+        return {
+            "label": self.label,
+            "status": "converged" if self.fit.converged else "not-converged",
+            "message": self.fit.message,
+            "parameters": parameters(self.fit),
+            "rss": self.fit.rss,
+            "identifiable": self.fit.identifiable,
+            "curves": [curve.as_dict() for curve in self.curves],
+        }
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Constants of one material from all tests of a calibration.
+
+    Parameters
+    ----------
+    name, model : str
+        Of the calibration and of the energy.
+    status, message : str
+        ``converged``, ``not-converged``, ``implausible`` or ``unstable``, and why.
+    fit : Fit
+        Of :mod:`study.calibration`; constants in MPa.
+    material : Material or None
+        With the constants found; None where they make no material.
+    stable : bool
+        Drucker's criterion over the range of the fitted tests.
+    stability : str
+        The same in words.
+    curves : tuple of CurveFit
+        Every curve and its prediction.
+    evaluations : int
+        Calls of the model, those of the cheaper stage included.
+    seconds : float
+        Wall time.
+    lack_of_fit, pattern : LackOfFit, Pattern, optional
+        What the residuals say.
+    specimens, cross_validation : tuple of PartialFit
+        Each specimen for itself; each specimen or test left out in turn.
+    same_constants_p : float, optional
+        p of the hypothesis that all specimens share their constants.
+    profiles : mapping of str to Profile
+        Profile-likelihood intervals, where asked.
+    warnings, notes : tuple of str
+        Cautions, and what was done to the measured rows.
+    """
+
+    name: str
+    model: str
+    status: str
+    message: str
+    fit: Fit
+    material: Material | None
+    stable: bool
+    stability: str
+    curves: tuple[CurveFit, ...]
+    evaluations: int
+    seconds: float
+    lack_of_fit: LackOfFit | None = None
+    pattern: Pattern | None = None
+    specimens: tuple[PartialFit, ...] = ()
+    cross_validation: tuple[PartialFit, ...] = ()
+    same_constants_p: float | None = None
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether the constants may be used."""
+        return self.status == "converged"
+
+    def converted(self, convention: str) -> Converted:
+        """Constants in another code's convention.
+
+        Raises
+        ------
+        InputError
+            If it is unknown or cannot express this energy.
+        """
+        if self.material is None:
+            raise InputError(Fault("convention", "the fit found no material to convert"))
+        return conversions.convert(self.material, convention)
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study calibrate --json``."""
+        found = self.fit
+        content = {
+            "status": self.status,
+            "message": self.message,
+            "model": self.model,
+            "parameters": parameters(found),
+            "mu0": None if self.material is None else 1e3 * self.material.mu0,
+            "rss": found.rss,
+            "r_squared": found.r_squared,
+            "aicc": found.aicc,
+            "n": found.n,
+            "correlation": found.correlation,
+            "condition": found.condition,
+            "identifiable": found.identifiable,
+            "reason": found.reason,
+            "stable": self.stable,
+            "stability": self.stability,
+            "evaluations": self.evaluations,
+            "seconds": self.seconds,
+            "curves": [curve.as_dict() for curve in self.curves],
+            "lack_of_fit": None if self.lack_of_fit is None else vars(self.lack_of_fit),
+            "residual_pattern": None if self.pattern is None else vars(self.pattern),
+            "specimens": [one.as_dict() for one in self.specimens],
+            "same_constants_p": self.same_constants_p,
+            "cross_validation": [one.as_dict() for one in self.cross_validation],
+            "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+        }
+        made: dict[str, Any] = plain(content, "calibration", {})
+        return made
+
+
+def parameters(fit: Fit) -> dict[str, dict[str, Any]]:
+    """Constants with errors and intervals: kPa, exponents plain."""
+    return {
+        name: {
+            "value": _scale(name) * float(fit.values[i]),
+            "unit": "" if response.is_plain(name) else "kPa",
+            "standard_error": _scale(name) * float(fit.standard_error[i]),
+            "ci95": [_scale(name) * float(v) for v in fit.ci95[i]],
+        }
+        for i, name in enumerate(fit.names)
+    }
+
+
+def _scale(name: str) -> float:
+    return 1.0 if response.is_plain(name) else 1000.0
+
+
+def _profile(name: str, found: Profile) -> dict[str, Any]:
+    return {
+        "interval": [_scale(name) * v for v in found.interval],
+        "values": _scale(name) * np.asarray(found.values),
+        "rss": found.rss,
+    }

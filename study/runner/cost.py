@@ -1,0 +1,165 @@
+"""Predicted seconds of a run, before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from study.canonical import digest
+from study.errors import InputError
+from study.runner import build
+from study.runner.fitting.fit_task import FitProblem, fit_problem
+from study.runner.job import CaseJob, FitJob
+from study.runner.response import constants_only
+
+#: what any computation takes besides solving: hashing, scoring, writing
+_OVERHEAD_S = 0.02
+
+#: forward solutions of a fit in units of a cold one; the later ones start from the one before
+_SOLVES_LINEAR, _SOLVES_FIRST, _SOLVES_PER_CONSTANT = 1.5, 2.0, 0.7
+
+#: a prediction that starts from the solution of its cell, in units of a cold one: where forces
+#: scale with the one constant, between plates, and under an indenter, where contact is found anew
+_SCALED, _FROM_ANCHOR, _FROM_ANCHOR_INDENTED = 0.1, 0.25, 0.6
+
+
+class Costs:
+    """Cost of computations; each distinct forward problem is estimated once.
+
+    The first case of a cell that is asked for bears the cost of the cell's cold solution.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[float, float]] = {}
+        self._anchored: set[str] = set()
+
+    def fit_seconds(self, problem: FitProblem) -> float:
+        """Seconds of one calibration."""
+        if problem.method != "inverse-fem":
+            return _OVERHEAD_S
+        names = build.calibrated_names(problem.config["material"])
+        solves = (
+            _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
+        )
+        return _OVERHEAD_S + solves * self.solve_seconds(problem.config)
+
+    def case_seconds(self, job: CaseJob) -> float:
+        """Seconds of one case without its fits."""
+        config = job.case.config
+        if constants_only(job.extra):
+            return _OVERHEAD_S
+        problem = fit_problem(config)
+        shared = problem.method == "inverse-fem" and problem.shares_scored_problem
+        asked = (config.get("calibration") or {}).get("method") or "auto"
+        if shared or (asked == "analytic" and build.is_homogeneous(config)):
+            return _OVERHEAD_S
+        one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
+        if job.group:
+            solves = _from_anchor(config) * solves + (job.group not in self._anchored)
+            self._anchored.add(job.group)
+        return _OVERHEAD_S + solves * one
+
+    def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
+        """Wall time on a number of workers."""
+        work = sum(self.fit_seconds(f.problem) for f in fits)
+        work += sum(self.case_seconds(c) for c in cases)
+        return work / jobs
+
+    @staticmethod
+    def side_by_side(seconds: Sequence[float], jobs: int) -> float:
+        """Wall time of a few solutions at once: the longest of them takes what it takes.
+
+        Examples
+        --------
+        >>> Costs.side_by_side([10.0, 2.0], 2), Costs.side_by_side([4.0, 4.0, 4.0], 2)
+        (10.0, 6.0)
+        """
+        return max(sum(seconds) / jobs, max(seconds, default=0.0))
+
+    def solve_seconds(self, config: Mapping[str, Any], depth_mm: float | None = None) -> float:
+        """Seconds of one forward solution."""
+        return self._estimate(config, depth_mm)[0]
+
+    def memory_MB(self, config: Mapping[str, Any]) -> float:  # noqa: N802
+        """Peak memory of one worker at this configuration."""
+        return self._estimate(config, None)[1]
+
+    def _estimate(self, config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
+        key = same_model(config)
+        if key not in self._known:
+            self._known[key] = _estimated(config, depth_mm)
+        return self._known[key]
+
+
+def _scales(names: Sequence[str]) -> bool:
+    """Whether forces are in proportion to the only constant."""
+    return len(names) == 1 and names[0] in ("C10", "youngs_modulus")
+
+
+def _from_anchor(config: Mapping[str, Any]) -> float:
+    if _scales(build.calibrated_names(config["material"])):
+        return _SCALED
+    return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
+
+
+def same_model(config: Mapping[str, Any]) -> str:
+    """Name of all that differ in their material alone."""
+    return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
+
+
+def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
+    from study.fem.cost import estimate
+
+    section = {**config["material"], "constants": None, "model": "neo-hookean"}
+    height = build.height_mm(config["specimen"]) or 1.0
+    if config["test"].get("displacement_mm") is None:
+        depth_mm = depth_mm or 0.2 * height
+    try:
+        problem = build.problem({**config, "material": section}, {"C10": 0.005}, depth_mm)
+        found = estimate(problem)
+        return float(found.seconds), float(found.memory_MB)
+    except (InputError, ValueError, RuntimeError):
+        return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
+
+
+#: share of the work after which what was done is believed more than a prediction
+_ENOUGH = 0.05
+
+
+class Pace:
+    """Predicted seconds of computations, corrected by those that are done.
+
+    Computations of one kind cost alike: what one of them took tells more of the next than what
+    others took. A kind of which none is done yet goes at the pace of all.
+
+    Parameters
+    ----------
+    prices : mapping of str to float
+        Predicted seconds of every computation.
+    kinds : mapping of str to str
+        Kind of every computation.
+    workers : int
+        Computations that run side by side.
+    """
+
+    def __init__(self, prices: Mapping[str, float], kinds: Mapping[str, str], workers: int) -> None:
+        self._left, self._kinds, self._workers = dict(prices), kinds, workers
+        self._enough = _ENOUGH * sum(prices.values())
+        self._predicted: dict[str, float] = {}
+        self._taken: dict[str, float] = {}
+
+    def finished(self, key: str, seconds: float) -> None:
+        """Count a computation that kept a worker busy for so many seconds."""
+        kind, price = self._kinds[key], self._left.pop(key)
+        self._predicted[kind] = self._predicted.get(kind, 0.0) + price
+        self._taken[kind] = self._taken.get(kind, 0.0) + seconds
+
+    def seconds_left(self) -> float:
+        """Wall time of the rest."""
+        predicted = sum(self._predicted.values())
+        if predicted < self._enough or not predicted:
+            return Costs.side_by_side(list(self._left.values()), self._workers)
+        usual = sum(self._taken.values()) / predicted
+        own = {kind: self._taken[kind] / price for kind, price in self._predicted.items() if price}
+        rest = [price * own.get(self._kinds[key], usual) for key, price in self._left.items()]
+        return Costs.side_by_side(rest, self._workers)

@@ -1,0 +1,1 @@
+"""One fit of a study: starts, stages, summary."""

@@ -1,0 +1,1 @@
+"""Numerical uncertainty of a study: refinement, inputs, spaces."""

@@ -1,0 +1,166 @@
+"""The same cylinder in both spaces: what they differ by where the geometry does not.
+
+A block has no axis, so that axisymmetric space replaces it by the cylinder of its
+cross-section. How far 3D and axisymmetric space then differ on that cylinder is the share of
+the discretization in the effect of the space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from study.curve import Curve
+from study.record.record import Record
+from study.runner import build
+from study.runner.job import CaseJob, Work
+from study.runner.numerical.formal_order import base_size_mm
+from study.runner.numerical.refinement import solve_task
+from study.runner.numerical.study_refinement import meshed_cells
+
+Config = Mapping[str, Any]
+SPACES = ("axisymmetric", "3d")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One kind of element on its finest mesh: tasks of the two solutions, in the order of SPACES.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Levels of the factors of the discretization, space left out.
+    """
+
+    levels: Mapping[str, str]
+    tasks: tuple[dict[str, Any], dict[str, Any]]
+
+
+def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
+    """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
+    known = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
+    found = []
+    for levels, chosen in _chosen(known):
+        first, second = (_task(job, _constants(records[job.case.case_id])) for job in chosen)
+        found.append(Pair(levels, (first, second)))
+    return found
+
+
+def upcoming(
+    work: Work, records: Mapping[str, Record], solved: Callable[[Mapping[str, Any]], bool]
+) -> list[CaseJob]:
+    """List the cells whose cylinder is still to be solved, before the cases are computed.
+
+    A solution costs what the cell's own does, for the cylinder has its section and height.
+
+    Parameters
+    ----------
+    records : mapping of str to Record
+        What is computed of the study; of a case that is not yet, the constants are left open.
+    solved : callable
+        Whether a task with known constants has its solution.
+    """
+    given = {job.case.case_id: _constants(records.get(job.case.case_id)) for job in in_blocks(work)}
+    hopeful = [
+        job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]
+    ]
+    found = []
+    for _, chosen in _chosen(hopeful):
+        for job in chosen:
+            constants = given[job.case.case_id]
+            if not constants or not solved(_task(job, constants)):
+                found.append(job)
+    return found
+
+
+def in_blocks(work: Work) -> list[CaseJob]:
+    """List the cells whose specimen has no axis, in the first block of the study."""
+    cells = meshed_cells(work)
+    return [job for job in cells if job.case.config["specimen"]["shape"] == "block"]
+
+
+def _chosen(
+    cells: Sequence[CaseJob],
+) -> Iterator[tuple[dict[str, str], tuple[CaseJob, CaseJob]]]:
+    """Finest mesh of both spaces for every kind of element, of the material of fewest constants."""
+    kinds: dict[tuple[tuple[str, str], ...], list[CaseJob]] = {}
+    for job in cells:
+        kinds.setdefault(_levels(job), []).append(job)
+    for levels, jobs in kinds.items():
+        flat, solid = (
+            [job for job in jobs if job.case.config["model"]["space"] == space] for space in SPACES
+        )
+        if flat and solid:
+            yield dict(levels), (min(flat, key=_preference), min(solid, key=_preference))
+
+
+def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
+    """Levels that name a kind of element: of the model, but for its space and its mesh."""
+    apart = ("model.space", "model.mesh", "model.mesh_size")
+    levels = job.case.levels.items()
+    return tuple((k, v) for k, v in levels if k.startswith("model.") and k not in apart)
+
+
+def _preference(job: CaseJob) -> tuple[int, str, float]:
+    material = job.case.config["material"]
+    names = build.calibrated_names(material)
+    return len(names), str(material["model"]), base_size_mm(job.case)
+
+
+def _task(job: CaseJob, constants: Mapping[str, float]) -> dict[str, Any]:
+    config = job.case.config
+    depth = config["test"].get("displacement_mm")
+    if depth is None:
+        depth = job.depth_mm
+    changed = {
+        **config,
+        "specimen": _equivalent_cylinder(config["specimen"]),
+        "material": {**config["material"], "constants": dict(constants)},
+        "test": {**config["test"], "displacement_mm": depth},
+    }
+    return solve_task(changed, base_size_mm(job.case))
+
+
+def _constants(record: Record | None) -> dict[str, float]:
+    """Constants (MPa) of a case's first fit; empty without an answer."""
+    if record is None or not record.converged or not record.fit:
+        return {}
+    return dict(next(iter(record.fit.values()))["values"])
+
+
+def _equivalent_cylinder(block: Config) -> dict[str, Any]:
+    """Cylinder of the same cross-section and height."""
+    from study.fem.mesh.structured import equivalent_radius
+
+    radius = equivalent_radius(build.specimen(block))
+    return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
+
+
+def compared(pair: Pair, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How far the forces of the two spaces differ.
+
+    Returns
+    -------
+    dict
+        ``levels``, ``unknowns`` of both, ``depth_mm``, ``at_end`` (relative difference of the
+        force at the end, 3D over axisymmetric) and ``largest`` (over the second half of the
+        depth); the last two None where a solution failed, with ``message``.
+    """
+    row: dict[str, Any] = {
+        "levels": dict(pair.levels),
+        "unknowns": [int(result.get("dofs", 0)) for result in results],
+        "depth_mm": float(pair.tasks[0]["config"]["test"]["displacement_mm"]),
+        "at_end": None,
+        "largest": None,
+        "message": "",
+    }
+    failed = [str(r.get("message")) for r in results if r.get("status") != "converged"]
+    if failed:
+        return row | {"message": failed[0]}
+    flat, solid = (Curve.from_dict(result["curve"]) for result in results)
+    # each may have load steps of its own, where its curve bends
+    apart = solid.force_N / flat.force_at(solid.displacement_mm) - 1
+    deep = solid.displacement_mm >= solid.displacement_mm.max() / 2
+    largest = apart[deep][abs(apart[deep]).argmax()]
+    return row | {"at_end": float(apart[-1]), "largest": float(largest)}

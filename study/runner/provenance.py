@@ -1,0 +1,243 @@
+"""Names made of content: what was computed, from what, by which code."""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, cast
+
+import study
+from study.errors import Fault, InputError, MissingDataError, nearest
+from study.measurement.data_root import check_relative, locate
+from study.runner import build
+from study.setup.geometry import Surface
+
+#: Modules that do the tasks of a worker; what they import decides the numbers.
+_TASKS = (
+    "study.runner.case",
+    "study.runner.fitting.fit_task",
+    "study.runner.residual_bootstrap",
+    "study.runner.numerical.refinement",
+)
+
+#: Rooms in which imports are followed; reports and statistics may change without a new run.
+_NUMERIC_ROOMS = (
+    "arrays",
+    "calibration",
+    "compilation",
+    "curve",
+    "fem",
+    "forward",
+    "material",
+    "runner",
+    "setup",
+    "surface",
+    "units",
+)
+
+#: Modules that name results or foretell what they cost, and decide none of their numbers.
+_WITHOUT_NUMBERS = (
+    "study.fem.cost",
+    "study.runner.cost",
+    "study.runner.provenance",
+)
+_PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of the package and a hash of the code that decides a number.
+
+    The hash is taken of the syntax without docstrings, so that comments and
+    formatting may change without sending a finished study back to work.
+    """
+    root = Path(__file__).resolve().parents[1]
+    sha = hashlib.sha256()
+    for path in _numeric_files(root):
+        sha.update(str(path.relative_to(root)).encode())
+        sha.update(_code_only(path.read_text(encoding="utf-8")).encode())
+    return f"{study.__version__}+{sha.hexdigest()[:12]}"
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that may move a digit, for the record."""
+    found = {"study": code_version(), "python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _numeric_files(root: Path) -> Sequence[Path]:
+    """Files that the tasks of a worker import, one through the other."""
+    found: dict[str, Path] = {}
+    waiting = list(_TASKS)
+    while waiting:
+        module = waiting.pop()
+        path = _file_of(root, module)
+        parts = module.split(".")
+        if path is None or module in found or module in _WITHOUT_NUMBERS:
+            continue
+        if len(parts) < 2 or parts[1] not in _NUMERIC_ROOMS:
+            continue
+        found[module] = path
+        waiting += _imported(ast.parse(path.read_text(encoding="utf-8")))
+        waiting += [".".join(parts[:k]) for k in range(2, len(parts))]
+    return [found[module] for module in sorted(found)]
+
+
+def _file_of(root: Path, module: str) -> Path | None:
+    """File of a module or package of ours; None where a name is no module."""
+    path = root.joinpath(*module.split(".")[1:])
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def _imported(tree: ast.Module) -> Sequence[str]:
+    """Names of ours that a file imports, in functions too; what is for types alone is left out."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            node.body = []
+    froms = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
+    names = [f"{n.module}.{alias.name}" for n in froms for alias in n.names]
+    names += [str(n.module) for n in froms]
+    plain = [n for n in ast.walk(tree) if isinstance(n, ast.Import)]
+    names += [alias.name for n in plain for alias in n.names]
+    return [name for name in names if name.split(".")[0] == "study"]
+
+
+def _code_only(source: str) -> str:
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and _is_text(body[0]):
+            body[0] = ast.Pass()
+    return ast.unparse(tree)
+
+
+def _is_text(node: Any) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+Config = Mapping[str, Any]
+_WHERE = "specimen.file"
+
+#: depth of a test over the height where the measurements have to give it
+_USUAL_DEPTH = 0.1
+
+
+def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
+    """Where a surface may be: the data root first, as measurements; then beside the design."""
+    home = Path(source).resolve().parent if Path(source).is_file() else None
+    found = [data_root, *([home] if home is not None else [])]
+    return tuple(dict.fromkeys(folder.resolve() for folder in found))
+
+
+def located(config: Config, places: Sequence[Path]) -> dict[str, Any]:
+    """Copy a configuration with every surface in it found and checked.
+
+    Parameters
+    ----------
+    config : mapping
+        Resolved sections; specimens may also be in ``calibration.problem`` and ``tests``.
+    places : sequence of Path
+        Folders that a file may be in or below.
+
+    Raises
+    ------
+    InputError
+        If a file is missing or outside these folders, or its surface cannot be used.
+    """
+    found = cast(dict[str, Any], _walked(config, places))
+    for one in found.get("tests") or [found]:
+        if _is_surface(one.get("specimen")):
+            _check_use(one)
+    return found
+
+
+def _is_surface(section: Any) -> bool:
+    return isinstance(section, Mapping) and section.get("shape") == "surface"
+
+
+def _walked(value: Any, places: Sequence[Path]) -> Any:
+    if _is_surface(value):
+        return _found(value, places)
+    if isinstance(value, Mapping):
+        return {k: _walked(v, places) for k, v in value.items()}
+    return [_walked(v, places) for v in value] if isinstance(value, list) else value
+
+
+def _found(section: Config, places: Sequence[Path]) -> dict[str, Any]:
+    path = find(str(section["file"]), places)
+    sha = hashlib.sha256(path.read_bytes()).hexdigest()
+    whole = {**section, "path": str(path), "sha256": sha}
+    return {**whole, "height_mm": build.specimen(whole).height_mm}
+
+
+def find(name: str, places: Sequence[Path]) -> Path:
+    """Path of a surface file in or below one of some folders.
+
+    Raises
+    ------
+    InputError
+        If it is in none of them, or a link leads out of them.
+    """
+    check_relative(name, _WHERE)
+    for folder in places:
+        try:
+            return locate(name, folder, where=_WHERE)
+        except MissingDataError:
+            continue
+    looked = " or ".join(repr(str(folder)) for folder in places)
+    parent = Path(name).parent
+    names = sorted(
+        p.name
+        for folder in places
+        for p in (folder / parent).glob("*")
+        if p.suffix.lower() in (".stl", ".ply", ".obj")
+    )
+    mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
+    raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
+
+
+def _check_use(config: Config) -> None:
+    """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
+    from study.fem.checks import check
+
+    material = {**config["material"], "model": "neo-hookean", "order": None, "constants": None}
+    depth = config["test"].get("displacement_mm") or (
+        _USUAL_DEPTH * float(config["specimen"]["height_mm"])
+    )
+    check(build.problem({**config, "material": material}, {"C10": 0.005}, depth))
+
+
+def surface_notes(configs: Sequence[Config]) -> tuple[str, ...]:
+    """List what was mended in the surfaces of some configurations, each once."""
+    return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
+
+
+def _notes(config: Config) -> Iterator[str]:
+    if _is_surface(config.get("specimen")):
+        made = build.specimen(config["specimen"])
+        if isinstance(made, Surface):
+            yield from made.notes
+
+
+def fingerprints(config: Config) -> list[str]:
+    """Hashes of the surfaces that a configuration uses."""
+    own = (config.get("calibration") or {}).get("problem") or {}
+    sections = [config.get("specimen") or {}, own.get("specimen") or {}]
+    return [section["sha256"] for section in sections if section.get("sha256")]

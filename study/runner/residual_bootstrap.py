@@ -1,0 +1,184 @@
+"""What the noise of a measured curve does to its constants: fits to resampled residuals.
+
+The residuals of a fit are laid around its curve again, in blocks where neighbors are
+correlated, and the constants are fitted to that curve, starting from the fit (Efron and
+Tibshirani 1993, chapter 9; blocks on a circle: Politis and Romano 1992). Draws depend on the
+study's seed and the measured curve alone: cells that are fitted to one curve, with blocks of
+one length, see its noise at the same places, so that effects are compared under one noise.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from study.arrays import Array
+from study.canonical import digest
+from study.curve import Curve
+from study.runner import build
+from study.runner.fitting import fit_task
+from study.runner.fitting.staged_fit import Checkpoint, Part, Predict, single_stage
+
+#: points below which residuals say nothing of their correlation
+_FEWEST = 8
+
+#: correlation of neighbors beyond this many standard errors is believed
+_BELIEVED = 2.0
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a fit left of a measured curve, ready to be drawn from.
+
+    Parameters
+    ----------
+    predicted_N, noise_N : ndarray, shape (n,)
+        Force of the fit, and its residuals, centered and scaled for the constants fitted.
+    lag1 : float
+        Correlation of neighboring residuals.
+    block : int
+        Neighbors that are drawn together.
+    """
+
+    predicted_N: Array  # noqa: N815
+    noise_N: Array  # noqa: N815
+    lag1: float
+    block: int
+
+
+def residuals_of(measured: Curve, predicted_N: Array, share: float) -> Residuals:  # noqa: N803
+    """Residuals of a fit with their block length.
+
+    Parameters
+    ----------
+    share : float
+        Points over degrees of freedom: the mean square of the residuals of n points and p
+        constants is smaller than the noise by (n - p) / n.
+    """
+    left = measured.force_N - predicted_N
+    left = left - left.mean()
+    power = float(left @ left)
+    lag1 = float(left[1:] @ left[:-1]) / power if power > 0 else 0.0
+    return Residuals(predicted_N, math.sqrt(share) * left, lag1, block_length(lag1, left.size))
+
+
+def block_length(lag1: float, n: int) -> int:
+    """Length of the blocks that serves the variance of a mean best; 1 without correlation.
+
+    Politis and White (2004, Econometric Reviews 23, 53), eq. 6 for circular blocks, with the
+    autocovariances of a first-order autoregression, and their upper bound.
+
+    Examples
+    --------
+    >>> block_length(0.0, 200), block_length(0.5, 200), block_length(0.9, 200)
+    (1, 8, 30)
+    """
+    if n < _FEWEST or lag1 <= _BELIEVED / math.sqrt(n):
+        return 1
+    rho = min(lag1, 0.999)
+    best = math.cbrt(6 * rho**2 / (1 - rho**2) ** 2 * n)
+    return max(1, min(round(best), math.ceil(min(3 * math.sqrt(n), n / 3))))
+
+
+def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
+    """Force of the fit with its residuals drawn anew, N, shape (n,)."""
+    n, block = residuals.noise_N.size, residuals.block
+    starts = random.integers(0, n, math.ceil(n / block))
+    drawn = ((starts[:, None] + np.arange(block)) % n).ravel()[:n]
+    return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
+
+
+def perform(task: Mapping[str, Any]) -> dict[str, Any]:
+    """Fit the constants again to resampled curves: a task for a worker.
+
+    Returns
+    -------
+    dict
+        As of :func:`study.runner.fitting.fit_task.perform`, with ``resampling``: block length
+        and lag-1 correlation of every curve.
+    """
+    began = time.perf_counter()
+    base, (seed, number) = task["start"], task["noise"]
+    if base.get("status") != "converged":
+        why = f"the fit to the measured curve did not converge: {base.get('message', '')}"
+        return {"status": str(base.get("status", "failed")), "message": why}
+    names = tuple(base["names"])
+    start = np.array([float(base["values"][name]) for name in names])
+    measured, parts = fit_task.parts_of(task)
+    models = [_Remembering(fit_task.model(p.method, p.config, _curves(p), names)) for p in parts]
+    predicted = [curve for model in models for curve in model(start)]
+    points = sum(len(curve) for curve in measured)
+    share = points / max(1, points - len(names))
+    found = [
+        residuals_of(curve, own.force_at(curve.displacement_mm), share)
+        for curve, own in zip(measured, predicted, strict=True)
+    ]
+    drawn = [
+        Curve(curve.displacement_mm, resampled(own, _random(seed, curve, number)))
+        for curve, own in zip(measured, found, strict=True)
+    ]
+    again, made = _with_forces(parts, drawn), iter(models)
+    done = single_stage(
+        "resampled", again, names, start, lambda *_: next(made), None, None, Checkpoint()
+    )
+    seconds = time.perf_counter() - began
+    return _described(done.fit, parts[0].config["material"], found) | {
+        "method": task["method"],
+        "seconds": seconds,
+    }
+
+
+def _described(fit: Any, material: Mapping[str, Any], found: Sequence[Residuals]) -> dict[str, Any]:
+    """Plain description of a refit; unstable constants stay, for they are part of the scatter."""
+    constants = dict(zip(fit.names, fit.values.tolist(), strict=True))
+    return {
+        "status": "converged" if fit.status.usable else "not-converged",
+        "message": str(fit.message),
+        "names": list(fit.names),
+        "values": constants,
+        "mu0": float(build.material(material, constants).mu0),
+        "identifiable": bool(fit.status.converged),
+        "reason": "" if fit.status.converged else str(fit.status.sentence),
+        "evaluations": int(fit.evaluations),
+        "resampling": [{"block": own.block, "lag1": own.lag1} for own in found],
+    }
+
+
+def _random(seed: int, measured: Curve, number: int) -> np.random.Generator:
+    """Numbers of one resample of one measured curve, the same for every cell fitted to it."""
+    name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
+    return np.random.default_rng([seed, int(name, 16), number])
+
+
+def _curves(part: Part) -> list[Curve]:
+    return [one.curve for one in part.measured]
+
+
+def _with_forces(parts: Sequence[Part], drawn: Sequence[Curve]) -> list[Part]:
+    """Put resampled curves, in order, in place of the measured ones."""
+    left = iter(drawn)
+    return [
+        replace(part, measured=tuple(replace(one, curve=next(left)) for one in part.measured))
+        for part in parts
+    ]
+
+
+class _Remembering:
+    """A model that does not solve again for the constants it was last asked for."""
+
+    def __init__(self, model: Predict) -> None:
+        self._model = model
+        self._values = b""
+        self._curves: list[Curve] = []
+
+    def __call__(self, values: Array) -> list[Curve]:
+        """Predict the curves at constants in MPa."""
+        if values.tobytes() != self._values:
+            self._curves = self._model(values)
+            self._values = values.tobytes()
+        return self._curves

@@ -1,0 +1,1 @@
+"""A study opened, and what a report reads of it."""

@@ -1,0 +1,323 @@
+"""What a report is made of: plain values that whoever holds the records fills in.
+
+The report formats and draws; it computes nothing that belongs to the analysis. Every
+field is a string, a number, a mapping, a data frame, a :class:`~study.curve.Curve` or the
+result of :func:`study.analysis.anova.analyze`, so that a report can be built in a test,
+in a notebook or from stored records without running anything.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.curve import Curve
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.design.spec import Expected
+    from study.study_result.comparison import Beside
+
+
+#: level of a factor that a fit does not depend on
+ANY = "any"
+OUTCOMES = ("pass", "caution", "fail", "not applicable")
+
+
+@dataclass(frozen=True)
+class ResponseAnalysis:
+    """One response and its analysis.
+
+    Parameters
+    ----------
+    name : str
+        Column of ``ReportData.table``, for example ``"relative_rms_force_error"``.
+    unit : str
+        Unit of that column, for example ``"%"`` or ``"kPa"``.
+    result : object
+        Result of ``study.analysis.anova.analyze``; only ``to_json()`` (the keys of the
+        interface) and the attributes ``cell_means``, ``residuals``, ``distinct``,
+        ``u_num_by_term`` and ``warnings`` are read, each of them optional. None where it could
+        not be analyzed.
+    practical : float, optional
+        Smallest difference that matters: in ``unit``, or, with ``relative``, a fraction
+        of the grand mean (0.1 is ten percent).
+    relative : bool
+        Whether ``practical`` is a fraction of the mean.
+    transform : str
+        ``"none"`` or ``"log"``; with ``"log"`` every effect is a ratio.
+    u_num : float, optional
+        Largest numerical standard uncertainty of an effect, in ``unit``.
+    better : str
+        ``"lower"`` (an error), ``"higher"`` or ``""`` (an identified constant: no best cell).
+    title : str
+        Name in sentences; made from ``name`` when empty.
+    refused : str
+        Why there is no ``result``.
+    """
+
+    name: str
+    unit: str
+    result: Any = None
+    practical: float | None = None
+    relative: bool = False
+    transform: str = "none"
+    u_num: float | None = None
+    better: str = ""
+    title: str = ""
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class CurvePair:
+    """A measured curve and the prediction of one cell for it.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Level of each factor.
+    block : str
+        Block of the measurement (empty without blocks).
+    measured, predicted : Curve
+        In mm and N.
+    label : str
+        Which of the block's curves, for example the specimen ``"B"``.
+    role : str
+        ``"score"`` (a prediction) or ``"fit"`` (the constants come from this curve).
+    scatter_N : ndarray, shape (n,), optional
+        Standard deviation of the averaged repeats at each measured point.
+    case_id : str
+        Case of the table that the pair belongs to.
+    """
+
+    levels: Mapping[str, str]
+    block: str
+    measured: Curve
+    predicted: Curve
+    label: str = ""
+    role: str = "score"
+    scatter_N: NDArray[np.float64] | None = None
+    case_id: str = ""
+
+
+@dataclass(frozen=True)
+class FittedConstant:
+    """One fitted constant of one fit.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Levels of the factors that enter the fit; ``ANY`` where one fit serves all of them.
+    block, specimen : str
+        What it was fitted to.
+    constant : str
+        Name, for example ``"C10"``.
+    value, standard_error, low, high : float or None
+        Estimate, standard error and 95 % interval in ``unit``; None where not available.
+    unit : str
+        Usually ``"kPa"``.
+    identifiable : bool
+        Whether the data determine it.
+    reason : str
+        Why not, or with what else it is correlated.
+    correlated : mapping of str to float
+        Correlation with the other constants of the same fit.
+    residual_N : float, optional
+        RMS of the residual that the fit left, in N.
+    r_squared : float, optional
+        Coefficient of determination of the fit.
+    """
+
+    levels: Mapping[str, str]
+    block: str
+    constant: str
+    value: float | None
+    unit: str = "kPa"
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    identifiable: bool = True
+    reason: str = ""
+    specimen: str = ""
+    correlated: Mapping[str, float] = field(default_factory=dict)
+    residual_N: float | None = None  # noqa: N815
+    r_squared: float | None = None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A case that gave no response: which, how, and what the solver said."""
+
+    case_id: str
+    levels: Mapping[str, str]
+    block: str
+    status: str
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: ``outcome`` is one of ``OUTCOMES``; the consequence says what follows.
+
+    ``of`` names the response where the same check is made for several of them.
+    """
+
+    name: str
+    outcome: str
+    finding: str
+    consequence: str = ""
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        if self.outcome not in OUTCOMES:
+            raise ValueError(f"outcome must be one of {', '.join(OUTCOMES)}, got {self.outcome!r}")
+
+
+@dataclass(frozen=True)
+class NumericalRow:
+    """Numerical standard uncertainty of one response for one kind of discretization.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Usually space and element order.
+    response : str
+        Name of the response.
+    value, u_num : float or None
+        Response on the mesh of the study, and its numerical uncertainty, in ``unit``.
+    unit : str
+        Unit of both.
+    behaviour : str
+        ``"monotone"``, ``"two meshes"``, ...
+    note : str
+        How it was found (which block was refined, ratio of the sizes, unknowns).
+    """
+
+    levels: Mapping[str, str]
+    response: str
+    value: float | None
+    u_num: float | None
+    unit: str
+    behaviour: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a report shows.
+
+    Parameters
+    ----------
+    name, question : str
+        Of the study.
+    factors : mapping of str to tuple of str
+        Factor name (a dotted key or a preset set) to its level labels, in order.
+    table : DataFrame
+        One row per case: ``case_id``, ``block``, the factor columns (labels), ``status``,
+        one column per response, and ``seconds``, ``dofs`` where known. Failed rows stay,
+        with missing responses.
+    responses : sequence of ResponseAnalysis
+        One analysis each, in the order of the design.
+    block : str
+        What the block is (``"phantom"``); empty without blocks.
+    blocks : tuple of str
+        Labels of the blocks.
+    inputs : mapping of str to str
+        Fixed inputs, as text with units, in the order to be shown.
+    assumed : mapping of str to str
+        Inputs nobody measured, key to value; labelled so.
+    citation : str
+        Source of the measurements.
+    exclusions : sequence of (str, str)
+        Excluded cell and why.
+    curves : sequence of CurvePair
+    fits : sequence of FittedConstant
+    failures : sequence of Failure
+    checks : sequence of Check
+        Checks that the runner made (store, stability, ...); those of the analysis are
+        added by the report.
+    numerical : sequence of NumericalRow
+    convergence : sequence of mapping
+        Series of three meshes or more, as ``study converge --json`` gives them.
+    depths : sequence of mapping
+        Main effects with the test scored to less of its depth: ``response``, ``term``,
+        ``depth_mm``, ``difference``, ``low``, ``high``, ``practical``, ``verdict``.
+    validation : sequence of mapping
+        E and u_val of every case along its curve, where inputs are uncertain.
+    controls : sequence of Check
+        Controls and identities, such as 3D against axisymmetric.
+    virtual : bool
+        Measurements were generated, so p describes the scatter of the generator.
+    seed : int
+    alpha : float
+    timings : mapping of str to float
+        Seconds of each part of the run.
+    provenance : mapping of str to str
+        Versions, hashes, thread counts, machine; shown as given.
+    commands : tuple of str
+        How to reproduce.
+    data_notes : sequence of str
+        What was done to the measurements (rows dropped, sorted, averaged).
+    warnings : sequence of str
+        Warnings of the run.
+    design_text : str
+        The design file.
+    scheme : str
+        What part of the full factorial was run; empty for all of it.
+    cells : int, optional
+        Cells of that part.
+    labels : mapping of str to str
+        Better names for factors or responses; made from the key when absent.
+    expected : tuple of Expected
+        What was expected before the study ran.
+    beside : Beside, optional
+        What another study says of the same conclusions.
+    """
+
+    name: str
+    question: str
+    factors: Mapping[str, tuple[str, ...]]
+    table: pd.DataFrame
+    responses: tuple[ResponseAnalysis, ...] = ()
+    block: str = ""
+    blocks: tuple[str, ...] = ()
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    citation: str = ""
+    exclusions: tuple[tuple[str, str], ...] = ()
+    curves: tuple[CurvePair, ...] = ()
+    fits: tuple[FittedConstant, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    checks: tuple[Check, ...] = ()
+    numerical: tuple[NumericalRow, ...] = ()
+    convergence: tuple[Mapping[str, Any], ...] = ()
+    depths: tuple[Mapping[str, Any], ...] = ()
+    validation: tuple[Mapping[str, Any], ...] = ()
+    controls: tuple[Check, ...] = ()
+    virtual: bool = False
+    seed: int = 2011
+    alpha: float = 0.05
+    timings: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+    data_notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    design_text: str = ""
+    scheme: str = ""
+    cells: int | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    expected: tuple[Expected, ...] = ()
+    beside: Beside | None = None
+
+    @property
+    def planned(self) -> int:
+        """Number of cells of the design, without the excluded ones."""
+        if self.cells is not None:
+            return self.cells
+        return math.prod(len(levels) for levels in self.factors.values()) - len(self.exclusions)

@@ -1,0 +1,104 @@
+"""A study opened: design, records, analyses and what stands beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.design.spec import Design
+from study.record.record import Record
+from study.record.table import is_repeat, table
+from study.study_result.comparison import document
+from study.study_result.report_data import ResponseAnalysis
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.convergence.grid_convergence import Numerical
+    from study.study_result.comparison import Beside
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """A study with everything that its records tell.
+
+    Parameters
+    ----------
+    design : Design
+        As it was run.
+    records : tuple of Record
+        One a case, in the order of the design; cases not computed yet are absent.
+    total : int
+        Number of cases of the design.
+    analyses : tuple of ResponseAnalysis
+        One for every response of the design.
+    numerical : tuple of Numerical
+        Numerical uncertainty of every response for every discretization.
+    manifest : mapping
+        What else is stored of the run: blocks, notes, timings, versions.
+    report : Path or None
+        The report, once written.
+    validation : tuple of mapping
+        E and u_val of every case along its curve, where inputs are uncertain.
+    spaces : tuple of mapping
+        How far 3D and axisymmetric space differ on a cylinder.
+    beside : Beside, optional
+        Which of its conclusions hold in another study too.
+    """
+
+    design: Design
+    folder: Path
+    records: tuple[Record, ...]
+    total: int
+    analyses: tuple[ResponseAnalysis, ...]
+    numerical: tuple[Numerical, ...]
+    manifest: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
+    report: Path | None = None
+    predicted_seconds: float = 0.0
+    validation: tuple[Mapping[str, Any], ...] = ()
+    spaces: tuple[Mapping[str, Any], ...] = ()
+    beside: Beside | None = None
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One tidy row a case, failed ones included."""
+        return table(list(self.records))
+
+    @property
+    def plain(self) -> tuple[Record, ...]:
+        """Records without replicates: one mesh a cell, the curve as measured."""
+        return tuple(record for record in self.records if not is_repeat(record.extra))
+
+    @property
+    def failed(self) -> int:
+        """Number of cases without an answer."""
+        return sum(not record.converged for record in self.records)
+
+    @property
+    def verdicts(self) -> list[dict[str, Any]]:
+        """One verdict for every response and term."""
+        results = [a.result for a in self.analyses if a.result is not None]
+        return [row for result in results for row in result.verdicts()]
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study run --json``."""
+        done = len(self.records) - self.failed
+        found = {
+            "study": self.design.name,
+            "cases": {
+                "total": self.total,
+                "done": done,
+                "failed": self.failed,
+                "missing": self.total - len(self.records),
+            },
+            "predicted_seconds": self.predicted_seconds,
+            "report": None if self.report is None else str(self.report),
+            "verdicts": self.verdicts,
+            "warnings": list(self.warnings),
+        }
+        if self.beside is not None:
+            found["beside"] = document(self.beside)
+        return found

@@ -1,0 +1,284 @@
+"""A specimen given as a closed surface: read from a file, checked, and stood on its base.
+
+The file holds triangles in a unit of its own. Inside, the specimen stands on z = 0, its
+loading axis is x = y = 0 and lengths are mm.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.arrays import Array, Ints
+from study.errors import Fault, InputError, UnitError
+from study.surface.integrity import inspect, volume
+from study.units import parse
+
+if TYPE_CHECKING:
+    from study.setup.geometry import Surface
+
+SUFFIXES = (".stl", ".ply", ".obj")
+MAX_BYTES = 200 * 1024**2
+
+#: bytes of a binary STL before its triangles, and of each of them
+_STL_HEADER, _STL_TRIANGLE = 84, 50
+
+#: bytes of a PLY header, comments included
+_PLY_HEADER = 64 * 1024
+
+#: more triangles than any mesh for a laptop can follow
+MAX_TRIANGLES = 500_000
+
+#: faces within this fraction of the height of the lowest or highest point touch the plates
+PLATE_TOLERANCE = 1e-4
+
+#: cosine of the angle that such a face may have to the plate (10 deg)
+_LEVEL = 0.985
+
+#: lengths of a specimen, in mm, outside which a unit is suspect
+PLAUSIBLE_MM = (2.0, 1000.0)
+
+#: file coordinates (columns, signs) that become x, y and z where this axis points up
+_TURNS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
+    "z": ((0, 1, 2), (1, 1, 1)),
+    "-z": ((0, 1, 2), (1, -1, -1)),
+    "x": ((1, 2, 0), (1, 1, 1)),
+    "-x": ((1, 2, 0), (1, -1, -1)),
+    "y": ((2, 0, 1), (1, 1, 1)),
+    "-y": ((2, 0, 1), (1, -1, -1)),
+}
+AXES = tuple(_TURNS)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A checked surface that stands on z = 0 below its plate.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Vertices in mm.
+    triangles : ndarray of int, shape (m, 3)
+        Counterclockwise seen from outside.
+    top, base : ndarray of bool, shape (m,)
+        Triangles that lie in the upper and in the lower plate.
+    lowest_mm : float
+        Position of z = 0 along the axis of the file.
+    notes : tuple of str
+        What was mended, and what looks strange.
+    """
+
+    points: Array
+    triangles: Ints
+    top: NDArray[np.bool_]
+    base: NDArray[np.bool_]
+    lowest_mm: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the highest point."""
+        return float(self.points[:, 2].max())
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume enclosed."""
+        return volume(self.points, self.triangles)
+
+    @property
+    def half_width_mm(self) -> float:
+        """Distance from the loading axis to the nearest side of the bounding box."""
+        low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
+        return float(max(min(high.min(), -low.max()), 0.0))
+
+    def plate_area_mm2(self, which: str) -> float:
+        """Area that lies in the plate above (``"top"``) or below (``"base"``)."""
+        chosen = self.triangles[self.top if which == "top" else self.base]
+        a, b, c = (self.points[chosen[:, k], :2] for k in range(3))
+        u, v = b - a, c - a
+        return float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2)
+
+    def touches(self, which: str) -> bool:
+        """Whether a face lies in a plate: more than a thousandth of the cross-section."""
+        return self.plate_area_mm2(which) > 1e-3 * self.volume_mm3 / self.height_mm
+
+
+def body(surface: Surface) -> Body:
+    """Read, check and stand up the surface of a specimen.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong with the file.
+    """
+    path = Path(surface.file)
+    try:
+        state = path.stat()
+    except (OSError, ValueError) as error:
+        rule = f"{surface.file!r} cannot be read ({getattr(error, 'strerror', None) or error})"
+        raise InputError(Fault("specimen.file", rule, "check the path")) from error
+    return _body(surface, state.st_mtime_ns, state.st_size)
+
+
+@functools.lru_cache(maxsize=8)
+def _body(surface: Surface, changed: int, size: int) -> Body:
+    """Body of a file as it is now; ``changed`` and ``size`` tell versions of it apart."""
+    points, triangles = read_triangles(Path(surface.file))
+    found = inspect(points, triangles, Path(surface.file).name, surface.unit)
+    scale = unit_mm(surface.unit)
+    turned = _turned(found.points * scale, surface.axis)
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    for k, given in enumerate((surface.press_x_mm, surface.press_y_mm)):
+        origin[k] = origin[k] if given is None else given
+    height = float(high[2] - low[2])
+    tolerance = surface.plate_tolerance_mm
+    within = PLATE_TOLERANCE * height if tolerance is None else tolerance
+    standing, top, base = _flattened(turned - origin, found.triangles, height, within)
+    notes = (*found.notes, *_implausible(high - low, surface.unit))
+    return Body(standing, found.triangles, top, base, float(low[2]), notes)
+
+
+def unit_mm(unit: str) -> float:
+    """Length of a unit in mm.
+
+    Raises
+    ------
+    InputError
+        If it is no unit of length.
+    """
+    try:
+        return parse(f"1 {unit}", "length")
+    except UnitError as error:
+        mend = 'for example unit = "mm"; an STL file does not say in which unit it is'
+        rule = f"{unit!r} is no unit of length"
+        raise InputError(Fault("specimen.unit", rule, mend)) from error
+
+
+def _turned(points: Array, axis: str) -> Array:
+    if axis not in _TURNS:
+        rule = f"must be one of {', '.join(AXES)}, got {axis!r}"
+        raise InputError(Fault("specimen.axis", rule, "it is the axis of the file that points up"))
+    columns, signs = _TURNS[axis]
+    return np.asarray(points[:, columns] * np.array(signs, dtype=float))
+
+
+def _flattened(
+    points: Array, triangles: Ints, height: float, tolerance: float
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Put the corners of all faces that touch a plate exactly into it."""
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    level = normal[:, 2] / np.linalg.norm(normal, axis=1)
+    z = corners[:, :, 2]
+    top = (z > height - tolerance).all(axis=1) & (level > _LEVEL)
+    base = (z < tolerance).all(axis=1) & (level < -_LEVEL)
+    out = points.copy()
+    out[np.unique(triangles[top]), 2] = height
+    out[np.unique(triangles[base]), 2] = 0.0
+    return out, top, base
+
+
+def _implausible(extent: Array, unit: str) -> tuple[str, ...]:
+    low, high = PLAUSIBLE_MM
+    largest = float(extent.max())
+    if low <= largest <= high:
+        return ()
+    size = " x ".join(f"{v:.4g}" for v in extent)
+    return (
+        f"specimen.unit: the specimen is {size} mm, outside {low:g} to {high:g} mm: is it really "
+        f"in {unit}?",
+    )
+
+
+def read_triangles(path: Path) -> tuple[Array, Ints]:
+    """Vertices and triangles of an STL (ASCII or binary), PLY or OBJ file, as written.
+
+    Raises
+    ------
+    InputError
+        If the file is too large, empty, malformed or holds other faces than triangles.
+    """
+    raw_size, where = path.stat().st_size, f"specimen.file: {path.name}"
+    if path.suffix.lower() not in SUFFIXES:
+        rule = f"must end in {', '.join(SUFFIXES)}, got {path.suffix!r}"
+        raise InputError(Fault(where, rule, "save the surface as STL"))
+    if not raw_size:
+        raise InputError(Fault(where, "is empty", "save the surface again"))
+    if raw_size > MAX_BYTES:
+        rule = f"has {raw_size / 1024**2:.0f} MB, the limit is {MAX_BYTES // 1024**2} MB"
+        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
+    if path.suffix.lower() == ".ply":
+        _check_ply_header(path, raw_size, where)
+    if path.suffix.lower() == ".stl":
+        _check_stl_size(path, raw_size, where)
+    points, triangles = _parsed(path, where)
+    if not len(triangles):
+        raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
+    if len(triangles) > MAX_TRIANGLES:
+        rule = f"has {len(triangles)} triangles, the limit is {MAX_TRIANGLES}"
+        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
+    return points, triangles
+
+
+def _parsed(path: Path, where: str) -> tuple[Array, Ints]:
+    from meshio import obj, ply, stl
+
+    read = {".stl": stl.read, ".ply": ply.read, ".obj": obj.read}[path.suffix.lower()]
+    mend = "save the surface again, as binary STL"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a text that ends early is no more than a warning
+            # meshio counts the triangles of a text as if it were binary
+            warnings.filterwarnings("ignore", message="overflow encountered")
+            mesh = read(str(path))
+            points = np.array(mesh.points, dtype=float).reshape(-1, 3)
+            blocks = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in mesh.cells]
+    except Exception as error:  # meshio's parsers raise whatever they stumble over
+        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        raise InputError(Fault(where, f"is malformed: {reason}", mend)) from error
+    other = sorted({kind for kind, _ in blocks if kind not in ("triangle", "line", "vertex")})
+    if other:
+        rule = f"holds faces that are no triangles ({', '.join(other)})"
+        raise InputError(Fault(where, rule, "triangulate the surface"))
+    faces = [data.reshape(-1, 3) for kind, data in blocks if kind == "triangle"]
+    triangles = np.concatenate(faces) if faces else np.zeros((0, 3), dtype=np.int64)
+    if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+        rule = "is malformed: a triangle names a point that is not there"
+        raise InputError(Fault(where, rule, mend))
+    return points, triangles
+
+
+def _check_stl_size(path: Path, size: int, where: str) -> None:
+    """Refuse a binary STL that is shorter or longer than its own count of triangles says."""
+    with path.open("rb") as stream:
+        head = stream.read(1024)
+    if head.lstrip().startswith(b"solid") and b"facet" in head:
+        return
+    count = int.from_bytes(head[80:84], "little")
+    if size < _STL_HEADER or size != _STL_HEADER + _STL_TRIANGLE * count:
+        room = max(size - _STL_HEADER, 0) / _STL_TRIANGLE
+        rule = f"is malformed: its header promises {count} triangles, it has room for {room:.4g}"
+        raise InputError(Fault(where, rule, "save the surface again: it may have been cut short"))
+
+
+def _check_ply_header(path: Path, size: int, where: str) -> None:
+    """Refuse a header without end, which meshio would read for ever, or with too large counts."""
+    with path.open("rb") as stream:
+        head = stream.read(_PLY_HEADER)
+    end = re.search(rb"^end_header[ \t]*\r?$", head, re.MULTILINE)
+    if end is None:
+        rule = "is malformed: its header has no end"
+        raise InputError(Fault(where, rule, "save the surface again, as binary STL"))
+    head = head[: end.start()]
+    for count in re.findall(rb"element\s+\w+\s+(\d+)", head):
+        if len(count) > 12 or int(count) > size:
+            rule = "is malformed: its header promises more than the file holds"
+            raise InputError(Fault(where, rule, "save the surface again, as binary STL"))

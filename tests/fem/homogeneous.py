@@ -1,0 +1,60 @@
+"""Homogeneous states through the discrete equations, and systems with other constraints."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from study.fem.element.sparsity import Pattern
+from study.fem.mesh.mesh import Mesh
+from study.fem.solver.internal_force import Tangent
+from study.fem.solver.linear_solver import make_solver
+from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
+from study.fem.solver.reused_factorization import KeptFactors
+from study.fem.solver.system import State, System
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from tests.fem.problems import compression, cube, grid, irregular
+
+Array = np.ndarray
+
+#: K (J - 1) at each point leaves 3e-12 of the force to rounding where K is 1000 mu
+TIGHT = NewtonSettings(tolerance=1e-11)
+
+
+def system_of(material: Material, mesh: Mesh | None = None, **model: object) -> System:
+    """Unit cylinder or cube of distorted elements between frictionless plates."""
+    if mesh is None:
+        mesh = cube(2) if model.get("space") == "3d" else irregular(grid(1, 1, 3, 3))
+    problem = compression(Cylinder(1, 1), 0.1, "frictionless", material=material, **model)
+    return System.build(problem, mesh, folding=False)
+
+
+def driven(system: System, displacement: float, pieces: int) -> NewtonResult:
+    """Converged state at a displacement, tension (negative) too, in equal steps."""
+    state = system.start()
+    for number in range(1, pieces + 1):
+        goal = displacement * number / pieces
+        result = solve_step(system, State(goal, state.x), TIGHT, lifted_from=state)
+        assert result.converged, result.reason
+        state = result.state
+    return result
+
+
+def force(system: System, result: NewtonResult) -> float:
+    """Force on the upper plate, positive in compression."""
+    assert result.assembly is not None
+    reactions = result.assembly.internal[system.constraints.dofs]
+    return float(system.force_scale * reactions @ system.prescribed(1.0))
+
+
+def held(system: System, dofs: Array, values: Array) -> System:
+    """Return the same discretization with other prescribed unknowns."""
+    pattern = Pattern.build(system.space.dofs, system.space.n, dofs)
+    return replace(
+        system,
+        constraints=replace(system.constraints, dofs=dofs, rate=values),
+        tangent=Tangent.of(pattern, system.space.dofs),
+        kept=KeptFactors(make_solver(pattern), pattern),
+    )

@@ -1,0 +1,80 @@
+"""Problems and meshes that several tests of the solver share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.fem.mesh.mesh import Mesh
+from study.fem.mesh.structured import extrude, rectangle
+from study.fem.solver.solution import Solution
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+FloatArray = NDArray[np.float64]
+
+NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
+MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
+RP2 = Material("reduced-polynomial", {"C10": 0.5, "C20": 0.1}, bulk_modulus=1000.0)
+YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1000.0)
+#: gel of the reference figures: C10 = 5 kPa, K = 10 MPa
+GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
+
+
+def compression(
+    specimen: Cylinder,
+    displacement_mm: float,
+    interface: str = "bonded",
+    *,
+    material: Material = NEO_HOOKEAN,
+    steps: int = 1,
+    **model: object,
+) -> Problem:
+    """Compression between two like plates."""
+    test = Test("compression", displacement_mm, interface, interface, steps=steps)  # type: ignore[arg-type]
+    return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+
+
+def taylor_slopes(
+    problem: Problem, base: Solution, direction: FloatArray, lengths: Sequence[float]
+) -> FloatArray:
+    """Slopes in h of the largest |F(p + h dp) - F(p) - h g.dp|; exact gradients give 2."""
+    names = problem.material.names
+    rate = sum(base.curve.force_gradient[n] * d for n, d in zip(names, direction, strict=True))
+    errors = []
+    for h in lengths:
+        moved = problem.material.with_constants(problem.material.values + h * direction)
+        force = solve(replace(problem, material=moved), gradients=False, warm=base).curve.force_N
+        errors.append(np.abs(force - base.curve.force_N - h * rate).max())
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+
+
+def grid(radius: float, height: float, nr: int, nz: int) -> Mesh:
+    """Square-grid mesh of the whole height, cut along one diagonal."""
+    r, z = np.linspace(0, radius, nr + 1), np.linspace(0, height, nz + 1)
+    points, cells = rectangle(r, z, "simplex")
+    return Mesh(points, cells, False, radius / nr)
+
+
+def irregular(mesh: Mesh, seed: int = 0) -> Mesh:
+    """Move the points inside by up to a quarter of the element size."""
+    points = mesh.points.copy()
+    low, high = points.min(axis=0), points.max(axis=0)
+    inside = ((points > low + 1e-9) & (points < high - 1e-9)).all(axis=1)
+    shift = np.random.default_rng(seed).uniform(-0.25, 0.25, points.shape)
+    points[inside] += mesh.size_mm * shift[inside]
+    return replace(mesh, points=points)
+
+
+def cube(n: int) -> Mesh:
+    """Unit cube of distorted tetrahedra."""
+    line = np.linspace(0, 1, n + 1)
+    plane, faces = rectangle(line, line, "simplex")
+    points, cells = extrude(plane, faces, line)
+    return irregular(Mesh(points, cells, False, 1 / n))

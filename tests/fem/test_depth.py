@@ -1,0 +1,253 @@
+"""How deep a needle gets: every energy, every element, coarse to fine, in both spaces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from study.fem.contact.collocation import contact_points
+from study.fem.contact.contact import ContactPoints, Plate
+from study.fem.element.function_space import discretize
+from study.fem.element.sparsity import Pattern
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.internal_force import Internal, Tangent
+from study.fem.solver.options import Options
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, Cone, Cylinder, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+NEO_HOOKEAN = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
+ENERGIES = {
+    "neo-hookean": NEO_HOOKEAN,
+    "mooney-rivlin": Material("mooney-rivlin", {"C10": 5e-3, "C01": 1e-3}, bulk_modulus=10.0),
+    "yeoh-2": Material("reduced-polynomial", {"C10": 5e-3, "C20": 3e-4}, bulk_modulus=10.0),
+    "ogden": Material("ogden", {"mu1": 0.012, "alpha1": 2.8}, bulk_modulus=10.0),
+}
+#: as lubricated compression of a measured silicone gives it: it softens in tension
+SOFTENING = Material("ogden", {"mu1": 0.015422, "alpha1": 1.52394}, poisson_ratio=0.4995)
+MESHES = [
+    (shape, order, mesh)
+    for shape in ("simplex", "tensor")
+    for order in ("linear", "quadratic")
+    for mesh in ("coarse", "medium", "fine")
+]
+
+
+def deep(material: Material, shape: str, order: str, mesh: str) -> Problem:
+    test = Test("indentation", 5.0, "frictionless", "bonded", 10, Cone(30, 1))
+    model = Model("axisymmetric", order, shape, mesh=mesh)  # type: ignore[arg-type]
+    return Problem(Cylinder(25, 50), test, material, model)
+
+
+def in_block(material: Material, depth: float, order: str, mesh: str, space: str = "3d") -> Problem:
+    steps = max(1, round(depth / 0.4))
+    test = Test("indentation", depth, "frictionless", "bonded", steps, Cone(30, 1, 3))
+    model = Model(space, order, mesh=mesh, mesh_ratio=1.3)  # type: ignore[arg-type]
+    return Problem(Block(60, 60, 40), test, material, model)
+
+
+@pytest.mark.parametrize(
+    ("shape", "order", "mesh"),
+    [
+        ("simplex", "quadratic", "coarse"),
+        ("tensor", "linear", "fine"),
+    ],
+)
+def test_the_softest_energy_reaches_five_millimetres(shape: str, order: str, mesh: str) -> None:
+    solution = solve(deep(NEO_HOOKEAN, shape, order, mesh), gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped" not in solution.message
+
+
+@pytest.mark.parametrize("steps", [10, 30])
+def test_a_jump_between_two_load_steps_is_told_with_its_place(steps: int) -> None:
+    """Plain Newton crosses a limit point at 2.8 mm; the force falls and 1 % of the work is lost.
+
+    All Newton sees is that every step converged. The place does not depend on the load steps.
+    """
+    problem = deep(NEO_HOOKEAN, "tensor", "linear", "medium")
+    problem = replace(problem, test=replace(problem.test, steps=steps))
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped to another equilibrium" in solution.message
+    (place,) = solution.energy.jumps_mm
+    assert place == pytest.approx(2.8, abs=0.1)
+    assert solution.energy.largest_mismatch > 0.005
+
+
+@pytest.mark.parametrize("mesh", ["medium", "fine"])
+def test_linear_triangles_of_a_softening_energy_reach_their_depth(mesh: str) -> None:
+    """Bubbles that swell unevenly at no cost had limit points at 2.5 and 2.0 mm."""
+    problem = in_block(SOFTENING, 4.0, "linear", mesh, "axisymmetric")
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped" not in solution.message
+    # 0.511 N on six meshes of quadratic triangles, coarse to fine, within 0.1 %
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.03)
+
+
+def test_quadratic_triangles_of_a_softening_energy_reach_their_depth() -> None:
+    """Facets a twentieth of the tip wide, on the coarse mesh, stopped at 3.86 mm."""
+    problem = in_block(SOFTENING, 4.0, "quadratic", "coarse", "axisymmetric")
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.003)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+def test_quadratic_tetrahedra_of_a_softening_energy_reach_their_depth(mesh: str) -> None:
+    """Integrated at four points they collapse between them, at 3.18 and 3.43 mm."""
+    solution = solve(in_block(SOFTENING, 4.0, "quadratic", mesh), gradients=False)
+    assert solution.converged, solution.message
+    assert "snapped" not in solution.message
+    assert solution.curve.force_N[-1] == pytest.approx(0.511, rel=0.02)
+
+
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
+    """Elements of the size of the contact all over the tip took 6 GB at a fiftieth of 2 mm."""
+    deep, shallow = (
+        build_mesh(in_block(NEO_HOOKEAN, depth, order, "coarse")).cells.shape[0]
+        for depth in (4.0, 0.04)
+    )
+    assert shallow < 2 * deep
+
+
+def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -> None:
+    problem = in_block(SOFTENING, 4.0, "quadratic", "coarse")
+    mesh = build_mesh(problem)
+    usual, stretched = (
+        discretize(mesh, problem.model, stretched=much).weights for much in (False, True)
+    )
+    assert stretched.shape[1] > 3 * usual.shape[1]
+    assert (stretched > 0).all(), "a point with a negative weight would reward its collapse"
+    assert stretched.sum() == pytest.approx(usual.sum(), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("alpha", [1.3, 1.8])
+@pytest.mark.parametrize("size", [0.25, 0.3, 0.35, 0.4, 0.5])
+def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: float) -> None:
+    material = Material("ogden", {"mu1": 0.0154, "alpha1": alpha}, poisson_ratio=0.4995)
+    problem = in_block(material, 4.0, "linear", "fine", "axisymmetric")
+    problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_uneven_volume_has_the_tangent_of_its_residual(space: str) -> None:
+    problem = in_block(SOFTENING, 1.0, "linear", "coarse", space)
+    pair = discretize(build_mesh(problem), problem.model)
+    x, v = np.random.default_rng(3).normal(size=(2, pair.n))
+    x *= 4e-3  # an element of a quarter of a millimeter keeps its volume
+
+    held = np.zeros(0, dtype=np.int64)
+
+    def at(point: np.ndarray, kappa: float, into: Tangent | None = None) -> np.ndarray:
+        found = Internal.on(pair, evenness=kappa)
+        assert found.evaluate(SOFTENING, point, into) > 0
+        return found.gathered() if into is None else into.product(v)
+
+    def own(point: np.ndarray) -> np.ndarray:
+        return at(point, 1e6) - at(point, 0.0)
+
+    tangent = Tangent.of(Pattern.build(pair.dofs, pair.n, held), pair.dofs)
+    stiff, plain = (at(x, kappa, tangent) for kappa in (1e6, 0.0))
+    # central differences of a residual of about one: h^2 against rounding over h
+    rate = (own(x + 1e-6 * v) - own(x - 1e-6 * v)) / 2e-6
+    np.testing.assert_allclose(stiff - plain, rate, atol=1e-5 * np.abs(rate).max())
+    assert np.abs(rate).max() > 0
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("energy", ENERGIES)
+@pytest.mark.parametrize(("shape", "order", "mesh"), MESHES)
+def test_every_energy_reaches_five_millimetres(
+    energy: str, shape: str, order: str, mesh: str
+) -> None:
+    solution = solve(deep(ENERGIES[energy], shape, order, mesh), gradients=False)
+    assert solution.converged, solution.message
+
+
+def test_a_solid_needs_no_snap_under_the_needle() -> None:
+    options = Options(snaps=False)
+    problem = in_block(ENERGIES["ogden"], 1.6, "quadratic", "coarse")
+    solution = solve(problem, gradients=False, options=options)
+    assert solution.converged, solution.message
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("energy", ENERGIES)
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+def test_every_energy_reaches_four_millimetres_in_a_block(
+    energy: str, order: str, mesh: str
+) -> None:
+    solution = solve(in_block(ENERGIES[energy], 4.0, order, mesh), gradients=False)
+    assert solution.converged, solution.message
+
+
+def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
+    nodes, ones = np.arange(3)[:, None], np.ones((3, 1))
+    return ContactPoints(Plate(1.0, -1, 1.0), nodes, ones, np.ones(3), 1e3, 1.0, middles=middles)
+
+
+@pytest.mark.parametrize(
+    ("own", "closed", "led"),
+    [
+        ([False, True, True], True, True),  # pulled, amid closed mid-sides: held
+        ([True, False, False], False, True),  # pressed, amid open ones: free
+        ([False, True, False], False, False),  # at the edge it decides for itself
+        ([True, True, False], True, False),
+    ],
+)
+def test_a_corner_goes_with_its_mid_sides(own: list[bool], closed: bool, led: bool) -> None:
+    rows = sp.csr_matrix(([True, True], ([0, 0], [1, 2])), (3, 3))
+    multipliers = np.where(own, 1.0, -1.0)
+    points = points_of_three(rows)
+    met = points.meet(np.array([[0.0, 0.0, 1.0]] * 3), np.zeros((3, 3)), 0.0)
+    touch = points.evaluate(met, multipliers)
+    assert touch.wanted.tolist() == [closed, *own[1:]]
+    assert touch.led.tolist() == [led, False, False]
+    kept = points_of_three(rows).admissible(multipliers)
+    assert kept[0] == multipliers[0]
+    assert (kept[1:] >= 0).all()
+
+
+def test_every_corner_has_the_mid_sides_of_its_edges() -> None:
+    test = Test("indentation", 0.5, "frictionless", "bonded", 2, Sphere(3.0))
+    problem = Problem(Block(20, 20, 10), test, NEO_HOOKEAN, Model("3d", mesh="coarse"))
+    mesh = build_mesh(problem)
+    space = discretize(mesh, problem.model)
+    (points,) = contact_points(problem, space, mesh)
+    assert points.middles is not None
+    places = space.nodes[points.nodes[:, 0]]
+    around = np.diff(points.middles.indptr)
+    assert set(around[around > 0]) <= set(range(2, 12))
+    corner = int(np.flatnonzero(around)[0])
+    for middle in points.middles[corner].indices:
+        other = 2 * places[middle] - places[corner]  # the far end of that edge is a corner too
+        far = int(np.linalg.norm(places - other, axis=1).argmin())
+        assert np.linalg.norm(places[far] - other) < 1e-9
+        assert around[far] > 0
+
+
+def test_an_energy_that_is_no_longer_elliptic_says_so() -> None:
+    """An exponent of nearly zero is Hencky's energy: no mesh carries it under a needle."""
+    hencky = Material("ogden", {"mu1": 0.01228, "alpha1": -0.019}, poisson_ratio=0.4995)
+    found = solve(in_block(hencky, 4.0, "quadratic", "coarse", "axisymmetric"), gradients=False)
+    assert found.status == "unstable"
+    assert "no longer elliptic where it is stretched" in found.message
+    assert "use another energy" in found.message
+    assert 1.5 < found.reached_mm < 3.0

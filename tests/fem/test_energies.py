@@ -1,0 +1,335 @@
+"""Every energy through the discrete equations: Tables A and B, patches, tangents, symmetries."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.fem.solver.newton import NewtonSettings, solve_step
+from study.fem.solver.options import Options
+from study.fem.solver.solve import solve
+from study.fem.solver.system import State, System
+from study.material.energy import ENERGIES, Energy
+from study.material.homogeneous import uniaxial
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
+from tests.fem.problems import GEL, compression, cube, grid
+
+NH = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1e3)
+MR = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1e3)
+RP2 = Material("reduced-polynomial", {"C10": 0.5, "C20": 0.1}, bulk_modulus=1e3)
+YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1e3)
+OGDEN1 = Material("ogden", {"mu1": 1.0, "alpha1": 4.0}, bulk_modulus=1e3)
+OGDEN3 = Material(
+    "ogden",
+    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
+    bulk_modulus=1e3,
+)
+POLY2 = Material(
+    "polynomial",
+    {"C10": 0.35, "C01": 0.15, "C20": 0.03, "C11": 0.02, "C02": 0.01},
+    bulk_modulus=1e3,
+)
+LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, bulk_modulus=1e3)
+HYPERELASTIC = [NH, MR, RP2, YEOH, POLY2, OGDEN1, OGDEN3]
+ALL = [*HYPERELASTIC, LINEAR]
+
+#: Table B, analytic: K / mu0, then lateral stretch, J and nominal stress at 0.7 and at 1.5
+TABLE_B: list[tuple[Material, float, tuple[float, ...], tuple[float, ...]]] = [
+    (NH, 1e2, (1.193356624, 0.996870022, -1.33722039), (0.818625137, 1.005220672, 1.04958540)),
+    (NH, 1e3, (1.195041618, 0.999687129, -1.34045742), (0.816711780, 1.000527197, 1.05495050)),
+    (MR, 1e2, (1.193196561, 0.996602623, -1.45107207), (0.818485284, 1.004877240, 0.98020546)),
+    (MR, 1e3, (1.195025594, 0.999660320, -1.45527701), (0.816697455, 1.000492098, 0.98468112)),
+    (RP2, 1e3, (1.195015666, 0.999643710, -1.52641324), (0.816761858, 1.000649899, 1.30064278)),
+    (YEOH, 1e3, (1.195051894, 0.999704320, -1.26682329), (0.816695486, 1.000487275, 0.97502499)),
+    (OGDEN1, 1e3, (1.195049237, 0.999699875, -1.28586561), (0.816810131, 1.000768184, 1.53754912)),
+    (OGDEN3, 1e3, (1.195031385, 0.999670008, -1.41378602), (0.816744914, 1.000608381, 1.21750324)),
+]
+#: Table A, analytic: incompressible uniaxial stress at 0.7, 1.5 and 2
+TABLE_A = [
+    (NH, -1.3408163265, 1.0555555556, 1.75),
+    (MR, -1.4557434402, 0.9851851852, 1.575),
+    (RP2, -1.5269982507, 1.3018518519, 3.15),
+    (YEOH, -1.2671148820, 0.9755092593, 1.89),
+    (OGDEN1, -1.2862259475, 1.5393518519, 3.9375),
+    (OGDEN3, -1.4142295441, 1.2185027534, 2.8392050197),
+]
+SPACES = ["axisymmetric", "3d"]
+
+
+def name(value: Any) -> str | None:
+    return f"{value.model}-{len(value.names)}" if isinstance(value, Material) else None
+
+
+def incompressible(material: Material) -> Material:
+    return Material(material.model, material.constants, incompressible=True)
+
+
+def lateral(system: System, x: np.ndarray) -> np.ndarray:
+    """Stretch of the free side, where the reference radius (or side) is one."""
+    side = np.abs(system.space.nodes[:, 0] - 1) < 1e-9
+    return 1 + system.displacements(x)[side, 0]
+
+
+@pytest.mark.parametrize(("material", "ratio", "short", "long"), TABLE_B, ids=name)
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+def test_table_b(material: Material, ratio: float, short: Any, long: Any, order: str) -> None:
+    """V04 on an irregular axisymmetric mesh: the affine field is in every space."""
+    material = replace(material, bulk_modulus=ratio)
+    for formulation in ("mixed", "displacement"):
+        system = system_of(material, element_order=order, formulation=formulation)
+        for stretch, (side, J, stress) in ((0.7, short), (1.5, long)):
+            result = driven(system, 1 - stretch, 8)
+            # 5e-9 is half the last digit of the table
+            assert force(system, result) / np.pi == pytest.approx(-stress, abs=5.1e-9, rel=0)
+            np.testing.assert_allclose(lateral(system, result.state.x), side, rtol=0, atol=1e-9)
+            assert result.assembly is not None
+            assert result.assembly.min_j == pytest.approx(J, abs=1e-9)
+
+
+@pytest.mark.parametrize("material", [POLY2, OGDEN1, OGDEN3], ids=name)
+@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
+def test_uniaxial_in_3d(material: Material, formulation: str) -> None:
+    """V04 on distorted tetrahedra, against the closed form of the same compressibility."""
+    system = system_of(material, space="3d", element_order="linear", formulation=formulation)
+    for stretch in (0.7, 1.5):
+        found = force(system, driven(system, 1 - stretch, 6)) / 4  # a quarter is what is solved
+        assert found == pytest.approx(-float(uniaxial(material, stretch)), rel=1e-9)
+
+
+@pytest.mark.parametrize(("material", "at07", "at15", "at2"), TABLE_A, ids=name)
+def test_incompressible_limit(material: Material, at07: float, at15: float, at2: float) -> None:
+    """V01 with 1/K = 0, not a large K: the volume is kept to rounding."""
+    system = system_of(incompressible(material))
+    for stretch, stress in ((0.7, at07), (1.5, at15), (2.0, at2)):
+        result = driven(system, 1 - stretch, 10)
+        assert force(system, result) / np.pi == pytest.approx(-stress, rel=1e-9)
+        assert result.assembly is not None
+        assert result.assembly.min_j == pytest.approx(1.0, abs=1e-11)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
+def test_linear_elastic_is_hooke(space: str, formulation: str) -> None:
+    """Force E eps A and lateral strain -nu eps at any strain, in one iteration."""
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
+    area = np.pi if space == "axisymmetric" else 4.0
+    system = system_of(material, space=space, formulation=formulation)
+    for shortening in (0.3, -0.5):
+        result = driven(system, shortening, 1)
+        assert force(system, result) == pytest.approx(3.0 * shortening * area, rel=1e-11)
+        side = lateral(system, result.state.x)
+        np.testing.assert_allclose(side, 1 + 0.3 * shortening, rtol=0, atol=1e-11)
+        assert result.iterations == 1
+        assert result.assembly is not None
+        assert result.assembly.min_j == pytest.approx(1 - 0.4 * shortening, abs=1e-11)
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_incompressible_linear_elastic(space: str) -> None:
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, incompressible=True)
+    system = system_of(material, space=space)
+    result = driven(system, 0.2, 1)
+    area = np.pi if space == "axisymmetric" else 4.0
+    assert force(system, result) == pytest.approx(0.6 * area, rel=1e-11)
+    np.testing.assert_allclose(lateral(system, result.state.x), 1.1, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
+@pytest.mark.parametrize("material", [NH, YEOH, POLY2, OGDEN3, LINEAR], ids=name)
+def test_tangent_of_the_whole_system(material: Material, formulation: str, space: str) -> None:
+    """V09: K du against fourth-order differences of the residual, unit by unit in size."""
+    material = replace(material, bulk_modulus=20.0)
+    system = system_of(material, space=space, element_order="linear", formulation=formulation)
+    rng = np.random.default_rng(5)
+    x = 0.01 * rng.standard_normal(system.space.n)
+    direction = rng.standard_normal(system.space.n)
+
+    def residual(h: float) -> np.ndarray:
+        return system.assemble(State(0.1, x + h * direction), tangent=False).residual
+
+    h = 2e-5
+    slope = (8 * (residual(h) - residual(-h)) - (residual(2 * h) - residual(-2 * h))) / (12 * h)
+    assert system.assemble(State(0.1, x)).min_j > 0.3  # every element takes part
+    exact = system.tangent_product(direction)
+    np.testing.assert_allclose(exact, slope, rtol=0, atol=1e-8 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("material", [POLY2, OGDEN1, OGDEN3, LINEAR], ids=name)
+def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
+    """V12: boundary u = (F - I) X; inside exact, p = K (J - 1) (small strain: K tr eps)."""
+    F = np.eye(3) + 0.1 * np.random.default_rng(11).standard_normal((3, 3))
+    if material is LINEAR:
+        F -= (np.trace(F) - 3.0005) / 3 * np.eye(3)
+    else:
+        F *= (1.0005 / np.linalg.det(F)) ** (1 / 3)
+    system = system_of(material, cube(3), space="3d", element_order=order)
+    nodes = system.space.nodes
+    rim = np.flatnonzero((np.abs(nodes * (1 - nodes)) < 1e-9).any(axis=1))
+    field = (nodes @ (F - np.eye(3)).T).ravel()
+    if order == "linear":  # a bubble is no nodal value: exact means that it vanishes
+        field.reshape(-1, 3)[len(system.mesh.points) :] = 0.0
+    dofs = (3 * rim[:, None] + np.arange(3)).ravel()
+    system = held(system, dofs, field[dofs])
+    start = system.start()
+    result = solve_step(system, State(1.0, start.x), TIGHT, lifted_from=start)
+    assert result.converged
+    u, p = np.split(result.state.x, [system.space.n_displacement])
+    np.testing.assert_allclose(u, field, atol=1e-10)
+    np.testing.assert_allclose(p, 1e3 * 0.0005, rtol=1e-8)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("material", [POLY2, OGDEN3], ids=name)
+def test_rigid_motion_has_no_force(material: Material, space: str) -> None:
+    """V08: an axial shift, and a large rotation in 3D."""
+    system = system_of(material, space=space)
+    x = np.zeros(system.space.n)
+    u = x[: system.space.n_displacement].reshape(-1, system.space.dim)
+    u[:, -1] = 0.37
+    if space == "3d":
+        turn, _ = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))
+        turn *= np.sign(np.linalg.det(turn))
+        u += system.space.nodes @ (turn - np.eye(3)).T
+    assert np.abs(system.assemble(State(0.0, x)).residual).max() < 1e-12
+
+
+@pytest.mark.parametrize("material", HYPERELASTIC, ids=name)
+def test_newton_converges_quadratically(material: Material) -> None:
+    """V09: order from the last three residuals of one step of 10 %, bonded."""
+    system = System.build(
+        compression(Cylinder(25, 50), 5.0, material=material), grid(25, 50, 6, 12), folding=False
+    )
+    start = system.start()
+    tight = NewtonSettings(tolerance=1e-13)
+    result = solve_step(system, State(5.0, start.x), tight, lifted_from=start)
+    assert result.converged
+    # the last is at rounding (1e-14), which can only make the order look smaller
+    r = np.log(result.residuals[-3:])
+    assert (r[2] - r[1]) / (r[1] - r[0]) >= 1.9, result.residuals
+
+
+def curve(material: Material, displacement: float = 4.0, **model: Any) -> Any:
+    problem = compression(Cylinder(25, 30), displacement, material=material, steps=2,
+                          mesh="coarse", **model)  # fmt: skip
+    return solve(problem, gradients=False, options=Options(side_contact=False)).curve
+
+
+@pytest.mark.parametrize(
+    ("material", "same"),
+    [
+        (Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=1e3), NH),
+        (Material("ogden", {"mu1": 0.8, "alpha1": 2.0, "mu2": 0.2, "alpha2": -2.0},
+                  bulk_modulus=1e3), MR),
+        (Material("polynomial", {"C10": 0.5}, bulk_modulus=1e3), NH),
+        (Material("polynomial", {"C10": 0.5, "C01": 0.0, "C20": 0.1}, bulk_modulus=1e3), RP2),
+        (Material("reduced-polynomial", {"C10": 0.5}, bulk_modulus=1e3), NH),
+    ],
+    ids=["ogden-2", "ogden-2--2", "polynomial-1", "polynomial-2", "reduced-1"],
+)  # fmt: skip
+@pytest.mark.parametrize("space", SPACES)
+def test_energies_that_are_the_same(material: Material, same: Material, space: str) -> None:
+    """P06 in a bonded specimen, where every strain occurs."""
+    model = {"space": space, "mesh_size_mm": 8.0 if space == "3d" else 4.0}
+    got, expected = (curve(m, **model).force_N for m in (material, same))
+    np.testing.assert_allclose(got, expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("material", [OGDEN3, POLY2, LINEAR], ids=name)
+def test_scaling_of_moduli_and_lengths(material: Material) -> None:
+    """P01: all moduli times c, force times c. P02: all lengths times s, force times s^2."""
+    factors = {n: 1.0 if n.startswith("alpha") else 7.0 for n in material.names}
+    scaled = {n: factors[n] * value for n, value in material.constants.items()}
+    stiffer = Material(material.model, scaled, bulk_modulus=7e3)
+    base = curve(material).force_N
+    np.testing.assert_allclose(curve(stiffer).force_N, 7 * base, rtol=1e-10)
+    larger = compression(Cylinder(75, 90), 12.0, material=material, steps=2, mesh="coarse")
+    options = Options(side_contact=False)
+    found = solve(larger, gradients=False, options=options).curve.force_N
+    np.testing.assert_allclose(found, 9 * base, rtol=1e-9)
+
+
+def test_equal_shear_modulus_gives_equal_initial_slope() -> None:
+    """V38, P12, P13: of one mu0 and K all energies coincide at small strain, and are linear."""
+    slopes = np.array([curve(m, 1e-5).force_N for m in (*HYPERELASTIC, hooke(NH))])
+    np.testing.assert_allclose(slopes, slopes[:1] * np.ones((8, 1)), rtol=3e-6)
+    np.testing.assert_allclose(slopes[:, 1], 2 * slopes[:, 0], rtol=3e-6)
+
+
+def hooke(material: Material) -> Material:
+    """Linear elastic material of the same mu0 and K."""
+    mu, bulk = material.mu0, material.bulk
+    modulus = 9 * bulk * mu / (3 * bulk + mu)
+    return Material("linear-elastic", {"youngs_modulus": modulus}, bulk_modulus=bulk)
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_linear_elastic_stays_linear_when_bonded(space: str) -> None:
+    """Force and base reaction grow in proportion to 45 %, where corners have 1 + tr eps < 0."""
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.2)
+    problem = compression(
+        Cylinder(25, 30), 13.5, material=material, steps=3, formulation="displacement",
+        space=space, mesh_size_mm=6.0 if space == "3d" else 2.0,
+    )  # fmt: skip
+    solution = solve(problem, options=Options(side_contact=False))
+    assert solution.converged
+    np.testing.assert_allclose(solution.curve.force_N, solution.curve.force_N[0] * np.arange(1, 4),
+                               rtol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(solution.base_reaction_N, solution.curve.force_N, rtol=1e-8)
+    assert solution.min_j > 0
+
+
+@pytest.mark.parametrize(
+    ("radius", "nu", "expected"),
+    [(1, 0.45, 1.36932), (1, 0.4999, 1.54424), (2, 0.5, 2.95525), (8, 0.49, 9.96100)],
+)
+def test_bonded_disc_of_linear_elasticity(radius: int, nu: float, expected: float) -> None:
+    """V24, Table C: Ea/E at any displacement, because nothing here is nonlinear."""
+    kept: dict[str, Any] = {"incompressible": True} if nu == 0.5 else {"poisson_ratio": nu}
+    material = Material("linear-elastic", {"youngs_modulus": 3.0}, **kept)
+    problem = compression(Cylinder(radius, 1), 0.2, material=material, mesh_size_mm=0.04)
+    solution = solve(problem, gradients=False, options=Options(side_contact=False))
+    found = solution.curve.force_N[-1] / (np.pi * radius**2 * 0.2) / 3.0
+    assert found == pytest.approx(expected, rel=1e-3)
+
+
+def test_ogden_of_silicone_reaches_deep_compression() -> None:
+    """Three Ogden energies of the gel's mu0, exponents from -2 to 8, to 40 % with side contact."""
+    for constants in (
+        {"mu1": 1e-2, "alpha1": 8.0},
+        {"mu1": 1e-2, "alpha1": 1e-6},
+        {"mu1": 6e-3, "alpha1": 1.3, "mu2": 3e-3, "alpha2": 5.0, "mu3": 1e-3, "alpha3": -2.0},
+    ):
+        material = Material("ogden", constants, bulk_modulus=GEL.bulk)
+        problem = compression(Cylinder(25, 50), 20.0, material=material, steps=4, mesh="coarse")
+        solution = solve(problem)
+        assert solution.converged, solution.message
+        assert (np.diff(solution.curve.force_N) > 0).all()
+
+
+def test_displacement_formulation_needs_a_bulk_modulus() -> None:
+    material = Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, incompressible=True)
+    with pytest.raises(InputError, match="mixed"):
+        solve(compression(Cylinder(1, 1), 0.1, material=material, formulation="displacement"))
+
+
+def test_a_new_energy_takes_ten_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One declaration, and the solver, its gradients and the closed forms know it."""
+    yeoh = Energy(
+        "yeoh",
+        "polynomial",
+        lambda order: ("C10", "C20", "C30"),
+        "C10|C20|C30",
+        lambda name: (0.0, np.inf) if name == "C10" else (-np.inf, np.inf),
+    )
+    monkeypatch.setitem(ENERGIES, yeoh.name, yeoh)
+    material = Material("yeoh", YEOH.constants, bulk_modulus=1e3)
+    np.testing.assert_array_equal(curve(material).force_N, curve(YEOH).force_N)
+    assert uniaxial(material, 0.7) == uniaxial(YEOH, 0.7)

@@ -1,0 +1,114 @@
+"""Fields for ParaView: uniform states are known, cells are whole, files can be read."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.fem.fields import fields, write_vtu
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, Cylinder
+from study.setup.test_kind import Test
+from tests.fem.problems import NEO_HOOKEAN, compression
+
+ELEMENTS = [(o, s) for o in ("linear", "quadratic") for s in ("simplex", "tensor")]
+#: linear bodies know neither stretch nor area
+SMALL = Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.3)
+
+
+def volume(points: np.ndarray, cells: meshio.CellBlock) -> float:
+    """Area or volume of cells by their corners; negative where they are turned over."""
+    n = {"tri": 3, "qua": 4, "tet": 4, "hex": 8}[cells.type[:3]]
+    corner = points[cells.data[:, :n]]
+    if cells.type.startswith("hex"):
+        a, b, c = (corner[:, k] - corner[:, 0] for k in (1, 3, 4))
+        return float(np.einsum("ij,ij->i", np.cross(a, b), c).sum())
+    a, b = corner[:, 1] - corner[:, 0], corner[:, 2 if n != 4 else -1] - corner[:, 0]
+    if cells.type.startswith("tet"):
+        a, b, c = (corner[:, k] - corner[:, 0] for k in (1, 2, 3))
+        return float(np.einsum("ij,ij->i", np.cross(a, b), c).sum() / 6)
+    return float(np.cross(a, b)[:, 2].sum() * (0.5 if n == 3 else 1.0))
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize(("order", "shape"), ELEMENTS)
+@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
+def test_uniform_compression(space, order, shape, formulation, tmp_path: Path) -> None:
+    """Frictionless compression: the axial stress is F / (deformed area), the others vanish."""
+    specimen = Cylinder(1.0, 1.0) if space == "axisymmetric" else Block(1.0, 1.0, 1.0)
+    problem = compression(
+        specimen, 0.2, "frictionless", space=space, element_order=order, element_shape=shape,
+        formulation=formulation, mesh_size_mm=0.3,
+    )  # fmt: skip
+    solution = solve(problem)
+    write_vtu(solution, tmp_path / "out.vtu")
+    read = meshio.read(tmp_path / "out.vtu")
+    stress = read.cell_data["cauchy_stress_MPa"][0].reshape(-1, 3, 3)
+    J = read.cell_data["J"][0]
+    area = np.pi if space == "axisymmetric" else 1.0
+    expected = np.zeros((3, 3))
+    axis = 1 if space == "axisymmetric" else 2
+    expected[axis, axis] = -solution.curve.force_N[-1] / (area * J.mean() / 0.8)
+    # sums of many entries, solved to 1e-8 of the force
+    np.testing.assert_allclose(stress, np.broadcast_to(expected, stress.shape), atol=2e-6)
+    np.testing.assert_allclose(read.cell_data["mean_stress_MPa"][0], np.trace(expected) / 3, 1e-5)
+    np.testing.assert_allclose(read.cell_data["von_mises_MPa"][0], -expected[axis, axis], 1e-5)
+    np.testing.assert_allclose(J, 1 + np.trace(expected) / 3 / NEO_HOOKEAN.bulk, atol=1e-8)
+    top = read.points[:, axis] == read.points[:, axis].max()
+    # the half above the middle plane
+    np.testing.assert_allclose(read.point_data["displacement_mm"][top, axis], -0.1, atol=1e-12)
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize(("order", "shape"), ELEMENTS)
+def test_cells_fill_the_specimen_and_their_middles_lie_between(space, order, shape) -> None:
+    problem = compression(
+        Cylinder(1.0, 1.0), 0.1, space=space, element_order=order, element_shape=shape,
+        mesh_size_mm=0.4,
+    )  # fmt: skip
+    found = fields(solve(problem, gradients=False))
+    block = meshio.CellBlock(found.kind, found.cells)
+    if not found.kind.startswith("hex"):  # those of a disc are no parallelepipeds
+        size = 0.5 if space == "axisymmetric" else np.pi / 8
+        # quadrilaterals are parallelograms here; sums of doubles
+        assert volume(found.points, block) == pytest.approx(size, rel=1e-9)
+    assert sorted(np.unique(found.cells)) == list(range(len(found.points)))
+    middle = found.points[found.cells[:, -1]]
+    corners = {"triangle6": [0, 2], "tetra10": [2, 3], "quad9": [0, 1, 2, 3]}.get(
+        found.kind, list(range(8))
+    )
+    if order == "quadratic":
+        between = found.points[found.cells[:, corners]].mean(axis=1)
+        np.testing.assert_allclose(middle, between, atol=1e-12)
+
+
+def test_small_strain_stress() -> None:
+    """Uniaxial strain energy aside: sigma = E eps, J = 1 + (1 - 2 nu) eps."""
+    problem = compression(Cylinder(1.0, 1.0), 1e-3, "frictionless", material=SMALL)
+    found = fields(solve(problem, gradients=False))
+    np.testing.assert_allclose(found.stress[:, 1, 1], -3e-3, rtol=1e-7)
+    np.testing.assert_allclose(found.stress[:, 0, 0], 0, atol=1e-10)
+    np.testing.assert_allclose(found.volume_ratio, 1 - 0.4e-3, rtol=1e-9)
+
+
+def test_without_an_answer_there_are_no_fields(tmp_path: Path) -> None:
+    problem = compression(Cylinder(1.0, 1.0), 0.1)
+    soft = Material("reduced-polynomial", {"C10": 1.0, "C20": -5.0}, bulk_modulus=1000.0)
+    test = replace(problem.test, displacement_mm=0.6)
+    unstable = solve(replace(problem, material=soft, test=test))
+    assert isinstance(unstable.message, str)
+    assert isinstance(test, Test)
+    with pytest.raises(InputError, match="no step converged"):
+        write_vtu(unstable, tmp_path / "out.vtu")
+
+
+def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
+    solution = solve(compression(Cylinder(1.0, 1.0), 0.05, mesh_size_mm=0.5), gradients=False)
+    with pytest.raises(InputError, match="cannot be written"):
+        write_vtu(solution, tmp_path / "nowhere" / "out.vtu")

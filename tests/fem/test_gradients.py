@@ -1,0 +1,124 @@
+"""Gradients of the force: Taylor tests (V41) and tangent stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test as Loading
+from tests.fem.problems import compression, taylor_slopes
+
+MATERIALS = [
+    Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, poisson_ratio=0.4995),
+    Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0),
+    Material("reduced-polynomial", {"C10": 5e-3, "C20": -4e-4, "C30": 2e-4}, poisson_ratio=0.49),
+]
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("material", MATERIALS, ids=lambda m: "-".join(m.names))
+def test_taylor(material: Material, space: str) -> None:
+    """|F(p + h dp) - F(p) - h g.dp| falls with slope 2 in h; V41 allows 1.9 to 2.1."""
+    problem = compression(
+        Cylinder(25, 30), 3, material=material, steps=3, mesh="coarse", space=space,
+        element_order="linear" if space == "3d" else "quadratic",
+    )  # fmt: skip
+    base = solve(problem)
+    direction = np.array([0.3, -0.2, 0.1])[: len(material.names)] * material.values[0]
+    slopes = taylor_slopes(problem, base, direction, (0.2, 0.1, 0.05, 0.025))
+    assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
+
+
+def test_warm_start_changes_nothing() -> None:
+    problem = compression(Cylinder(25, 30), 3, material=MATERIALS[0], steps=3, mesh="coarse")
+    base = solve(problem)
+    other = replace(problem, material=MATERIALS[0].with_constants([3.6e-3, 1.5e-3]))
+    cold, warm = solve(other), solve(other, warm=base)
+    np.testing.assert_allclose(warm.curve.force_N, cold.curve.force_N, rtol=1e-9)
+    assert sum(warm.newton_iterations) < sum(cold.newton_iterations)
+
+
+def test_stiffness_is_the_slope_of_the_curve() -> None:
+    problem = compression(Cylinder(25, 30), 0.6, material=MATERIALS[1], steps=12, mesh="coarse")
+    curve = solve(problem).curve
+    d, f, k = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm
+    assert k is not None
+    central = (f[:-4] - 8 * f[1:-3] + 8 * f[3:-1] - f[4:]) / (12 * (d[1] - d[0]))
+    # fourth-order differences on steps of 0.2 % strain
+    np.testing.assert_allclose(k[2:-2], central, rtol=1e-6)
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("kind", ["compression", "indentation"])
+def test_errors_of_the_rates_are_squared(
+    kind: str, space: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rates to three digits give derivatives to six: the first-order error is taken off."""
+    from study.fem.solver import sensitivity
+
+    if kind == "indentation":
+        test = Loading(kind, 1.5, "frictionless", "bonded", steps=2, indenter=Cone(30.0, 1.0))
+    else:
+        test = Loading(kind, 6.0, "bonded", "bonded", steps=2)
+    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
+    problem = Problem(Cylinder(25.0, 50.0), test, MATERIALS[0], model)
+    found = []
+    for tolerance in (1e-3, 1e-11):
+        monkeypatch.setattr(sensitivity, "RATE_TOLERANCE", tolerance)
+        found.append(solve(problem).curve)
+    rough, exact = found
+    assert rough.stiffness_N_per_mm is not None
+    assert exact.stiffness_N_per_mm is not None
+    np.testing.assert_allclose(rough.force_N, exact.force_N, rtol=1e-7)
+    np.testing.assert_allclose(rough.stiffness_N_per_mm, exact.stiffness_N_per_mm, rtol=1e-5)
+    for name, slope in exact.force_gradient.items():
+        atol = 1e-5 * np.abs(slope).max()
+        np.testing.assert_allclose(rough.force_gradient[name], slope, rtol=0, atol=atol)
+
+
+CONFIGURATIONS = {
+    "needle": (Cone(30.0, 1.0, 3.0), 3.0, "axisymmetric", "simplex"),
+    "rounded punch": (Flat(3.0, 0.3), 2.0, "axisymmetric", "simplex"),
+    "sphere": (Sphere(5.0), 3.0, "axisymmetric", "tensor"),
+    "needle in 3D": (Cone(30.0, 1.0), 1.5, "3d", "simplex"),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
+    """dF/dd of a second specimen, warm and without gradients, is that of forces on one mesh.
+
+    The tangent is exact, so that what differs is the curvature over 2e-5 of the depth (some
+    1e-6), and where a point of the contact opens or closes between the three forces.
+    """
+    indenter, depth, space, shape = CONFIGURATIONS[name]
+    order = "linear" if space == "3d" else "quadratic"
+    model = Model(space, order, shape, mesh="coarse")  # type: ignore[arg-type]
+    test = Loading("indentation", depth, "frictionless", "bonded", steps=4, indenter=indenter)
+    first = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
+    problem = Problem(Block(60.0, 60.0, 40.0), test, first, model)
+    mesh = build_mesh(problem)
+    base = solve(problem, mesh=mesh)
+    second = replace(problem, material=first.with_constants([5.4e-3]))
+    later = solve(second, gradients=False, warm=base, mesh=mesh).curve.stiffness_N_per_mm
+    alone = solve(second, gradients=False, mesh=mesh).curve.stiffness_N_per_mm
+    asked = solve(second, mesh=mesh).curve.stiffness_N_per_mm
+    assert later is not None
+    assert alone is not None
+    assert asked is not None
+    # two states within Newton's tolerance of 1e-8 have slopes that differ by up to 1e-5
+    np.testing.assert_allclose(alone, asked, rtol=5e-5)
+    np.testing.assert_allclose(later, asked, rtol=5e-5)
+    nearby = [
+        replace(second, test=replace(test, displacement_mm=depth * (1 + h))) for h in (-1e-5, 1e-5)
+    ]
+    low, high = (solve(p, gradients=False, mesh=mesh).curve.force_N[-1] for p in nearby)
+    assert asked.size >= 4
+    np.testing.assert_allclose(asked[-1], (high - low) / (2e-5 * depth), rtol=1e-4)

@@ -1,0 +1,260 @@
+"""Indentation: layer tables, other codes' forces, complementarity, gradients, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+#: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
+RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
+NEEDLE, PUNCH = Cone(30, 1), Flat(3, 0.3)
+
+
+def indentation(
+    indenter: Indenter,
+    depth: float,
+    *,
+    material: Material = RUBBER,
+    specimen: Cylinder | Block = Cylinder(25, 50),  # noqa: B008
+    steps: int = 10,
+    base: str = "bonded",
+    interface: str = "frictionless",
+    **model: object,
+) -> Problem:
+    test = Test("indentation", depth, interface, base, steps, indenter)  # type: ignore[arg-type]
+    return Problem(specimen, test, material, replace(Model(), **model))  # type: ignore[arg-type]
+
+
+def linear(nu: float) -> Material:
+    """Small-strain solid of shear modulus 1."""
+    modulus = {"youngs_modulus": 2 * (1 + nu)}
+    if nu == 0.5:
+        return Material("linear-elastic", modulus, incompressible=True)
+    return Material("linear-elastic", modulus, poisson_ratio=nu)
+
+
+# --- EXTERNAL: V29, Table D: integral equation for a flat punch on a bonded layer, h = 1
+@pytest.mark.parametrize(
+    ("radius", "nu", "kappa"),
+    [(0.1, 0.5, 1.12599), (0.4, 0.495, 1.67356), (1.0, 0.5, 3.61874), (1.0, 0.45, 3.09141),
+     (1.0, 0.30, 2.48352), (2.0, 0.5, 9.14945)],
+)  # fmt: skip
+def test_flat_punch_on_a_bonded_layer(radius: float, nu: float, kappa: float) -> None:
+    depth = 1e-3 * radius
+    layer = Cylinder(8 * max(1.0, radius), 1.0)
+    problem = indentation(
+        Flat(radius), depth, material=linear(nu), specimen=layer, steps=1, mesh="fine"
+    )
+    force = solve(problem, gradients=False).curve.force_N[-1]
+    assert force / (4 * radius * depth / (1 - nu)) == pytest.approx(kappa, rel=2e-3)
+
+
+SPHERES = [(0.04905, 1.05903), (0.18507, 1.26977), (0.48694, 2.10558)]
+PRESSED = [pytest.param(NEEDLE, 5.0, id="cone"), pytest.param(PUNCH, 3.0, id="punch")]
+
+
+# --- EXTERNAL: V32 and V34, Table E: sphere and cone on a bonded incompressible layer, h = 1
+@pytest.mark.parametrize(
+    ("x", "ratio"), [(0.04905, 1.05903), (0.18507, 1.26977), (0.48694, 2.10558)]
+)
+def test_sphere_on_a_bonded_layer(x: float, ratio: float) -> None:
+    radius = 10.0
+    depth = x**2 / radius
+    problem = indentation(
+        Sphere(radius), depth, material=linear(0.5), specimen=Cylinder(8, 1), steps=1, mesh="fine"
+    )
+    hertz = 4 / 3 * 4 * np.sqrt(radius) * depth**1.5  # E* = 4 mu
+    assert solve(problem, gradients=False).curve.force_N[-1] / hertz == pytest.approx(
+        ratio, rel=5e-3
+    )
+
+
+@pytest.mark.parametrize(("x", "ratio"), [(0.07633, 1.05874), (0.28026, 1.26435)])
+def test_cone_on_a_bonded_layer(x: float, ratio: float) -> None:
+    angle = np.radians(60)
+    depth = x / np.tan(angle)
+    problem = indentation(
+        Cone(60), depth, material=linear(0.5), specimen=Cylinder(8, 1), steps=1, mesh="medium"
+    )
+    sneddon = 2 / np.pi * 4 * np.tan(angle) * depth**2
+    assert solve(problem, gradients=False).curve.force_N[-1] / sneddon == pytest.approx(
+        ratio, rel=1e-2
+    )
+
+
+# --- OTHER-MODEL: hard-contact forces of another code, within 0.5 % on the fine mesh
+def test_cone_and_punch_against_hard_contact_forces() -> None:
+    cone = solve(indentation(NEEDLE, 3, steps=3, mesh="fine"), gradients=False).curve.force_N
+    assert cone[0] == pytest.approx(0.04634, rel=5e-3)
+    assert cone[2] == pytest.approx(0.23555, rel=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_deep_punch_against_hard_contact_forces() -> None:
+    punch = solve(indentation(PUNCH, 3, steps=30, mesh="fine"), gradients=False).curve.force_N
+    assert punch[0] == pytest.approx(0.02133, rel=5e-3)
+    assert punch[-1] == pytest.approx(0.6560, rel=5e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("shape", ["simplex", "tensor"])
+@pytest.mark.parametrize("mesh", ["coarse", "medium", "fine"])
+@pytest.mark.parametrize(
+    ("indenter", "depth"), [(NEEDLE, 5.0), (PUNCH, 3.0)], ids=["cone", "punch"]
+)
+def test_every_element_reaches_the_depth(
+    indenter: Indenter, depth: float, mesh: str, shape: str, order: str
+) -> None:
+    problem = indentation(indenter, depth, mesh=mesh, element_shape=shape, element_order=order)
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+
+
+def test_complementarity_and_balance() -> None:
+    """V37: no penetration, no pull, no pressure at a distance; the base carries the force."""
+    solution = solve(indentation(NEEDLE, 1.5, steps=5, mesh="coarse"))
+    assert solution.warm is not None
+    system, step = solution.warm.system, solution.warm.steps[-1]
+    touch = system.touching(step.state)[0]
+    assert touch.active.any()
+    assert not touch.active.all()
+    assert touch.gap.min() > -1e-7
+    assert touch.pressure.min() >= 0
+    np.testing.assert_allclose(solution.base_reaction_N, solution.curve.force_N, rtol=1e-7)
+
+
+def test_forces_do_not_depend_on_the_stiffness_of_the_regularization(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    from study.fem.contact import contact
+
+    problem = indentation(NEEDLE, 1.0, steps=4, mesh="coarse")
+    usual = solve(problem, gradients=False).curve.force_N
+    monkeypatch.setattr(contact, "STIFFNESS", contact.STIFFNESS / 30)
+    np.testing.assert_allclose(solve(problem, gradients=False).curve.force_N, usual, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "material",
+    [
+        RUBBER,
+        Material("ogden", {"mu1": 8e-3, "alpha1": 3.0}, poisson_ratio=0.4995),
+        Material("mooney-rivlin", {"C10": 4e-3, "C01": 1e-3}, incompressible=True),
+    ],
+    ids=lambda m: m.model,
+)
+def test_taylor_through_contact(material: Material) -> None:
+    """V41 with an active set that stays the same over the increments."""
+    problem = indentation(NEEDLE, 1.2, steps=4, mesh="coarse", material=material)
+    base = solve(problem)
+    direction = np.array([0.3, -0.2])[: len(material.names)] * material.values
+    errors = []
+    for h in (0.04, 0.02, 0.01):
+        moved = replace(problem, material=material.with_constants(material.values + h * direction))
+        force = solve(moved, gradients=False, warm=base).curve.force_N
+        slope = sum(
+            base.curve.force_gradient[n] * d for n, d in zip(material.names, direction, strict=True)
+        )
+        errors.append(abs((force - base.curve.force_N - h * slope)[-1]))
+    slopes = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
+
+
+def test_stiffness_under_a_curved_surface() -> None:
+    """dF/dd by differences of neighboring depths with the same active set."""
+    h, problem = 1e-5, indentation(NEEDLE, 1.0, steps=3, mesh="coarse")
+    mesh = build_mesh(problem)  # that of a neighboring depth would be another one
+    forces = [
+        solve(indentation(NEEDLE, d, steps=3), gradients=False, mesh=mesh).curve.force_N[-1]
+        for d in (1.0 - h, 1.0 + h)
+    ]
+    exact = solve(problem, mesh=mesh).curve.stiffness_N_per_mm
+    assert exact is not None
+    assert exact[-1] == pytest.approx((forces[1] - forces[0]) / 2 / h, rel=1e-5)
+
+
+def test_equal_moduli_give_equal_forces_at_small_depth() -> None:
+    """V38: all energies of one mu0 coincide as the depth goes to zero."""
+    materials = [
+        Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0),
+        Material("mooney-rivlin", {"C10": 0.3, "C01": 0.2}, bulk_modulus=1000.0),
+        Material("ogden", {"mu1": 1.0, "alpha1": 5.0}, bulk_modulus=1000.0),
+        Material("linear-elastic", {"youngs_modulus": 3.0 * (1 - 1 / 3001)}, bulk_modulus=1000.0),
+    ]
+    forces = [
+        solve(
+            indentation(Flat(1), 1e-3, material=m, specimen=Cylinder(8, 1), steps=1, mesh="coarse"),
+            gradients=False,
+        ).curve.force_N[-1]
+        for m in materials
+    ]
+    np.testing.assert_allclose(forces, forces[0], rtol=1e-2)
+
+
+def test_a_bonded_punch_is_stiffer_and_no_contact_problem() -> None:
+    forces = [
+        solve(indentation(Flat(3), 0.3, steps=2, mesh="coarse", interface=i)).curve.force_N[-1]
+        for i in ("frictionless", "bonded")
+    ]
+    # V28: equal for nu = 0.5 on a half-space at small depth
+    assert forces[0] < forces[1] < 1.05 * forces[0]
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("shape", ["simplex", "tensor"])
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize(
+    ("indenter", "depth"), [(NEEDLE, 2.0), (PUNCH, 1.0)], ids=["cone", "punch"]
+)
+def test_3d_agrees_with_axisymmetric(
+    indenter: Indenter, depth: float, order: str, shape: str
+) -> None:
+    problem = indentation(
+        indenter, 0.4 * depth, steps=4, mesh="medium", mesh_ratio=1.3, element_order=order,
+        element_shape=shape,
+    )  # fmt: skip
+    flat = solve(problem, gradients=False)
+    solid = solve(replace(problem, model=replace(problem.model, space="3d")), gradients=False)
+    assert solid.converged, solid.message
+    tolerance = 0.015 if order == "quadratic" else 0.06
+    assert solid.curve.force_N[-1] == pytest.approx(flat.curve.force_N[-1], rel=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        (indentation(Cone(90, 1), 1), "not between 0 and 90 deg"),
+        (indentation(Cone(0, 1), 1), "not between 0 and 90 deg"),
+        (indentation(NEEDLE, 50), "not smaller than the specimen's height"),
+        (indentation(Flat(30), 1), "beyond 25 mm"),
+        (indentation(Flat(3, 4), 1), "edge_radius"),
+    ],
+)
+def test_impossible_indentations_are_refused(problem: Problem, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        solve(problem)
+
+
+def test_an_incompressible_body_without_diagonal_is_solved() -> None:
+    """Discontinuous pressures leave zeros on the diagonal, where pivots alone fail (V29)."""
+    problem = indentation(
+        Flat(0.2), 2e-4, material=linear(0.5), specimen=Cylinder(8, 1), steps=1, mesh="fine",
+        element_shape="tensor",
+    )  # fmt: skip
+    solution = solve(problem, gradients=False)
+    assert solution.curve.force_N[-1] / (4 * 0.2 * 2e-4 / 0.5) == pytest.approx(1.28064, rel=2e-3)
+    assert sum(solution.newton_iterations) < 10

@@ -1,0 +1,218 @@
+"""Every energy at a material point: the compiled law against independent formulas (V06-V09)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from study.fem.element.point_law import full_tangent, isochoric
+from study.fem.element.spectral import WORK_ROWS, exponential_ratio, principal_axes, sinh_ratio
+from study.fem.solver.internal_force import Law, law_of, law_rate
+from study.material.homogeneous import confined
+from study.material.material import Material
+from study.material.stress import first_piola
+from tests.fem import reference_law
+
+Array = np.ndarray
+
+O1 = Material("ogden", {"mu1": 1.0, "alpha1": 4.0}, bulk_modulus=100.0)
+O3 = Material(
+    "ogden",
+    {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 5.0, "mu3": 0.1, "alpha3": -2.0},
+    bulk_modulus=100.0,
+)
+ALMOST_ZERO = Material("ogden", {"mu1": 1.0, "alpha1": 1e-7}, bulk_modulus=100.0)
+STEEP = Material(
+    "ogden", {"mu1": 0.5, "alpha1": 24.0, "mu2": 0.5, "alpha2": -9.0}, bulk_modulus=1e3
+)
+POLY3 = Material(
+    "polynomial",
+    {"C10": 0.4, "C01": 0.1, "C20": 0.03, "C11": 0.05, "C02": 0.02, "C30": 0.01, "C21": 0.004,
+     "C12": 0.003, "C03": 0.002},
+    bulk_modulus=100.0,
+)  # fmt: skip
+LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, incompressible=True)
+HYPERELASTIC = [O1, O3, ALMOST_ZERO, STEEP, POLY3]
+ALL = [*HYPERELASTIC, LINEAR]
+
+
+def name(material: Material) -> str:
+    return f"{material.model}-{len(material.names)}-{material.values[-1]:g}"
+
+
+def evaluate(law: Law, F: Array, *, tangent: bool = True) -> tuple[Array, Array, float]:
+    """Isochoric nominal stress, tangent and J of the compiled law."""
+    P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((WORK_ROWS, 9))
+    f = np.ascontiguousarray(F, dtype=float).ravel()
+    J = isochoric(law.family, f, law.constants, work, P)
+    if tangent and J > 0:
+        full_tangent(law.family, f, law.constants, False, 0.0, 0.0, work, A)
+    return P.reshape(3, 3), A, J
+
+
+def random_gradient(seed: int) -> Array:
+    """Deformation gradient with J between 0.8 and 1.2."""
+    rng = np.random.default_rng(seed)
+    while True:
+        F = np.eye(3) + 0.25 * rng.standard_normal((3, 3))
+        J = np.linalg.det(F)
+        if J > 0.3:
+            return F * (rng.uniform(0.8, 1.2) / J) ** (1 / 3)
+
+
+def rotation(seed: int) -> Array:
+    q, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def close(got: Array, expected: Array, tolerance: float) -> None:
+    """Every entry agrees to a fraction of the largest."""
+    np.testing.assert_allclose(got, expected, rtol=0, atol=tolerance * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("material", ALL, ids=name)
+def test_stress_and_tangent_against_complex_steps(material: Material, seed: int) -> None:
+    """V09: no differences, so only rounding is left (and the conditioning of exponent 24)."""
+    F = random_gradient(seed)
+    P, A, _ = evaluate(law_of(material), F)
+    close(P, reference_law.stress(material, F).real, 2e-12)
+    close(P, first_piola(Material(material.model, material.constants, incompressible=True), F),
+          2e-12)  # fmt: skip
+    close(A, reference_law.tangent(material, F), 1e-11)
+    close(A, A.T, 1e-15)
+
+
+@pytest.mark.parametrize("material", ALL, ids=name)
+def test_constant_derivatives_against_complex_steps(material: Material) -> None:
+    F = random_gradient(7)
+    for constant in material.names:
+        got, _, _ = evaluate(law_rate(material, constant), F, tangent=False)
+        close(got, reference_law.constant_derivative(material, F, constant), 2e-12)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3, 0.1])
+@pytest.mark.parametrize("stretches", [(1.0, 1.0, 1.0), (0.7, 0.7, 2.0), (1.4, 0.6, 1.4)])
+def test_nearly_equal_stretches(stretches: tuple[float, float, float], gap: float) -> None:
+    """No threshold: the tangent is exact whatever the distance of two or three stretches."""
+    apart = np.array(stretches) * (1 + gap * np.array([1.0, -0.5, -0.3]))
+    F = rotation(3) @ np.diag(apart) @ rotation(4)
+    for material in (O3, ALMOST_ZERO):
+        P, A, _ = evaluate(law_of(material), F)
+        expected = reference_law.tangent(material, F)
+        close(A, expected, 1e-12)
+        np.testing.assert_allclose(
+            P, reference_law.stress(material, F).real, rtol=0, atol=1e-13 * np.abs(expected).max()
+        )
+
+
+def test_at_rest() -> None:
+    """F = I: no stress, the isotropic tangent 2 mu0 dev(sym), and no derivative by a constant."""
+    for material in (O1, O3, ALMOST_ZERO, STEEP, POLY3):
+        P, A, J = evaluate(law_of(material), np.eye(3))
+        assert J == 1.0
+        assert np.abs(P).max() < 1e-15
+        linear = Material("linear-elastic", {"youngs_modulus": 3 * material.mu0},
+                          incompressible=True)  # fmt: skip
+        close(A, evaluate(law_of(linear), np.eye(3))[1], 1e-14)
+        for constant in material.names:
+            rate, _, _ = evaluate(law_rate(material, constant), np.eye(3), tangent=False)
+            assert np.abs(rate).max() < 1e-15
+
+
+def test_exponent_through_zero() -> None:
+    """Stress and d/dalpha are smooth at alpha = 0; uniaxial P is 3 mu ln(l) / l there."""
+    F, mu = np.diag([1.3**-0.5, 1.3**-0.5, 1.3]), 0.7
+    results = []
+    for alpha in (-1e-3, -1e-9, 0.0, 1e-9, 1e-3):
+        material = Material("ogden", {"mu1": mu, "alpha1": alpha}, incompressible=True)
+        P, _, _ = evaluate(law_of(material), F)
+        rate, _, _ = evaluate(law_rate(material, "alpha1"), F, tangent=False)
+        # the pressure that frees the sides removes their Kirchhoff stress from the axial one
+        axial = [p[2, 2] - p[0, 0] * F[0, 0] / F[2, 2] for p in (P, rate)]
+        results.append(axial)
+    stress, slope = np.array(results).T
+    np.testing.assert_allclose(stress[1:4], 3 * mu * np.log(1.3) / 1.3, rtol=2e-9)
+    # the derivative is continuous, and it is that of the stress
+    np.testing.assert_allclose(slope[1:4], slope[2], rtol=2e-9)
+    assert (stress[4] - stress[0]) / 2e-3 == pytest.approx(slope[2], rel=1e-6)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30)
+def test_objective_and_isotropic(seed: int) -> None:
+    """V08, P03: F -> QF turns P from the left, F -> FQ from the right."""
+    F, Q = random_gradient(seed), rotation(seed + 1)
+    for material in (O1, O3, POLY3):
+        law = law_of(material)
+        P, _, _ = evaluate(law, F)
+        size = np.abs(P).max()
+        np.testing.assert_allclose(evaluate(law, Q @ F)[0], Q @ P, rtol=0, atol=1e-12 * size)
+        np.testing.assert_allclose(evaluate(law, F @ Q)[0], P @ Q, rtol=0, atol=1e-12 * size)
+        assert np.abs(evaluate(law, Q)[0]).max() < 1e-13
+
+
+def test_small_strain_is_linear() -> None:
+    """Stress of a sum is the sum of stresses; an infinitesimal rotation has none."""
+    law, eye = law_of(LINEAR), np.eye(3)
+    G, H = random_gradient(1) - eye, random_gradient(2) - eye
+    P, _, J = evaluate(law, eye + G + 2 * H)
+    parts = evaluate(law, eye + G)[0] + 2 * evaluate(law, eye + H)[0]
+    np.testing.assert_allclose(P, parts, atol=1e-14)
+    assert pytest.approx(1 + np.trace(G + 2 * H), abs=1e-14) == J
+    assert np.abs(evaluate(law, eye + G - G.T)[0]).max() < 1e-15
+
+
+@pytest.mark.parametrize("material", ALL, ids=name)
+def test_no_isochoric_stress_under_pressure(material: Material) -> None:
+    """V07: F = s I."""
+    P, _, _ = evaluate(law_of(material), 0.99 * np.eye(3))
+    assert np.abs(P).max() < 1e-13
+
+
+@pytest.mark.parametrize("material", HYPERELASTIC, ids=name)
+def test_confined_compression(material: Material) -> None:
+    """V06, against the closed form; cofactor of F_33 is one."""
+    for stretch in (0.9, 0.95):
+        P, _, J = evaluate(law_of(material), np.diag([1.0, 1.0, stretch]))
+        total = P[2, 2] + material.bulk * (J - 1)
+        assert total == pytest.approx(float(confined(material, stretch)), rel=1e-12)
+
+
+def test_confined_compression_of_ogden_as_neo_hookean() -> None:
+    """V06, analytic: the value of C10 = 0.5, K = 100 at 0.9."""
+    two = Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=100.0)
+    P, _, J = evaluate(law_of(two), np.diag([1.0, 1.0, 0.9]))
+    assert P[2, 2] + 100 * (J - 1) == pytest.approx(-10.1509818791, abs=1e-10)
+
+
+@given(st.integers(0, 10_000), st.sampled_from([1.0, 1e-3, 1e-8, 1e-14, 0.0]))
+@settings(max_examples=60)
+def test_principal_axes(seed: int, spread: float) -> None:
+    """Eigenvalues and orthonormal vectors of any symmetric matrix, equal eigenvalues too."""
+    Q = rotation(seed)
+    values = 1 + spread * np.random.default_rng(seed).uniform(-0.9, 0.9, 3)
+    A = Q @ np.diag(values) @ Q.T
+    A = 0.5 * (A + A.T)
+    c, axes = A.ravel().copy(), np.zeros(9)
+    principal_axes(c, axes)
+    found, vectors = c[[0, 4, 8]], axes.reshape(3, 3)
+    np.testing.assert_allclose(np.sort(found), np.linalg.eigvalsh(A), atol=1e-15 * 5)
+    np.testing.assert_allclose(vectors @ vectors.T, np.eye(3), atol=3e-15)
+    np.testing.assert_allclose(vectors.T @ np.diag(found) @ vectors, A, atol=3e-15)
+
+
+@pytest.mark.parametrize("z", [0.0, 1e-300, 1e-9, 1e-5, 0.1, 0.4999999, 0.5000001, 3.0, -0.3])
+def test_ratios(z: float) -> None:
+    """Against extended precision, on both sides of where the series ends."""
+    wide = np.longdouble(z)
+    sinh = np.sinh(wide) / wide if z else np.longdouble(1)
+    growth = np.expm1(wide) / wide if z else np.longdouble(1)
+    assert sinh_ratio(z) == pytest.approx(float(sinh), rel=3e-16)
+    assert exponential_ratio(z) == pytest.approx(float(growth), rel=5e-16)
+
+
+def test_inverted_is_told() -> None:
+    assert evaluate(law_of(O3), np.diag([1.0, 1.0, -0.1]))[2] < 0

@@ -1,0 +1,178 @@
+"""Solves by an older factorization: right to the tolerance, cheaper by counts, repeatable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.fem.element.sparsity import Pattern, symmetric_product
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver import newton
+from study.fem.solver.linear_solver import make_solver, pardiso_available
+from study.fem.solver.options import Options
+from study.fem.solver.reused_factorization import KeptFactors, fgmres
+from study.fem.solver.solve import solve
+from study.fem.solver.system import System
+from study.setup.geometry import Cylinder
+from study.setup.setup import Problem
+from tests.fem.problems import GEL, compression
+
+NOWHERE = np.zeros(0, bool)
+SOLVERS = ["superlu", *(["pardiso"] if pardiso_available() else [])]
+
+
+def solid(size: float = 8.0, **test: object) -> Problem:
+    return compression(
+        Cylinder(25, 50), 3.0, material=GEL, space="3d", element_order="quadratic",
+        mesh_size_mm=size, **test,
+    )  # fmt: skip
+
+
+def dense(pattern: Pattern, data: np.ndarray) -> np.ndarray:
+    n = pattern.free.size
+    upper = np.zeros((n, n))
+    rows = np.repeat(np.arange(n), np.diff(pattern.indptr))
+    upper[rows, pattern.indices] = data
+    return upper + np.triu(upper, 1).T
+
+
+@pytest.fixture(scope="module")
+def system() -> System:
+    problem = solid(16.0)
+    found = System.build(problem, build_mesh(problem))
+    found.assemble(found.start())
+    return found
+
+
+def test_a_product_with_the_upper_triangle_is_that_with_the_matrix(system: System) -> None:
+    v = np.random.default_rng(1).normal(size=system.dofs)
+    pattern, data = system.pattern, system.data
+    found = symmetric_product(pattern.indptr, pattern.indices, data, v)
+    wanted = dense(pattern, data) @ v
+    np.testing.assert_allclose(found, wanted, atol=1e-13 * np.abs(wanted).max())
+
+
+def test_gmres_needs_one_iteration_for_each_distinct_eigenvalue() -> None:
+    """Exact in as many steps as the preconditioned matrix has eigenvalues (Saad 2003, 6.11)."""
+    diagonal = np.repeat([1.0, 2.0, 5.0, 3.0], 25)
+    b = np.random.default_rng(2).normal(size=100)
+    x, count, left = fgmres(lambda v: diagonal * v, lambda v: v, b, 1e-10, 99)
+    assert count == 4
+    assert left < 1e-10
+    assert x is not None
+    np.testing.assert_allclose(x, b / diagonal, rtol=1e-11)
+
+
+def test_gmres_gives_up_where_the_budget_cannot_suffice() -> None:
+    diagonal = np.linspace(1.0, 1e6, 400)
+    b = np.ones(400)
+    x, count, left = fgmres(lambda v: diagonal * v, lambda v: v, b, 1e-8, 50)
+    assert x is None
+    assert 1e-8 < left < 1
+    assert count < 50
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_an_older_factorization_solves_the_newer_matrix(system: System, name: str) -> None:
+    solver = make_solver(system.pattern, name)
+    kept = KeptFactors(solver, system.pattern)
+    n, rng = system.dofs, np.random.default_rng(3)
+    right, scale = rng.normal(size=n), np.ones(n)
+    assert kept.solve(system.data, right, scale, 1e-6, NOWHERE, 0.01) is None  # nothing factorized
+    solver.factorize(system.data)
+    kept.renewed(NOWHERE)
+    newer = system.data * (1 + 0.02 * rng.normal(size=system.data.size))
+    solver.worth = lambda: 30.0  # type: ignore[method-assign]
+    x = kept.solve(newer, right, scale, 1e-6, NOWHERE, 0.01)
+    assert x is not None
+    left = right - dense(system.pattern, newer) @ x
+    assert np.linalg.norm(left) <= 1.01e-6 * np.linalg.norm(right)
+    kept.forget()
+    assert kept.solve(newer, right, scale, 1e-6, NOWHERE, 0.01) is None
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_it_is_dropped_once_a_solve_costs_more_than_the_average(system: System, name: str) -> None:
+    solver = make_solver(system.pattern, name)
+    kept = KeptFactors(solver, system.pattern)
+    solver.factorize(system.data)
+    kept.renewed(np.array([True, False]))
+    rng = np.random.default_rng(4)
+    right, scale = rng.normal(size=system.dofs), np.ones(system.dofs)
+    solver.worth = lambda: 10.0  # type: ignore[method-assign]
+    assert kept.solve(system.data, right, scale, 1e-6, np.array([False, True]), 0.01) is not None
+    noise, closed, served = rng.normal(size=system.data.size), np.array([True, False]), 0
+    while served < 100:
+        newer = system.data * (1 + 1e-3 * 2.0**served * noise)
+        if kept.solve(newer, right, scale, 1e-4, closed, 0.01) is None:
+            break
+        served += 1
+    assert served > 1
+
+
+def test_a_solve_foreseen_to_be_slow_is_not_tried_but_later_again(system: System) -> None:
+    solver = make_solver(system.pattern, "superlu")
+    kept = KeptFactors(solver, system.pattern)
+    solver.factorize(system.data)
+    kept.renewed(NOWHERE)
+    rng, solve, calls = np.random.default_rng(5), solver.solve, []
+    solver.worth = lambda: 8.0  # type: ignore[method-assign]
+    solver.solve = lambda b: calls.append(1) or solve(b)  # type: ignore[method-assign,func-returns-value]
+    newer = system.data * (1 + 0.5 * rng.normal(size=system.data.size))
+    right, scale = rng.normal(size=system.dofs), np.ones(system.dofs)
+    tried = []
+    for _ in range(30):
+        kept.renewed(NOWHERE)  # as if it had been factorized after each
+        before = len(calls)
+        assert kept.solve(newer, right, scale, 1e-8, NOWHERE, 0.01) is None
+        tried.append(len(calls) > before)
+    assert tried[:2] == [True, False]
+    assert 2 <= sum(tried) <= 4
+
+
+def test_many_contact_points_that_changed_sides_ask_for_a_factorization(system: System) -> None:
+    solver = make_solver(system.pattern, "superlu")
+    kept = KeptFactors(solver, system.pattern)
+    solver.factorize(system.data)
+    closed = np.zeros(40, bool)
+    kept.renewed(closed)
+    solver.worth = lambda: 20.0  # type: ignore[method-assign]
+    right, scale = np.ones(system.dofs), np.ones(system.dofs)
+    few, many = closed.copy(), closed.copy()
+    few[:5], many[:6] = True, True
+    assert kept.solve(system.data, right, scale, 1e-6, few, 0.01) is not None
+    assert kept.solve(system.data, right, scale, 1e-6, many, 0.01) is None
+
+
+def test_the_curve_does_not_depend_on_reuse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Same equilibrium, to the tolerance of Newton, with half of the factorizations."""
+    problem = solid(8.0, steps=4)
+    whole, made, curves = System.factorize, [], []
+
+    def counted(self: System) -> None:
+        made[-1] += 1
+        whole(self)
+
+    monkeypatch.setattr(System, "factorize", counted)
+    for steady in (newton._STEADY, 0.0):
+        monkeypatch.setattr(newton, "_STEADY", steady)
+        made.append(0)
+        curves.append(solve(problem, options=Options(linear_solver="superlu")).curve)
+    np.testing.assert_allclose(curves[0].force_N, curves[1].force_N, rtol=1e-8)
+    np.testing.assert_allclose(
+        curves[0].stiffness_N_per_mm, curves[1].stiffness_N_per_mm, rtol=1e-7
+    )
+    assert made[0] < 0.75 * made[1]
+
+
+def test_a_warm_run_does_not_depend_on_what_ran_before() -> None:
+    """Bit for bit: a resumed study has other runs behind it than an uninterrupted one."""
+    problem = solid(8.0, steps=2)
+    base = solve(problem)
+    near = replace(problem, material=problem.material.with_constants([5.05e-3]))
+    far = replace(problem, material=problem.material.with_constants([8e-3]))
+    first = solve(near, warm=base).curve.force_N
+    solve(far, warm=base)
+    np.testing.assert_array_equal(solve(near, warm=base).curve.force_N, first)

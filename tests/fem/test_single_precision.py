@@ -1,0 +1,132 @@
+"""Factors in single precision: the same answers, and double precision where they cannot do it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from study.fem.element.sparsity import Pattern, symmetric_product
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.linear_solver import make_solver, pardiso_available
+from study.fem.solver.reused_factorization import KeptFactors
+from study.fem.solver.solve import solve
+from study.fem.solver.system import System
+from study.material.material import Material
+from study.setup.geometry import Cone, Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test as Loading
+from tests.fem.problems import GEL
+
+pytestmark = pytest.mark.skipif(not pardiso_available(), reason="pypardiso is not installed")
+
+NEEDLE = Loading("indentation", 1.5, "frictionless", "bonded", steps=3, indenter=Cone(30.0, 1.0))
+PRESS = Loading("compression", 5.0, "bonded", "bonded", steps=2)
+RUBBER = Material("mooney-rivlin", {"C10": 3e-3, "C01": 2e-3}, incompressible=True)
+OGDEN = Material("ogden", {"mu1": 1e-2, "alpha1": 5.0}, bulk_modulus=10.0)
+NOWHERE = np.zeros(0, bool)
+
+
+def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
+    """Have systems of every size in single precision, or none."""
+    import study.fem.solver.linear_solver as module
+
+    limit = 0 if single else 10**9
+    monkeypatch.setattr(module, "_SINGLE", {True: limit, False: limit})
+
+
+def problem(loading: Loading, space: str, material: Material) -> Problem:
+    model = Model(space, "quadratic", mesh="coarse")  # type: ignore[arg-type]
+    return Problem(Cylinder(25.0, 50.0), loading, material, model)
+
+
+@pytest.mark.parametrize(
+    ("loading", "space", "material"),
+    [
+        (NEEDLE, "axisymmetric", GEL),
+        (NEEDLE, "axisymmetric", OGDEN),
+        (NEEDLE, "axisymmetric", RUBBER),
+        (NEEDLE, "3d", GEL),
+        (PRESS, "axisymmetric", RUBBER),
+        (PRESS, "3d", RUBBER),
+        (PRESS, "3d", OGDEN),
+    ],
+)
+def test_forces_and_their_derivatives_are_those_of_double_precision(
+    loading: Loading, space: str, material: Material, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+    for single in (True, False):
+        use(monkeypatch, single=single)
+        solution = solve(problem(loading, space, material))
+        assert solution.status == "converged", solution.message
+        found.append(solution)
+    one, two = (solution.curve for solution in found)
+    # both end where the residual is 1e-8 of the reaction, somewhere else each
+    np.testing.assert_allclose(one.force_N, two.force_N, rtol=2e-8)
+    assert one.stiffness_N_per_mm is not None
+    assert two.stiffness_N_per_mm is not None
+    np.testing.assert_allclose(one.stiffness_N_per_mm, two.stiffness_N_per_mm, rtol=1e-5)
+    for name, slope in two.force_gradient.items():
+        scale = np.abs(slope).max()
+        np.testing.assert_allclose(one.force_gradient[name], slope, rtol=0, atol=1e-6 * scale)
+
+
+@pytest.fixture(scope="module")
+def tangent() -> tuple[Pattern, np.ndarray]:
+    """Pattern and entries of a small solid's tangent."""
+    asked = problem(PRESS, "3d", GEL)
+    system = System.build(asked, build_mesh(asked))
+    system.assemble(system.start())
+    return system.pattern, system.data
+
+
+def residual(pattern: Pattern, data: np.ndarray, x: np.ndarray, b: np.ndarray) -> float:
+    left = b - symmetric_product(pattern.indptr, pattern.indices, data, x)
+    return float(np.linalg.norm(left) / np.linalg.norm(b))
+
+
+def test_single_precision_is_corrected_to_what_is_asked_for(
+    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pattern, data = tangent
+    use(monkeypatch, single=True)
+    solver = make_solver(pattern, "pardiso", corrected=True)
+    kept, b = KeptFactors(solver, pattern), np.random.default_rng(3).normal(size=pattern.free.size)
+    solver.factorize(data)
+    kept.renewed(NOWHERE)
+    assert not solver.exact
+    assert residual(pattern, data, solver.solve(b), b) > 1e-7
+    for tolerance in (1e-3, 1e-6, 1e-10):
+        x = kept.solve_afresh(data, b, np.ones(b.size), tolerance)
+        assert residual(pattern, data, x, b) <= tolerance
+    assert not solver.exact
+    solver.close()
+
+
+def test_what_single_precision_cannot_do_is_done_in_double(
+    tangent: tuple[Pattern, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pairs [[1, 1], [1, 1 + d]] whose d of some 1e-7 is gone in seven digits."""
+    pattern, _ = tangent
+    use(monkeypatch, single=True)
+    rng, size = np.random.default_rng(4), pattern.free.size
+    data, row = np.zeros(pattern.indices.size), 0
+    while row < size:
+        k = pattern.indptr[row]
+        data[k] = 1.0
+        if k + 1 < pattern.indptr[row + 1] and pattern.indices[k + 1] == row + 1:
+            data[k + 1] = 1.0
+            data[pattern.indptr[row + 1]] = 1.0 + rng.uniform(1e-7, 1e-6)
+            row += 1
+        row += 1
+    b = rng.normal(size=size)
+    solver = make_solver(pattern, "pardiso", corrected=True)
+    kept = KeptFactors(solver, pattern)
+    solver.factorize(data)
+    kept.renewed(NOWHERE)
+    x = kept.solve_afresh(data, b, np.ones(size), 1e-10)
+    assert residual(pattern, data, x, b) < 1e-7  # 1e-16 over d
+    assert solver.exact
+    kept.forget()  # the next run begins as if there had been none
+    assert not solver.exact
+    solver.close()

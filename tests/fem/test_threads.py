@@ -1,0 +1,130 @@
+"""Threads change how long a simulation takes, and no digit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from study import compilation
+from study.fem.element import sparsity
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.system import System
+from study.material.material import Material
+from study.setup.geometry import Cone, Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
+
+
+@pytest.fixture
+def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sparsity, "_WORTH", 50)
+
+
+def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> System:
+    model = Model(space, "quadratic", formulation=formulation, mesh_size_mm=size)
+    test = Test("compression", 2.0, "bonded", "bonded")
+    problem = Problem(Cylinder(25.0, 50.0), test, GEL, model)
+    return System.build(problem, build_mesh(problem))
+
+
+@pytest.mark.usefixtures("small_slabs")
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("formulation", ["mixed", "displacement"])
+def test_any_number_of_threads_gives_the_same_bits(
+    space: Any, formulation: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = compressed(space, formulation)
+    assert len(system.internal.phases[0]) > 1
+    x = 1e-2 * np.random.default_rng(7).normal(size=system.space.n)
+    found = []
+    for count in (1, 2, 3):
+        monkeypatch.setattr(compilation._CONFIG, "NUMBA_NUM_THREADS", count)
+        system.internal.residuals[:] = system.data[:] = system.tangent.sums.kept[:] = np.nan
+        smallest = system.internal.evaluate(GEL, x, system.tangent)
+        J = system.internal.volume_ratios(GEL, x)
+        sums = system.data.copy(), system.tangent.sums.kept.copy()
+        found.append((smallest, J, system.internal.residuals.copy(), *sums))
+    for other in found[1:]:
+        for one, two in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(one, two)
+    assert all(np.isfinite(part).all() for part in found[0])
+
+
+def under_a_needle() -> System:
+    """A graded mesh: many elements in little room, and large ones around it."""
+    test = Test("indentation", 5.0, "frictionless", "bonded", indenter=Cone(30.0, 1.0))
+    problem = Problem(Cylinder(25.0, 50.0), test, GEL, Model("3d", "quadratic", mesh="coarse"))
+    return System.build(problem, build_mesh(problem))
+
+
+@pytest.mark.parametrize(
+    ("built", "counts"),
+    [
+        (lambda: compressed("axisymmetric"), [2, 2]),
+        (lambda: compressed("3d"), [2, 2]),
+        (under_a_needle, [2, 1]),
+    ],
+    ids=["axisymmetric", "3d", "graded"],
+)
+def test_what_is_worked_on_at_once_shares_no_unknown(
+    built: Callable[[], System], counts: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sparsity, "_COUNTS", (4,))
+    monkeypatch.setattr(sparsity, "_WORTH", 50)
+    system = built()
+    phases, dofs = system.internal.phases, system.space.dofs
+    assert [len(phase) for phase in phases] == counts
+    every = np.concatenate([part for phase in phases for part in phase])
+    np.testing.assert_array_equal(np.sort(every), np.arange(system.space.n_elements))
+    for phase in phases:
+        met = np.concatenate([np.unique(dofs[part]) for part in phase])
+        assert np.unique(met).size == met.size
+    larger = max(part.size for part in phases[0])
+    assert all(part.size > 0.4 * larger for part in phases[0])
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_a_tangent_in_slabs_is_that_of_all_elements(
+    space: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And a small body is no work for threads."""
+    x = None
+    found = []
+    for worth in (50, 10**9):
+        monkeypatch.setattr(sparsity, "_WORTH", worth)
+        system = compressed(space)
+        if x is None:
+            x = 1e-2 * np.random.default_rng(3).normal(size=system.space.n)
+        system.internal.evaluate(GEL, x, system.tangent)
+        found.append((len(system.internal.phases), system.data, system.tangent.product(x)))
+    assert [phases for phases, _, _ in found] == [2, 1]
+    for slabbed, whole in zip(found[0][1:], found[1][1:], strict=True):
+        np.testing.assert_allclose(slabbed, whole, atol=1e-12 * np.abs(whole).max())
+
+
+def test_an_error_in_a_part_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    def loop(part: Any) -> float:
+        if part[0]:
+            raise ZeroDivisionError
+        return 1.0
+
+    monkeypatch.setattr(compilation._CONFIG, "NUMBA_NUM_THREADS", 2)
+    with pytest.raises(ZeroDivisionError):
+        compilation.smallest([(np.array([0], np.uint32), np.array([1], np.uint32))], loop)
+
+
+def openblas() -> list[int]:
+    return [lib["num_threads"] for lib in threadpool_info() if lib["internal_api"] == "openblas"]
+
+
+def test_vectors_are_added_up_alone_and_only_for_a_while() -> None:
+    before = openblas()
+    with compilation.vectors_alone():
+        assert set(openblas()) <= {1}
+    assert openblas() == before

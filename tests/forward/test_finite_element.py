@@ -1,0 +1,135 @@
+"""Cases of a cell start from one solution: same answer, whatever was computed before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.design.load import loads
+from study.forward.finite_element import Anchors
+from study.record.record import Record
+from study.record.store import Store
+from study.record.table import table
+from study.runner.batch import run_batch
+from study.runner.expansion import expand
+from study.runner.job import Work
+from study.runner.virtual import usual_generator, write_virtual
+
+DESIGN = """
+schema = 1
+[study]
+name = "cone"
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "indentation"
+interface = "frictionless"
+base = "bonded"
+displacement = "1 mm"
+steps = 4
+indenter = { shape = "sphere", radius = "3 mm" }
+[material]
+poisson_ratio = 0.4995
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.reduced-polynomial-2]
+model = "reduced-polynomial"
+order = 2
+[measurements]
+files = "indentation-{specimen}.csv"
+columns = { displacement = "displacement_mm", force = "force_N" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+range = ["0.25 mm", "1 mm"]
+points = 20
+[calibration]
+method = "auto"
+[calibration.problem.test]
+kind = "compression"
+interface = "frictionless"
+[calibration.problem.measurements]
+files = "compression-{specimen}.csv"
+columns = { displacement = "displacement_mm", force = "force_N" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+range = ["1 %", "20 %"]
+[model]
+space = "axisymmetric"
+mesh = "coarse"
+[factors]
+material = ["neo-hookean", "reduced-polynomial-2"]
+[[response]]
+name = "relative_rms_force_error"
+practical = "2 pp"
+"""
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
+    home = tmp_path_factory.mktemp("data")
+    design = loads(DESIGN, "cone.toml")
+    write_virtual(design, home, usual_generator(design, blocks=3))
+    return expand(design, home)
+
+
+@pytest.fixture(scope="module")
+def whole(work: Work, tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
+    return finished(work, tmp_path_factory.mktemp("whole"))
+
+
+def finished(work: Work, folder: Path, jobs: int = 2) -> list[Record]:
+    store = Store(folder)
+    run_batch(work, store, jobs=jobs)
+    return store.records(work.input_hashes)
+
+
+def comparable(records: list[Record]) -> str:
+    return str(table(records).sort_values("case_id").to_csv(index=False))
+
+
+def test_cases_of_a_cell_share_the_fit_of_its_first_specimen(work: Work) -> None:
+    groups = {job.group for job in work.jobs}
+    assert len(work.jobs) == 6
+    assert len(groups) == 2
+    for group in groups:
+        cell = [job for job in work.jobs if job.group == group]
+        assert {job.anchor for job in cell} == {cell[0].directions[0].fit_key}
+        assert all(cell[0].anchor in job.needs for job in cell)
+
+
+def test_predictions_are_those_of_cold_solutions(work: Work, whole: list[Record]) -> None:
+    for record in whole:
+        assert record.status == "converged", record.message
+        job = next(j for j in work.jobs if j.case.case_id == record.case_id)
+        assert record.fit is not None
+        (fit,) = record.fit.values()
+        cold = Anchors().predict(job.case.config, fit["values"], 1.0, None).solution
+        predicted = record.curves["predicted:all"].force_N
+        np.testing.assert_allclose(predicted, cold.curve.force_N, rtol=1e-6)
+
+
+def test_a_resumed_study_gives_the_same_digits(
+    work: Work, whole: list[Record], tmp_path: Path
+) -> None:
+    """Only the last specimens are missing: their anchor is made again, not taken from nearby."""
+    store = Store(tmp_path)
+    kept = [r for r in whole if r.block == "2"]
+    for record in kept:
+        store.write(record)
+    resumed = finished(work, tmp_path, jobs=1)
+    keep = ["case_id", "relative_rms_force_error", "peak_force_error"]
+    both = [table(r).sort_values("case_id")[keep].to_csv(index=False) for r in (whole, resumed)]
+    assert both[0] == both[1]
+
+
+def test_seconds_of_a_case_are_those_of_the_cell_alone(work: Work, tmp_path: Path) -> None:
+    """With one worker: two may both solve a cell, each in a time of its own."""
+    records = finished(work, tmp_path, jobs=1)
+    for levels in {r.levels["material"] for r in records}:
+        cell = [r.timings["predict"] for r in records if r.levels["material"] == levels]
+        assert max(cell) > 0
+        assert min(cell) == max(cell)

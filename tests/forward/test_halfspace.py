@@ -1,0 +1,125 @@
+"""Indentation in closed form, and the start that it gives to a fit."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.curve import Curve
+from study.forward import finite_element
+from study.forward.halfspace import indentation
+from study.runner import build
+from study.runner.fitting import fit_task
+from study.setup.geometry import Cone, Flat, Indenter, Sphere
+
+LAYERS = Path(__file__).parents[2] / "validation" / "layers.csv"
+HIGH = 1e9
+D = np.array([0.1, 1.0, 2.0])
+NEO_HOOKEAN = 6e-3
+INDENTERS: dict[str, dict[str, Any]] = {
+    "flat": {"shape": "flat", "radius_mm": 8.0, "edge_radius_mm": 1.0},
+    "cone": {"shape": "cone", "half_angle_deg": 45.0, "tip_radius_mm": 2.0},
+    "needle": {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0,
+               "shaft_radius_mm": 3.0},
+    "sphere": {"shape": "sphere", "radius_mm": 8.0},
+}  # fmt: skip
+SPECIMENS: dict[str, dict[str, Any]] = {
+    "thick cylinder": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
+    "thin cylinder": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 8.0},
+    "thick block": {"shape": "block", "width_mm": 60.0, "depth_mm": 60.0, "height_mm": 40.0},
+    "thin block": {"shape": "block", "width_mm": 60.0, "depth_mm": 60.0, "height_mm": 8.0},
+}
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+@pytest.mark.parametrize(
+    ("indenter", "expected"),
+    [
+        (Flat(8.0), 2 * 8.0 * D),
+        (Cone(30.0), 2 / np.pi * np.tan(np.pi / 6) * D**2),
+        # Hertz takes the sphere for a paraboloid: 2.5 % off at a quarter of the radius
+        (Sphere(8.0), 4 / 3 * np.sqrt(8.0) * D**1.5),
+    ],
+    ids=["flat", "cone", "sphere"],
+)
+def test_half_space(indenter: Indenter, expected: np.ndarray, nu: float) -> None:
+    found = indentation(indenter, D, height_mm=HIGH, poisson_ratio=nu)
+    tolerance = 0.03 if isinstance(indenter, Sphere) else 1e-3
+    assert found == pytest.approx(expected / (1 - nu**2), rel=tolerance)
+
+
+def test_a_rounded_tip_and_a_shaft() -> None:
+    """Neither matters where the cone alone is in contact; a shaft goes on as a flat punch."""
+    depth = np.array([20.0, 30.0])
+    sharp = indentation(Cone(45.0), depth, height_mm=HIGH)
+    rounded = indentation(Cone(45.0, tip_radius_mm=0.2), depth, height_mm=HIGH)
+    assert rounded == pytest.approx(sharp, rel=5e-3)
+    shaft = indentation(Cone(45.0, shaft_radius_mm=3.0), depth, height_mm=HIGH)
+    assert np.diff(shaft) == pytest.approx(2 * 3.0 * 10.0 / 0.75)
+
+
+def test_layers() -> None:
+    """A punch on a bonded layer stiffens nearly as the sphere that the series was made for."""
+    with LAYERS.open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["problem"] == "punch on layer"]
+    assert len(rows) >= 15
+    for row in rows:
+        height, nu = 8.0 / float(row["ratio"]), float(row["poisson_ratio"])
+        free, bonded = (
+            float(indentation(Flat(8.0), D, height_mm=h, poisson_ratio=nu)[0])
+            for h in (HIGH, height)
+        )
+        assert 0.95 < bonded / free / float(row["value"]) < 1.4, row
+
+
+def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
+    own = SPECIMENS[specimen]
+    return {
+        "specimen": own,
+        "test": {"kind": "indentation", "interface": "frictionless", "base": "bonded",
+                 "displacement_mm": min(5.0, 0.3 * own["height_mm"]), "steps": 10,
+                 "indenter": INDENTERS[indenter]},
+        "material": {"model": "neo-hookean", "constants": {}, "poisson_ratio": nu},
+        "model": {"space": "axisymmetric", "element_order": "quadratic", "mesh": "coarse"},
+        "calibration": {"method": "auto"},
+    }  # fmt: skip
+
+
+def virtual(config: dict[str, Any]) -> Curve:
+    solution = finite_element.solve(build.problem(config, {"C10": NEO_HOOKEAN}), gradients=False)
+    assert solution.status == "converged", solution.message
+    return Curve(solution.curve.displacement_mm, solution.curve.force_N)
+
+
+@pytest.mark.parametrize("specimen", SPECIMENS)
+@pytest.mark.parametrize("indenter", INDENTERS)
+def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) -> None:
+    """Large strains, a layer and a finite width are in the data: a factor of 1.25 at most."""
+    config = setting(indenter, specimen)
+    measured = virtual(config)
+    _, start = fit_task.start_values(config, [measured], None)
+    assert 1 / 1.25 < start[0] / NEO_HOOKEAN < 1.25
+    found = fit_task.perform(fit_task.payload(fit_task.fit_problem(config), [measured], None))
+    assert found["status"] == "converged"
+    assert found["values"]["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
+    # the force is linear in C10: one simulation at the start, one at the end
+    assert found["solves"] <= 2
+
+
+def test_a_lost_warm_start_is_not_taken_for_constants_without_answer() -> None:
+    """27 times too soft a start, as a user may give: the fit has to come back to the truth.
+
+    After four solutions, each warm from the one before, the next one finds no equilibrium.
+    """
+    config = setting("needle", "thick cylinder")
+    measured = virtual(config)
+    given = {**config, "material": {**config["material"], "constants": {"C10": 2.2e-4}}}
+    found = fit_task.perform(fit_task.payload(fit_task.fit_problem(given), [measured], None))
+    assert found["status"] == "converged"
+    assert found["message"] == "the next full step would not change the parameters"
+    assert found["values"]["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
+    assert found["solves"] <= 10

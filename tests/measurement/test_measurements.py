@@ -1,0 +1,343 @@
+"""Measurement files: what they mean is read exactly, what is doubtful is refused by place."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import tabular
+from study.design.spec import MeasurementSpec, Range
+from study.errors import InputError
+from study.measurement.reading import read_measurements
+from tests.record.samples import Spec
+
+LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
+REPEATS = "s,r,d,f\n" + "".join(
+    f"{s},{r},{d},{d * (k + r)}\n" for k, s in enumerate("AB") for r in (1, 2) for d in range(5)
+)
+
+
+PLAIN = Spec()
+
+
+def read(
+    folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN, height_mm: float | None = None
+):
+    data = text.encode() if isinstance(text, str) else text
+    (folder / "a.csv").write_bytes(data)
+    return read_measurements(spec, folder, height_mm)
+
+
+def refusal(folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN) -> str:
+    with pytest.raises(InputError) as caught:
+        read(folder, text, spec)
+    return str(caught.value)
+
+
+def test_a_straight_line_is_resampled_exactly(tmp_path):
+    # ANALYTIC: f = 2 d at d = 0, 0.5, ... 4
+    found = read(tmp_path, LINE, Spec(points=9)).curve()
+    assert found.curve.displacement_mm.tolist() == np.linspace(0, 4, 9).tolist()
+    assert found.curve.force_N == pytest.approx(2 * np.linspace(0, 4, 9), abs=1e-15)
+    assert found.scatter_N is None
+    assert found.n_repeats == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t: b"\xef\xbb\xbf" + t.encode(),
+        lambda t: t.replace("\n", "\r\n").encode(),
+        lambda t: t.replace("\n", "\r").encode(),
+        lambda t: gzip.compress(t.encode()),
+        lambda t: t.replace(",", ";").encode(),
+        lambda t: t.replace(",", "\t").encode(),
+        lambda t: t.replace("d,f", '"d","f"').replace("1,2", '"1","2"').encode(),
+        lambda t: t.replace(",", " , ").encode(),
+        lambda t: (t + "\n\n").encode(),
+        lambda t: t.replace("3,6", "+3.,.6e1").encode(),
+    ],
+    ids=["bom", "crlf", "cr", "gzip", "semicolon", "tab", "quotes", "spaces", "blank", "forms"],
+)
+def test_dress_of_the_file_does_not_matter(tmp_path, change):
+    assert read(tmp_path, change(LINE)).curve().curve.force_N.tolist() == [0, 2, 4, 6, 8]
+
+
+def test_declared_decimal_comma_and_units(tmp_path):
+    text = "d;f\n0;0\n0,1;2,5\n0,2;5\n0,4;10\n"
+    spec = Spec(decimal=",", units={"displacement": "cm", "force": "kN"})
+    # ANALYTIC: 10 kN at 0.4 cm is 10000 N at 4 mm
+    assert read(tmp_path, text, spec).curve().curve.force_N[-1] == pytest.approx(1e4, rel=1e-15)
+
+
+def test_repeats_are_averaged_and_scatter_is_their_deviation(tmp_path):
+    spec = Spec(block="s", average=("r",))
+    found = read(tmp_path, REPEATS, spec)
+    assert found.blocks == ("A", "B")
+    mean = found.curve("A")
+    # ANALYTIC: slopes 1 and 2: mean 1.5 d, deviation d / sqrt(2)
+    assert mean.curve.force_N.tolist() == [0, 1.5, 3, 4.5, 6]
+    assert mean.scatter_N == pytest.approx(np.arange(5) / np.sqrt(2), rel=1e-14)
+    assert (mean.n_repeats, dict(mean.groups)) == (2, {"s": "A"})
+
+
+def test_fit_and_score_swap(tmp_path):
+    spec = Spec(average=("r",), fit={"s": "A"}, score={"s": "B"}, swap=True)
+    (fit, score), (fit2, score2) = read(tmp_path, REPEATS, spec).pairs()
+    assert fit.curve.force_N[-1] == 6
+    assert score.curve.force_N[-1] == 10
+    assert (fit2, score2) == (score, fit)
+
+
+def test_a_column_that_is_not_averaged_must_be_chosen(tmp_path):
+    found = read(tmp_path, REPEATS, Spec(average=("r",), fit={"s": "A"}, score={"s": "B"}))
+    with pytest.raises(InputError, match="several tests match the study: s = A, B"):
+        found.curve()
+    assert [g for g, _ in found.curves()] == [{"s": "A"}, {"s": "B"}]
+    with pytest.raises(InputError, match="did you mean 's'|no grouping column 'sx'"):
+        found.curve(sx="A")
+    with pytest.raises(InputError, match="no test matches s = C"):
+        found.curve(s="C")
+
+
+def test_numbers_in_a_design_match_labels_in_a_file(tmp_path):
+    found = read(tmp_path, REPEATS, Spec(average=("s",), fit={"r": 1}, score={"r": 2.0}))
+    assert found.curve(r=1).groups == {"r": "1"}
+    assert found.curve(r=[1.0]).n_repeats == 2
+
+
+def test_forgotten_repeat_column_is_refused_not_merged(tmp_path):
+    words = refusal(tmp_path, REPEATS, Spec(block="s"))
+    assert "a.csv:7" in words
+    assert "column 'r' changes there" in words
+
+
+def test_selection_without_tests_is_found_when_reading(tmp_path):
+    words = refusal(tmp_path, REPEATS, Spec(average=("r",), fit={"s": "A"}, score={"s": "Q"}))
+    assert "no test matches s = Q" in words
+
+
+def test_unsorted_and_duplicated_rows_are_mended_and_counted(tmp_path):
+    found = read(tmp_path, "d,f\n0,0\n2,4\n1,1\n1,3\n3,5\n4,8\n")
+    assert found.curve().curve.force_N.tolist() == [0, 2, 4, 5, 8]
+    notes = "\n".join(found.notes)
+    assert "1 rows out of order sorted" in notes
+    assert "2 rows of equal displacement averaged (in 1 of 1 tests)" in notes
+
+
+def test_a_force_that_is_not_monotone_is_kept(tmp_path):
+    found = read(tmp_path, "d,f\n0,0\n1,3\n2,2\n3,6\n4,8\n")
+    assert found.curve().curve.force_N.tolist() == [0, 3, 2, 6, 8]
+
+
+@pytest.mark.parametrize("rule", ["first", "fit"])
+def test_zero_of_the_load_cell(tmp_path, rule):
+    # ANALYTIC: an offset of 0.5 N on f = 2 d is removed by either rule
+    d = np.linspace(0, 4, 81)
+    text = "d,f\n" + "".join(f"{x:.4f},{2 * x + 0.5:.4f}\n" for x in d)
+    found = read(tmp_path, text, Spec(zero=rule))
+    assert found.curve().curve.force_N == pytest.approx([0, 2, 4, 6, 8], abs=1e-9)
+    assert f"load cell zero ({rule}) subtracted: 0.5 to 0.5 N" in "\n".join(found.notes)
+
+
+def test_toe_counts_displacement_from_contact(tmp_path):
+    # ANALYTIC: no load to 1 mm, then 2 N/mm; the force passes 0.2 N at 1.1 mm
+    text = "d,f\n0,0\n0.5,0\n1,0\n2,2\n3,4\n4,6\n5.1,8.2\n"
+    found = read(tmp_path, text, Spec(toe=0.2))
+    assert found.curve().curve.force_N == pytest.approx([0.2, 2.2, 4.2, 6.2, 8.2], abs=1e-12)
+    assert "3 rows before contact dropped (toe)" in "\n".join(found.notes)
+    assert "1.1 to 1.1 mm" in "\n".join(found.notes)
+
+
+@pytest.mark.parametrize(
+    "text", ["d,f\n0,0\n1,-2\n2,-4\n3,-6\n4,-8\n", "d,f\n0,0\n-1,-2\n-2,-4\n-3,-6\n-4,-8\n"]
+)
+def test_sign_is_declared_and_mismatch_refused(tmp_path, text):
+    assert 'sign = "negative"' in refusal(tmp_path, text)
+    found = read(tmp_path, text, Spec(sign="negative"))
+    assert found.curve().curve.force_N.tolist() == [0, 2, 4, 6, 8]
+    assert 'sign = "positive"' in refusal(tmp_path, LINE, Spec(sign="negative"))
+
+
+def test_range_in_percent_and_from_the_test(tmp_path):
+    found = read(tmp_path, LINE, Spec(range=Range("percent", 10, 40)), height_mm=10)
+    assert found.displacement_mm[[0, -1]].tolist() == [1, 4]
+    (tmp_path / "a.csv").write_text(LINE)
+    free = read_measurements(Spec(range=None), tmp_path, displacement_mm=4)
+    assert free.displacement_mm[[0, -1]].tolist() == [0.8, 4]
+    with pytest.raises(InputError, match="needs the height"):
+        read(tmp_path, LINE, Spec(range=Range("percent", 1, 40)))
+
+
+BAD = {
+    "empty": ("", "the file is empty"),
+    "blank": ("\n \n", "the file is empty"),
+    "header only": ("d,f\n", "no row of data"),
+    "one row": ("d,f\n0,0\n", "has 1 rows, a curve needs at least 3"),
+    "missing column": ("d,force\n0,0\n", "there is no column 'f'"),
+    "duplicate column": ("d,f,f\n0,0,1\n", "stands 2 times"),
+    "nan": (LINE.replace("2,4", "2,nan"), "a.csv:4: column 'f': must be a finite number"),
+    "inf": (LINE.replace("2,4", "2,inf"), "a.csv:4"),
+    "beyond": (LINE.replace("2,4", "2,1e300"), "a.csv:4: column 'f': 1e+300 N is beyond"),
+    "overflow": (LINE.replace("2,4", "2,1e400"), "a.csv:4"),
+    "text": (LINE.replace("2,4", "2,high"), "got 'high'"),
+    "hole": (LINE.replace("2,4", "2,"), "the cell is empty"),
+    "underscore": (LINE.replace("2,4", "2,1_0"), "only the digits 0 to 9"),
+    "arabic": (LINE.replace("2,4", "2,\u0664"), "only the digits 0 to 9"),
+    "hex": (LINE.replace("2,4", "2,0x4"), "got '0x4'"),
+    "ragged": (LINE.replace("2,4", "2,4,5"), "a.csv:4: has 3 cells where the header has 2"),
+    "decimal comma": ("d;f\n0,0;0,0\n1,5;2,0\n", "decimal comma"),
+    "decimal comma in commas": ("d,f\n0,0,0,0\n1,5,2,0\n", "looks like a decimal comma"),
+    "late decimal comma": ("d;f\n0;0\n1,5;2,0\n2;4\n3;6\n", "must be declared"),
+    "too short": ("d,f\n0,0\n1,2\n2,4\n3,6\n", "ends at 3 mm, the range asks for 4 mm"),
+    "starts late": ("d,f\n2,0\n3,2\n4,4\n5,6\n", "begins at 2 mm"),
+    "few in range": ("d,f\n0,0\n9,2\n10,4\n", "has 1 rows between"),
+    "constant": ("d,f\n0,1\n1,1\n4,1\n", "the force is constant"),
+    "still": ("d,f\n1,0\n1,1\n1,2\n", "the displacement is constant"),
+    "nul": ("d,f\n0,0\n1,\0\n", "NUL"),
+    "quote": ('d,f\n0,"0\n', "not well-formed"),
+    "utf-16": (LINE.encode("utf-16"), "UTF-16"),
+    "latin-1": (LINE.replace("3,6", "\xb5,6").encode("latin-1"), "a.csv:5: byte 0xb5"),
+    "broken gzip": (gzip.compress(LINE.encode())[:-9], "broken gzip"),
+    "long line": ("d,f\n" + "1" * 100_001 + ",2\n", "at most 100000"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_files_are_refused_by_place(tmp_path, case):
+    text, words = BAD[case]
+    assert words in refusal(tmp_path, text)
+
+
+def test_a_point_under_a_declared_comma_is_refused(tmp_path):
+    words = refusal(tmp_path, "d;f\n0;0\n1.5;2,0\n2;4\n", Spec(decimal=","))
+    assert "a point has no place here" in words
+
+
+def test_all_bad_cells_come_at_once(tmp_path):
+    words = refusal(tmp_path, "d,f\n" + "x,1\n" * 30)
+    assert words.count("must be a finite number") == 20
+    assert "10 more cells" in words
+
+
+def test_a_unit_in_the_header_must_be_the_declared_one(tmp_path):
+    columns = {"displacement": "d_mm", "force": "load_kN"}
+    text = LINE.replace("d,f", "d_mm,load_kN")
+    assert "its name says kN" in refusal(tmp_path, text, Spec(columns=columns))
+    declared = Spec(columns=columns, units={"displacement": "mm", "force": "kN"})
+    assert read(tmp_path, text, declared).curve().curve.force_N[-1] == pytest.approx(8000)
+    plain = replace(declared, columns={"displacement": "d_mm", "force": "total_force"})
+    assert read(tmp_path, text.replace("load_kN", "total_force"), plain).curve()
+
+
+def test_missing_unit(tmp_path):
+    assert "units.force: is missing" in refusal(tmp_path, LINE, Spec(units={"displacement": "mm"}))
+
+
+@pytest.mark.parametrize("label", ["=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, ""])
+def test_labels_that_could_do_harm_are_refused(tmp_path, label):
+    text = "s,d,f\n" + "".join(f"{label},{d},{d}\n" for d in range(5))
+    assert "a.csv:2: column 's'" in refusal(tmp_path, text, Spec(block="s"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../a.csv", "/etc/passwd", "x/../../a.csv", "a\0b", "C:\\a.csv", "~/a.csv", "..\\a.csv", " "],
+)
+def test_paths_never_leave_the_root(tmp_path, name):
+    with pytest.raises(InputError, match=r"--data"):
+        read_measurements(Spec(file=name), tmp_path)
+
+
+def test_links_out_of_the_root_are_refused(tmp_path):
+    inside = tmp_path / "root"
+    inside.mkdir()
+    (tmp_path / "secret.csv").write_text(LINE)
+    (inside / "a.csv").symlink_to(tmp_path / "secret.csv")
+    with pytest.raises(InputError, match="through a link"):
+        read_measurements(Spec(), inside)
+    (inside / "l-1.csv").symlink_to(tmp_path / "secret.csv")
+    with pytest.raises(InputError, match="through a link"):
+        read_measurements(Spec(file=None, files="l-{n}.csv"), inside)
+
+
+def test_a_missing_file_says_where_and_whence(tmp_path):
+    with pytest.raises(InputError) as caught:
+        read_measurements(Spec(file="b.csv", citation="Dawood et al. 2026"), tmp_path)
+    words = str(caught.value)
+    assert str(tmp_path) in words
+    assert "--data DIR" in words
+    assert "Dawood et al. 2026" in words
+
+
+def test_groups_from_the_names_of_files(tmp_path):
+    (tmp_path / "conical").mkdir()
+    for k, name in enumerate(("S1", "S2")):
+        text = LINE.replace("4,8", f"4,{8 + k}")
+        (tmp_path / "conical" / f"indentation-{name}.csv").write_text(text)
+    (tmp_path / "conical" / "notes.txt").write_text("not a test")
+    spec = Spec(file=None, files="conical/indentation-{specimen}.csv", block="specimen")
+    found = read_measurements(spec, tmp_path)
+    assert found.blocks == ("S1", "S2")
+    assert found.curve("S2").curve.force_N[-1] == 9
+    assert list(found.files) == ["conical/indentation-S1.csv", "conical/indentation-S2.csv"]
+    for pattern in ("conical/x-{specimen}.csv", "{a}{a}.csv", "{a b}.csv", "{a.csv", "plain.csv"):
+        with pytest.raises(InputError, match="measurements.files"):
+            read_measurements(replace(spec, files=pattern), tmp_path)
+
+
+def test_size_caps(tmp_path, monkeypatch):
+    monkeypatch.setattr(tabular, "MAX_BYTES", 1000)
+    assert "holds more than" in refusal(tmp_path, LINE + "5,10\n" * 1000)
+    assert "holds more than" in refusal(tmp_path, gzip.compress((LINE + "5,10\n" * 1000).encode()))
+    monkeypatch.setattr(tabular, "MAX_ROWS", 10)
+    assert "at most 10 are read" in refusal(tmp_path, LINE + "5,10\n" * 20)
+
+
+def test_data_hash_follows_the_content_only(tmp_path):
+    first = read(tmp_path, LINE).data_hash
+    assert read(tmp_path, LINE).data_hash == first
+    assert read(tmp_path, LINE + "5,10\n").data_hash != first
+
+
+ECOFLEX = Spec(
+    file="ecoflex_compression/ef10_time_compression_load.csv.gz",
+    columns={"displacement": "compression_mm", "force": "load_N"},
+    block="phantom",
+    average=("repeat",),
+    range=Range("percent", 1, 20),
+    points=200,
+    fit={"specimen": "A"},
+    score={"specimen": "B"},
+    swap=True,
+)
+
+
+def test_ecoflex_is_read_whole(data_dir):
+    found = read_measurements(ECOFLEX, data_dir, 30.0)
+    assert len(found.blocks) == 9
+    assert len(found.tests) == 90
+    assert all(len(found.pairs(block)) == 2 for block in found.blocks)
+
+
+def test_ecoflex_force_at_6_mm_is_the_published_one(data_dir):
+    """EXTERNAL: the force at 6 mm that was interpolated from the same tests by others."""
+    import pandas as pd
+
+    table = pd.read_csv(data_dir / "ecoflex_compression" / "factorial_3x5_force6mm.csv")
+    found = read_measurements(ECOFLEX, data_dir, 30.0)
+    ours = {
+        tuple(t.groups[n] for n in ("phantom", "specimen", "repeat")): t.force_N[-1]
+        for t in found.tests
+    }
+    compared = 0
+    for row in table[table["family"] == 10].itertuples():
+        name = f"EF10_{row.thinner_pct:g}T".replace(".", "_")
+        # the table is printed to 4 decimals
+        assert ours[name, row.specimen, str(row.repeat)] == pytest.approx(row.F_at_6mm_N, abs=6e-5)
+        compared += 1
+    assert compared == 50

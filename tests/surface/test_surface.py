@@ -1,0 +1,292 @@
+"""Surface files: what is read, what is mended, what is refused, and in which words."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.fem.contact.collocation import touch_mm
+from study.fem.contact.constraints import pins, rigid_motions
+from study.setup.geometry import Cone, Sphere, Surface
+from study.surface.integrity import first_intersection
+from study.surface.surface import body
+from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
+
+
+def refusal(path: Path, shape: Shape) -> str:
+    """What is said about a surface that cannot be used."""
+    with pytest.raises(InputError) as caught:
+        body(Surface(write(path, shape)))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
+def test_every_format_gives_the_same_body(tmp_path: Path, suffix: str) -> None:
+    found = body(Surface(write(tmp_path / f"box{suffix}", box(10, 8, 6))))
+    # single precision of a binary STL
+    assert found.volume_mm3 == pytest.approx(480, rel=1e-6)
+    assert found.height_mm == pytest.approx(6, rel=1e-6)
+    assert (found.plate_area_mm2("top"), found.plate_area_mm2("base")) == pytest.approx((80, 80))
+    assert found.half_width_mm == pytest.approx(4)
+    assert found.notes == ()
+
+
+def test_text_and_binary_stl_agree(tmp_path: Path) -> None:
+    shape = cylinder(10, 12, 32)
+    binary = body(Surface(write(tmp_path / "b.stl", shape)))
+    text = body(Surface(write(tmp_path / "t.stl", shape, text=True)))
+    assert len(binary.points) == len(text.points) == 66
+    # half the product of radius squared and the sine of a segment's angle, times the segments
+    exact = 32 * 50 * np.sin(2 * np.pi / 32) * 12
+    assert binary.volume_mm3 == pytest.approx(exact, rel=1e-6)
+    assert text.volume_mm3 == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axis", "height"), [("z", 6), ("-z", 6), ("x", 10), ("-x", 10), ("y", 8), ("-y", 8)]
+)
+def test_any_axis_may_point_up(tmp_path: Path, axis: str, height: float) -> None:
+    file = write(tmp_path / "box.obj", box(10, 8, 6))
+    found = body(Surface(file, axis=axis))
+    assert found.height_mm == pytest.approx(height)
+    assert found.volume_mm3 == pytest.approx(480)  # positive: a rotation, no mirror image
+    assert found.touches("base")
+    assert found.touches("top")
+
+
+def test_an_axis_that_points_down_puts_the_top_below(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    points[4:, :2] *= 0.5  # a frustum, narrow above
+    file = write(tmp_path / "frustum.obj", (points, triangles))
+    assert body(Surface(file)).plate_area_mm2("top") == pytest.approx(20)
+    assert body(Surface(file, axis="-z")).plate_area_mm2("base") == pytest.approx(20)
+
+
+def test_unit_and_place_do_not_matter(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    file = write(tmp_path / "box.ply", (points / 25.4 + [3, -2, 5], triangles))
+    found = body(Surface(file, unit="in"))
+    assert found.points.min(axis=0) == pytest.approx([-5, -4, 0])
+    assert found.points.max(axis=0) == pytest.approx([5, 4, 6])
+    assert found.lowest_mm == pytest.approx(5 * 25.4)
+    pressed = body(Surface(file, unit="in", press_x_mm=3 * 25.4 + 1, press_y_mm=-2 * 25.4))
+    assert pressed.half_width_mm == pytest.approx(4)  # 4 to the right, 4 to the back
+    assert pressed.points[:, 0].min() == pytest.approx(-6)
+
+
+def test_an_implausible_size_is_said(tmp_path: Path) -> None:
+    file = write(tmp_path / "box.obj", box(10, 8, 6))
+    assert "is it really in m?" in body(Surface(file, unit="m")).notes[0]
+    assert "1e+04 x 8000 x 6000 mm" in body(Surface(file, unit="m")).notes[0]
+    with pytest.raises(InputError, match="'kPa' is no unit of length"):
+        body(Surface(file, unit="kPa"))
+
+
+def test_turned_triangles_are_mended_and_said(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    one = triangles.copy()
+    one[3] = one[3, ::-1]
+    found = body(Surface(write(tmp_path / "one.obj", (points, one))))
+    assert found.notes == ("specimen.file: 1 of 12 triangles faced inward and were turned",)
+    assert found.volume_mm3 == pytest.approx(480)
+    whole = body(Surface(write(tmp_path / "all.obj", (points, triangles[:, ::-1]))))
+    assert "inside out" in whole.notes[0]
+    assert whole.volume_mm3 == pytest.approx(480)
+
+
+def test_a_hole(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    said = refusal(tmp_path / "box.obj", (points, triangles[:-1]))
+    # triangle (1, 7, 5): corners (5, -4, 0), (5, 4, 6), (5, -4, 6)
+    assert "3 open edges around 1 hole, the largest near (5, -1.3333, 4) mm" in said
+
+
+def test_an_edge_of_three_triangles(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    fin = (np.vstack([points, [[0, 0, 20]]]), np.vstack([triangles, [[4, 5, 8]]]))
+    said = refusal(tmp_path / "fin.obj", fin)
+    assert "1 edges belong to more than two triangles (first near (0, -4, 6) mm)" in said
+    assert "2 open edges" in said
+
+
+def test_two_bodies_and_a_cavity(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    said = refusal(tmp_path / "two.obj", joined((points, triangles), (points + 20, triangles)))
+    assert "holds 2 separate surfaces, with 12, 12 triangles" in said
+    inside = (points * 0.5 + [0, 0, 1], triangles[:, ::-1])
+    assert "without cavities" in refusal(tmp_path / "hollow.obj", joined(box(10, 8, 6), inside))
+
+
+def test_boxes_that_meet_in_a_corner(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    said = refusal(tmp_path / "corner.obj", joined(box(10, 8, 6), (points + [10, 8, 6], triangles)))
+    assert "separate surfaces" in said  # joined by a point alone is not joined
+
+
+def test_a_pinched_surface(tmp_path: Path) -> None:
+    # the upper pole of a sphere is pushed down onto the lower one
+    points, triangles = sphere(5, 2)
+    points[2] = points[5]
+    assert "touches itself at 1 points (first at (0, 0, -5) mm)" in refusal(
+        tmp_path / "pinch.obj", (points, triangles)
+    )
+
+
+def test_a_surface_that_passes_through_itself(tmp_path: Path) -> None:
+    points, triangles = sphere(5, 2)
+    points[2] = [0, 0, -7]
+    said = refusal(tmp_path / "through.obj", (points, triangles))
+    assert "passes through itself: triangles" in said
+    assert "-4.9" in said or "-4.8" in said or "-5" in said  # where the spike leaves the sphere
+
+
+def test_one_pair_of_crossing_triangles_is_named() -> None:
+    points = np.array(
+        [[0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1], [9, 9, 0], [7, 7, 7], [8, 7, 7]]
+        + [[7, 8, 7]],
+        dtype=float,
+    )
+    found = first_intersection(points, np.array([[6, 7, 8], [3, 4, 5], [0, 1, 2]]))
+    assert found is not None
+    first, second, place, count = found
+    assert (first, second, count) == (1, 2, 1)
+    assert place[2] == pytest.approx(0)
+    above = points + np.where(np.arange(9) < 3, 5.0, 0.0)[:, None] * [0, 0, 1]
+    assert first_intersection(above, np.array([[6, 7, 8], [3, 4, 5], [0, 1, 2]])) is None
+
+
+def test_overlapping_triangles_in_one_plane() -> None:
+    points = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [4, 4, 0], [1, 1, 0]], dtype=float)
+    neighbors = np.array([[0, 1, 2], [1, 3, 2]])
+    assert first_intersection(points, neighbors) is None  # they share an edge
+    assert first_intersection(points, np.array([[0, 1, 2], [1, 3, 4]])) is not None
+
+
+def test_coordinates_that_are_no_numbers(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    points[3, 0] = np.nan
+    assert "coordinates that are no numbers (first: 1)" in refusal(
+        tmp_path / "nan.obj", (points, triangles)
+    )
+    points[3, 0] = np.inf
+    assert "no numbers" in refusal(tmp_path / "inf.stl", (points, triangles))
+
+
+def test_degenerate_triangles(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    flat = (points, np.vstack([triangles, [[4, 4, 5]]]))
+    assert "1 triangles have no area (first: triangle 13" in refusal(tmp_path / "flat.obj", flat)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("empty.stl", b"", "is empty"),
+        ("text.stl", b"this is no surface\nat all\n", "is malformed"),
+        ("noise.stl", bytes(range(256)) * 8, "is malformed"),
+        (
+            "short.stl",
+            b"\0" * 80 + b"\x05\0\0\0" + b"\0" * 60,
+            "promises 5 triangles, it has room for 1.2",
+        ),
+        ("cut.stl", b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0", "is malformed"),
+        ("endless.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "its header has no end"),
+        (
+            "bomb.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 999999999999\nend_header\n",
+            "promises more",
+        ),
+        ("range.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a point that is not there"),
+        ("quads.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", "no triangles"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles"),
+        ("box.step", b"ISO-10303-21;", "must end in .stl, .ply, .obj"),
+    ],
+)
+def test_files_that_are_no_surfaces(tmp_path: Path, name: str, content: bytes, said: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        body(Surface(str(path)))
+
+
+def test_a_file_cut_or_changed_anywhere_ends_in_words(tmp_path: Path) -> None:
+    rng, refusals = np.random.default_rng(7), 0
+    for k in range(150):
+        path = tmp_path / f"shape{('.stl', '.ply', '.obj')[k % 3]}"
+        write(path, cylinder(10, 12, 8), text=bool(k % 2))
+        raw = bytearray(path.read_bytes())
+        for place in rng.integers(len(raw), size=3):
+            raw[place : place + int(rng.integers(3))] = rng.bytes(int(rng.integers(4)))
+        path.write_bytes(raw[: int(rng.integers(1, 2 * len(raw)))])
+        try:
+            assert body(Surface(str(path))).volume_mm3 > 0
+        except InputError:  # anything else is a bug
+            refusals += 1
+    assert refusals > 100
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        body(Surface(str(tmp_path / "none.stl")))
+
+
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "box.obj"
+    assert body(Surface(write(path, box(10, 8, 6)))).height_mm == pytest.approx(6)
+    assert body(Surface(write(path, box(10, 8, 16)))).height_mm == pytest.approx(16)
+
+
+def test_thirty_thousand_triangles_in_seconds(tmp_path: Path) -> None:
+    file = write(tmp_path / "sphere.stl", sphere(5, 6))
+    began = time.perf_counter()
+    found = body(Surface(file))
+    # 1.1 s on one core with compiled loops; compiling them takes a few more
+    assert time.perf_counter() - began < 30
+    assert len(found.triangles) == 32768
+    assert found.volume_mm3 == pytest.approx(4 / 3 * np.pi * 125, rel=1e-3)
+    assert not found.touches("top")
+
+
+def test_faces_nearly_in_a_plate_are_put_into_it(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    points[4:, 2] += [0, 2e-4, -1e-4, 3e-4]  # 5e-5 of the height: a scanned face
+    found = body(Surface(write(tmp_path / "rough.obj", (points, triangles))))
+    assert found.plate_area_mm2("top") == pytest.approx(80)
+    assert np.ptp(found.points[np.unique(found.triangles[found.top]), 2]) == 0
+    points[4:, 2] += [0, 2e-2, -1e-2, 3e-2]
+    file = write(tmp_path / "rougher.obj", (points, triangles))
+    assert not body(Surface(file)).touches("top")
+    assert body(Surface(file, plate_tolerance_mm=0.1)).touches("top")
+
+
+def test_where_an_indenter_first_touches_a_slope() -> None:
+    # a sphere of radius R on a plane with slope t about the axis: R / cos t - R above it
+    far, slope = 20.0, np.radians(20)
+    corners = np.array([[-far, -far], [far, -far], [0, 2 * far]])
+    triangle = np.column_stack([corners, 5 + np.tan(slope) * corners[:, 0]])[None]
+    touch = touch_mm(Sphere(3), triangle, 10)
+    # 14 halvings of the triangle's sides; the difference is quadratic in the place
+    assert touch == pytest.approx(5 + 3 / np.cos(slope) - 3, abs=1e-5)
+    # a sharp cone of 45 deg touches a slope below its own with its tip
+    assert touch_mm(Cone(45), triangle, 10) == pytest.approx(5, abs=1e-2)
+    with pytest.raises(InputError, match="misses the specimen"):
+        touch_mm(Sphere(3), triangle + [30, 0, 0], 10)
+
+
+def test_pins_hold_what_is_left_and_no_more() -> None:
+    places = np.random.default_rng(1).uniform(-1, 1, (40, 3))
+    assert len(pins(places, 40, {})) == 6
+    lying = places.copy()
+    lying[:10, 2] = -1
+    plate = {3 * n + 2: 0.0 for n in range(10)}
+    found = pins(lying, 30, plate)
+    assert len(found) == 3  # along the plate, and about its normal
+    assert (found < 90).all()
+    rows = rigid_motions(lying)[sorted({*plate, *found.tolist()})]
+    assert np.linalg.matrix_rank(rows) == 6
+    clamp = {3 * n + i: 0.0 for n in range(10) for i in range(3)}
+    assert pins(lying, 30, clamp).size == 0
