@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from study.study_result.report_data import ResponseAnalysis
     from study.study_result.study_result import StudyResult
 
-_MATTERS, _NO_DIFFERENCE, _CANNOT_TELL = "matters", "no practical difference", "cannot tell"
+_MATTERS = "matters"
+_NO_DIFFERENCE = "no practical difference"
+_CANNOT_TELL = "cannot tell"
 _HOLDS = {_MATTERS: comparison.MATTERS, _NO_DIFFERENCE: comparison.NO_DIFFERENCE}
 
 

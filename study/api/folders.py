@@ -7,7 +7,8 @@ from pathlib import Path
 from study.design.load import load
 from study.errors import Fault, InputError
 
-RESULTS, REPORTS = Path("results"), Path("reports")
+RESULTS = Path("results")
+REPORTS = Path("reports")
 
 
 def data_root(source: str | Path, data: str | Path | None = None) -> Path:

@@ -82,7 +82,8 @@ def analyze_records(
 
 #: spread over the meshes of a cell, over the response, below which the mesh does not enter
 _SAME = 1e-12
-_NOISE, _MESH = "noise_seed", "mesh_seed"
+_NOISE = "noise_seed"
+_MESH = "mesh_seed"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from study.arrays import Array
 
 #: V39: a warning is due above these
-CAUTION_CORRELATION, CAUTION_CONDITION = 0.95, 100.0
+CAUTION_CORRELATION = 0.95
+CAUTION_CONDITION = 100.0
 
 #: V39: not identifiable above this
 LIMIT_CORRELATION = 0.99

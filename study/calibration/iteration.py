@@ -349,7 +349,8 @@ class Status(Enum):
 
 #: share of the full Gauss-Newton step, and scaled length relative to the parameters, within
 #: which no smooth model turns its gradient
-SHORT, SMALL = 0.01, 1e-3
+SHORT = 0.01
+SMALL = 1e-3
 
 #: shares of the step along the surface that are tried
 SHARES = (1.0, 0.25, 0.06)

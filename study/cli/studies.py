@@ -25,7 +25,8 @@ Set = Annotated[
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
-RESULTS, REPORTS = Path("results"), Path("reports")
+RESULTS = Path("results")
+REPORTS = Path("reports")
 
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6

@@ -37,7 +37,8 @@ from study.errors import nearest
 Made = tuple[tuple[Factor, ...], Scheme]
 
 #: factors of a two-level design: every product of its columns is formed
-MAX_FRACTION, MAX_SCREENED = 12, 15
+MAX_FRACTION = 12
+MAX_SCREENED = 15
 MAX_RUNS = 1024
 
 

@@ -29,7 +29,8 @@ from study.design.spec import Config
 from study.errors import InputError
 from study.material.energy import ENERGIES, MODELS, constant_names
 
-LENGTH, PRESSURE = quantity("length"), quantity("pressure")
+LENGTH = quantity("length")
+PRESSURE = quantity("pressure")
 LENGTH_OR_ZERO = quantity("length", closed=True)
 PLACE = quantity("length", -math.inf)
 INTERFACE = choice("frictionless", "bonded", synonyms={"lubricated": "frictionless"})

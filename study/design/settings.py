@@ -51,7 +51,8 @@ MAX_RESPONSES = 50
 
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
-SEEDS, RESAMPLES = (5, 1000), (20, 10_000)
+SEEDS = (5, 1000)
+RESAMPLES = (20, 10_000)
 
 
 def response_unit(name: str) -> str | None:

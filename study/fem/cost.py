@@ -34,7 +34,8 @@ _SHARE = 0.8
 _LIBRARIES_MB = 190.0
 
 #: cells of gmsh in a square or a cube of one size
-_PER_SQUARE, _PER_CUBE = 2.4, 5.3
+_PER_SQUARE = 2.4
+_PER_CUBE = 5.3
 
 #: unknowns per cell of a large mesh: (shape, order) by dimension; the second without pressures
 _UNKNOWNS = {
@@ -226,7 +227,8 @@ def _edges(field: SizeField, at: float) -> tuple[float, ...]:
 
 
 #: Newton iterations of a load step: between plates, and where contact has to be found
-_ITERATIONS, _CONTACT_ITERATIONS = 4, 4
+_ITERATIONS = 4
+_CONTACT_ITERATIONS = 4
 
 #: an iteration with linear elements over one with quadratic ones of as many unknowns, in a mesh
 #: that is graded around an indenter: their matrices hold a third of the entries

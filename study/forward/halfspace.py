@@ -19,7 +19,8 @@ from study.fem.contact.rigid_surface import Line, Profile, profile
 from study.setup.geometry import Cone, Flat, Indenter
 
 #: points of the quadrature over the contact, and contact radii that are tabulated
-_POINTS, _RADII = 64, 400
+_POINTS = 64
+_RADII = 400
 
 #: contact radius over height up to which the series of a thick layer holds
 _SERIES_ENDS = 1.0

@@ -20,7 +20,8 @@ from study.errors import StoreError
 LOCK_NAME = ".lock"
 
 #: what the lock file says of its owner, and the bytes that this and its progress take
-_OWNER, _LENGTH = ("pid", "host", "since"), 512
+_OWNER = ("pid", "host", "since")
+_LENGTH = 512
 
 
 @contextmanager

@@ -16,11 +16,15 @@ from study.runner.response import constants_only
 _OVERHEAD_S = 0.02
 
 #: forward solutions of a fit in units of a cold one; the later ones start from the one before
-_SOLVES_LINEAR, _SOLVES_FIRST, _SOLVES_PER_CONSTANT = 1.5, 2.0, 0.7
+_SOLVES_LINEAR = 1.5
+_SOLVES_FIRST = 2.0
+_SOLVES_PER_CONSTANT = 0.7
 
 #: a prediction that starts from the solution of its cell, in units of a cold one: where forces
 #: scale with the one constant, between plates, and under an indenter, where contact is found anew
-_SCALED, _FROM_ANCHOR, _FROM_ANCHOR_INDENTED = 0.1, 0.25, 0.6
+_SCALED = 0.1
+_FROM_ANCHOR = 0.25
+_FROM_ANCHOR_INDENTED = 0.6
 
 
 class Costs:

@@ -28,7 +28,8 @@ SUFFIXES = (".stl", ".ply", ".obj")
 MAX_BYTES = 200 * 1024**2
 
 #: bytes of a binary STL before its triangles, and of each of them
-_STL_HEADER, _STL_TRIANGLE = 84, 50
+_STL_HEADER = 84
+_STL_TRIANGLE = 50
 
 #: bytes of a PLY header, comments included
 _PLY_HEADER = 64 * 1024

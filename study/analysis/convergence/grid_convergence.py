@@ -20,7 +20,8 @@ from study.canonical import plain
 from study.errors import Fault, InputError
 
 __all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
-_SAFE, _CAUTIOUS = 1.25, 3.0
+_SAFE = 1.25
+_CAUTIOUS = 3.0
 _MIN_ORDER = 0.5
 _MIN_RATIO = 1.3
 

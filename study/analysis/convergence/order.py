@@ -19,7 +19,8 @@ RESOLVED_ORDER = 0.05
 
 #: two triples of meshes that differ by less in order are in the asymptotic range
 SAME_ORDER = 0.3
-_LOWEST, _HIGHEST = 0.05, 20.0
+_LOWEST = 0.05
+_HIGHEST = 20.0
 
 
 def classify(h: Array, f: Array, tolerance: float = 0.0) -> str:

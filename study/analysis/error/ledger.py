@@ -25,7 +25,9 @@ from study.analysis.sums_of_squares import (
 )
 from study.analysis.unreplicated import LenthResult
 
-POOLED, OWN, NONE = "pooled", "own", "none"
+POOLED = "pooled"
+OWN = "own"
+NONE = "none"
 REMEDIES = (
     "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
     "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "

@@ -254,7 +254,8 @@ def _side_points(
 
 
 #: subdivisions of the triangles where an indenter could touch first, and how many are kept
-_DIVISIONS, _KEPT = 14, 48
+_DIVISIONS = 14
+_KEPT = 48
 
 #: points of a triangle in halves: its corners and the middles of its sides, and the quarters
 _HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])

@@ -20,7 +20,8 @@ import scipy.sparse as sp
 from study.arrays import Array, Flags, Ints
 
 #: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
-STIFFNESS, SWITCHING = 4e4, 20.0
+STIFFNESS = 4e4
+SWITCHING = 20.0
 
 
 class RigidSurface(Protocol):

@@ -12,7 +12,9 @@ import numpy as np
 from study.arrays import Array, Unknowns
 from study.compilation import FAST, part
 
-ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+ONE = np.uint64(1)
+TWO = np.uint64(2)
+THREE = np.uint64(3)
 
 
 @part()

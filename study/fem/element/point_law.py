@@ -12,7 +12,10 @@ from study.fem.element.spectral import BY_EXPONENT, STRESS, ogden_stress, ogden_
 
 #: what the rows of an energy's constants mean: C_ij; (mu, alpha); the same, for the sum of
 #: d(stress)/dalpha; a single shear modulus of small strain
-POLYNOMIAL, OGDEN, OGDEN_BY_EXPONENT, LINEAR = 0, 1, 2, 3
+POLYNOMIAL = 0
+OGDEN = 1
+OGDEN_BY_EXPONENT = 2
+LINEAR = 3
 
 
 @part()

@@ -161,7 +161,8 @@ Slabs = tuple[Elements, ...]
 
 #: quadrature points of a slab that are worth a thread's while, and numbers of slabs: two, four or
 #: eight threads have the same work
-_WORTH, _COUNTS = 5_000, (16, 8, 4)
+_WORTH = 5_000
+_COUNTS = (16, 8, 4)
 
 
 def slabs(space: Discretization) -> tuple[Slabs, ...]:

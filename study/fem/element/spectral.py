@@ -20,7 +20,8 @@ from study.arrays import Array
 from study.compilation import FAST, part
 
 #: what a column of constants does: stress of W, or of dW/dalpha
-STRESS, BY_EXPONENT = 0, 1
+STRESS = 0
+BY_EXPONENT = 1
 
 #: scratch rows of nine numbers that every law can do with
 WORK_ROWS = 27

@@ -33,7 +33,8 @@ from study.setup.geometry import Block, Cone, Cylinder, Flat
 from study.setup.setup import Problem
 
 #: gmsh's numbers: frontal triangles, Delaunay tetrahedra
-_FRONTAL, _DELAUNAY = 6, 1
+_FRONTAL = 6
+_DELAUNAY = 1
 
 #: sizes of grids along the top and along the axis under a cone, over those of the field: what
 #: begins tall ends less flat where a needle stretches the surface to three times its length

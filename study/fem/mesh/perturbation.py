@@ -28,7 +28,8 @@ Table = dict[tuple[int, int], list[tuple[int, ...]]]
 FRACTION = {2: 0.2, 3: 0.15}
 
 #: smallest volume of an element corner over that before; nodes of flatter elements go back
-_KEPT, _TRIES = 0.3, 12
+_KEPT = 0.3
+_TRIES = 12
 
 #: out of the plane of a facet, over the size of the specimen
 _FLAT = 1e-9

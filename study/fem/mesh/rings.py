@@ -23,7 +23,8 @@ Size = Callable[[Array], Array]
 
 #: half-width of the middle block over the radius of the face, and its corner over its half-width:
 #: its corners then open to some 120 deg, as where three cells meet
-CORE, BULGE = 0.7, 1.15
+CORE = 0.7
+BULGE = 1.15
 
 #: growth of sizes inward from the edge over that outward: material that is held moves with the
 #: face, and what the force owes to its sizes is small (0.02 % at a growth of 0.5)

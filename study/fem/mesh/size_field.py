@@ -20,28 +20,35 @@ from study.setup.geometry import Cone, Flat, Indenter, Sphere
 from study.setup.setup import Model, mesh_level
 
 #: elements across the contact radius, and across the radius of a rounded tip or edge
-_PER_CONTACT, _PER_TIP, _PER_EDGE, _PER_SHARP_EDGE = 7.0, 4.0, 3.0, 30.0
+_PER_CONTACT = 7.0
+_PER_TIP = 4.0
+_PER_EDGE = 3.0
+_PER_SHARP_EDGE = 30.0
 
 #: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
 #: still, within a smaller part: the surface is stretched three times there, five times if its
 #: energy softens in tension, and facets as wide as the tip let it snap (linear and tensor elements
 #: collapse the sooner the smaller they are)
 _TIP_ZONE = 1.5
-_TIP_FINER, _TIP_CORE = 7.0, {"axisymmetric": 0.3, "3d": 0.2}
+_TIP_FINER = 7.0
+_TIP_CORE = {"axisymmetric": 0.3, "3d": 0.2}
 _STRETCHED = ("quadratic", "simplex")
 
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
-_EVEN, _EVEN_GROWTH = 4.0, 0.12
+_EVEN = 4.0
+_EVEN_GROWTH = 0.12
 
 #: up to this depth over the radius the last of them is halved, and with it the error; deeper,
 #: the smaller an element at a sharp edge is, the sooner it collapses
 _SHALLOW = 0.1
 
 #: growth beyond a ring of hexahedra, and how much finer they are across a sharp edge
-_RING_GROWTH, _RING_FINER = 0.27, 3.0
+_RING_GROWTH = 0.27
+_RING_FINER = 3.0
 
 #: how fast sizes grow away from the contact, and the largest part of the specimen
-_GROWTH, _LARGEST = 0.4, 0.3
+_GROWTH = 0.4
+_LARGEST = 0.3
 
 
 @dataclass(frozen=True)

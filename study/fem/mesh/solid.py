@@ -35,7 +35,8 @@ GRADED_PER_LENGTH = 6.5
 _LOST = 0.05
 
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
-_PER_CUBE, _UNKNOWNS = 6.0, {"quadratic": 5.0, "linear": 4.0}
+_PER_CUBE = 6.0
+_UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 
 
 def surface_mesh(problem: Problem) -> Mesh:

@@ -15,7 +15,8 @@ from study.errors import InputError
 from study.setup.geometry import Block, Cylinder, Specimen
 
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
-CORNER_FRACTION, GROWTH = 0.2, 0.35
+CORNER_FRACTION = 0.2
+GROWTH = 0.35
 
 
 def volume_mm3(specimen: Specimen) -> float:

@@ -20,7 +20,8 @@ from study.fem.mesh.structured import CORNER_FRACTION, GROWTH
 from study.surface.surface import Body
 
 #: steps of the table in an element, and the most of them along an edge of the bounding box
-_PER_ELEMENT, _MOST = 4.0, 64
+_PER_ELEMENT = 4.0
+_MOST = 64
 
 #: size that gmsh is told over that of the cells it should be as many as; it follows sizes that
 #: grow within an element but in part (measured: 8 octants of a cylinder of R 10 and H 12 mm have

@@ -22,17 +22,26 @@ from study.fem.solver.system import State, System
 from study.material.ellipticity import always_elliptic, ellipticity
 
 #: steps in all, and plain solves that may fail before it is given up
-_STEPS, _TRIALS = 60, 6
+_STEPS = 60
+_TRIALS = 6
 
 #: drag over the diagonal of the tangent: at first, where it hardly counts, and where it is hopeless
-_FIRST, _LITTLE, _MOST = 0.05, 1e-4, 1e3
+_FIRST = 0.05
+_LITTLE = 1e-4
+_MOST = 1e3
 
 #: it falls after an easy step, grows after a hard one and more so after one that failed
-_EASY, _HARD = 6, 10
-_LESS, _MORE, _MUCH_MORE = 0.25, 1.5, 5.0
+_EASY = 6
+_HARD = 10
+_LESS = 0.25
+_MORE = 1.5
+_MUCH_MORE = 5.0
 
 #: tolerances of a step that leads to the next, and its iterations, also while contact changes
-_TOLERANCE, _GAP, _ITERATIONS, _SWITCHING = 1e-3, 2e-5, 15, 25
+_TOLERANCE = 1e-3
+_GAP = 2e-5
+_ITERATIONS = 15
+_SWITCHING = 25
 
 #: motion over the size of an element below which a place is nearly one of equilibrium
 _STILL = 1e-3

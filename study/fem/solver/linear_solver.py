@@ -166,16 +166,23 @@ _BACKWARD = 1e-11
 
 #: operations of a factorization in the time that a back-substitution takes for an entry, and
 #: what a factorization does with an entry besides, in the same time
-_PER_ENTRY, _BESIDES = 38.0, 5.0
+_PER_ENTRY = 38.0
+_BESIDES = 5.0
 
 #: parameters of PARDISO: the ordering, perturbed pivots, entries, operations
-_ORDERING, _PERTURBED, _ENTRIES, _MILLIONS = 2, 14, 18, 19
+_ORDERING = 2
+_PERTURBED = 14
+_ENTRIES = 18
+_MILLIONS = 19
 
 #: the one that asks for single precision
 _PRECISION = 28
 
 #: phases: analysis, factorization, solution, release of all memory
-_ANALYZE, _FACTORIZE, _SOLVE, _RELEASE = 11, 22, 33, -1
+_ANALYZE = 11
+_FACTORIZE = 22
+_SOLVE = 33
+_RELEASE = -1
 
 #: PARDISO's number for a lack of memory
 _NO_MEMORY = -2

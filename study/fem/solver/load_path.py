@@ -25,7 +25,9 @@ _FARTHEST = 1.7
 
 #: shares of its last value to which J may fall: in a step (below it, what was found is a folded
 #: surface and not the next state), in an extrapolation, and in a start from an earlier solve
-_LEAPT, _EXTRAPOLATED, _MOVED = 0.25, 0.3, 0.5
+_LEAPT = 0.25
+_EXTRAPOLATED = 0.3
+_MOVED = 0.5
 
 #: smallest step of an energy that has lost its ellipticity over that of any other
 _BEYOND = 8.0

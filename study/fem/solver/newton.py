@@ -12,15 +12,19 @@ from study.fem.solver.linear_solver import SingularMatrixError
 from study.fem.solver.system import Assembly, State, System
 
 #: iterations after which a residual that was never below the next figure is given up
-_HOPELESS, _FAR = 9, 0.1
+_HOPELESS = 9
+_FAR = 0.1
 
 #: relative residual below which contact may be decided point by point, and below which the
 #: tangent changes little from one iteration to the next
-_CALM, _STEADY = 0.01, 0.1
+_CALM = 0.01
+_STEADY = 0.1
 
 #: linear solves by an older factorization end at a share of what the Newton iteration itself
 #: leaves, its residual squared, or at a share of the tolerance; and below the last in any case
-_LINEAR, _AT_LAST, _LOOSEST = 0.03, 0.1, 0.01
+_LINEAR = 0.03
+_AT_LAST = 0.1
+_LOOSEST = 0.01
 
 #: the same where the tangent is no near one of the next state's
 _ROUGH = 1e-3

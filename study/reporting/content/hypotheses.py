@@ -38,7 +38,8 @@ from study.study_result.report_data import ReportData
 if TYPE_CHECKING:
     import pandas as pd
 
-HOLDS, FAILS = "holds", "does not hold"
+HOLDS = "holds"
+FAILS = "does not hold"
 _OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
 _UNKNOWN = "the study has no answer"
 

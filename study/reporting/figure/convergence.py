@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 Document = Mapping[str, Any]
 
 #: more panels than these are no picture any more; the table has them all
-MOST_PANELS, COLUMNS = 12, 4
+MOST_PANELS = 12
+COLUMNS = 4
 
 
 def label_of(cell: Document) -> str:

@@ -247,7 +247,8 @@ def _curve_legend(figure: Canvas, found: CurvePanels, data: ReportData) -> None:
     )
 
 
-_COLUMNS, _MOST = 3, 12
+_COLUMNS = 3
+_MOST = 12
 
 
 @dataclass(frozen=True)

@@ -252,7 +252,8 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     return figure
 
 
-_ACTIVE, _PASSIVE = "#D55E00", "#0072B2"
+_ACTIVE = "#D55E00"
+_PASSIVE = "#0072B2"
 _MOST_BARS = 31
 _HALF_NORMAL_SIMULATIONS = 2000
 

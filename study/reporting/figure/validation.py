@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 Row = Mapping[str, Any]
-MOST_PANELS, COLUMNS = 12, 4
+MOST_PANELS = 12
+COLUMNS = 4
 
 
 def label_of(row: Row) -> str:

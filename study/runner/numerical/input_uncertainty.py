@@ -244,7 +244,8 @@ def _force(record: Record) -> Array:
 
 
 #: how many load steps replace one, and how much looser than usual the solver is
-STEPS, LOOSER = (1, 2, 4), (1.0, 10.0, 100.0)
+STEPS = (1, 2, 4)
+LOOSER = (1.0, 10.0, 100.0)
 
 
 def source_tasks(config: Mapping[str, Any], size_mm: float) -> list[dict[str, Any]]:

@@ -26,7 +26,8 @@ def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa
 
 
 #: an order needs as many meshes, and no series gets longer than this
-FEWEST, MOST = 3, 10
+FEWEST = 3
+MOST = 10
 
 #: part of the free memory that a solution may take
 MEMORY_SHARE = 0.7
