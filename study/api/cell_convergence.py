@@ -12,6 +12,7 @@ from study.api.folders import data_root
 from study.canonical import digest
 from study.design.cases import case_id, treatments
 from study.design.load import load
+from study.execution.task import Executor
 from study.record.store import Store
 from study.runner import build, provenance
 from study.runner.batch import default_jobs, run_batch
@@ -200,7 +201,7 @@ def measured_cells(
     progress: Progress,
     *,
     reports: Path | None = None,
-    command: Sequence[str] | None = None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     from dataclasses import asdict, replace
@@ -213,7 +214,7 @@ def measured_cells(
     progress(f"{len(bases)} cells, {len(finer.jobs)} refined cases besides")
     for part in (replace(work, jobs=tuple(bases)), finer):
         if part.jobs:
-            run_batch(part, store, jobs=jobs, command=command, progress=_said(progress))
+            run_batch(part, store, jobs=jobs, executor=executor, progress=_said(progress))
     hashes = {**work.input_hashes, **finer.input_hashes}
     records = store.by_case(hashes)
     names = [response.name for response in design.responses]

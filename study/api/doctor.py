@@ -9,9 +9,10 @@ from collections.abc import Callable
 from importlib import metadata
 from typing import Any
 
+from study.execution.task import Task
 from study.forward import closed_form, finite_element
 from study.runner import build
-from study.runner.pool import Task, run_tasks
+from study.runner.tasks import processes
 
 _NEEDED = ("numpy", "scipy", "pandas", "numba", "skfem", "meshio", "matplotlib", "statsmodels")
 _SYSTEM_LIBRARIES = (
@@ -96,6 +97,6 @@ def _solve() -> tuple[str, str]:
 
 
 def _worker() -> tuple[str, str]:
-    (outcome,) = run_tasks([Task("ping", lambda _: {"kind": "ping"})], jobs=1, timeout_s=60.0)
+    (outcome,) = processes(1, 60.0).run([Task("ping", lambda _: {"kind": "ping"})])
     good = outcome.result["status"] == "converged"
     return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from study.execution.task import Executor, Outcome, Task
 from study.record.record import Record
 from study.record.store import Store
 from study.runner.case import blank
@@ -22,7 +23,7 @@ from study.runner.cost import Costs, Pace, same_model
 from study.runner.expansion import for_workers
 from study.runner.fitting import fit_task
 from study.runner.job import CaseJob, FitJob, Work
-from study.runner.pool import Outcome, Task, run_tasks
+from study.runner.tasks import processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
@@ -83,7 +84,7 @@ def run_batch(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
-    command: Sequence[str] | None = None,
+    executor: Executor | None = None,
 ) -> Summary:
     """Compute every case of ``work`` that the store does not hold yet.
 
@@ -95,9 +96,13 @@ def run_batch(
         Called after every finished computation.
     timeout_s : float, optional
         Wall-clock limit of one computation in seconds.
+    executor : Executor, optional
+        Where the computations run; by default ``jobs`` processes of this machine.
 
     Raises
     ------
+    InputError
+        If the limit is not a positive number.
     StoreError
         If another runner holds the store, or it cannot be written.
     KeyboardInterrupt
@@ -106,7 +111,8 @@ def run_batch(
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         run = _Batch(work, store, todo, progress or (lambda _: None))
-        return run.execute(jobs or default_jobs(), timeout_s, command)
+        workers = jobs or default_jobs()
+        return run.execute(workers, executor or processes(workers, timeout_s))
 
 
 def missing(work: Work, store: Store) -> list[CaseJob]:
@@ -158,16 +164,12 @@ class _Batch:
         self.failed = 0
         self.spent = {"fits": 0.0, "cases": 0.0}
 
-    def execute(
-        self, workers: int, timeout_s: float | None, command: Sequence[str] | None
-    ) -> Summary:
+    def execute(self, workers: int, executor: Executor) -> Summary:
         began = time.monotonic()
         tasks, costs = self._tasks(), Costs()
         prices = {task.key: self._price(costs, task.key) for task in tasks}
         pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
-        outcomes = run_tasks(
-            tasks, jobs=workers, finished=self.known, timeout_s=timeout_s, command=command
-        )
+        outcomes = executor.run(tasks, self.known)
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)

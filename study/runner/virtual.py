@@ -35,11 +35,12 @@ from study.curve import Curve
 from study.design.cases import treatments
 from study.design.spec import Design, MeasurementSpec
 from study.errors import Fault, InputError
+from study.execution.loky import Loky
+from study.execution.task import Task
 from study.forward import finite_element
 from study.record.atomic_files import write_atomic
 from study.runner import build, provenance
 from study.runner.job import TRUTH_SUFFIX
-from study.runner.pool import Task, run_tasks
 from study.runner.virtual_truth import TRUTHS, truth
 from study.units import parse
 
@@ -220,7 +221,7 @@ def reference_curve(
         },
         "finer": as_designed and not build.is_homogeneous(config),
     }  # fmt: skip
-    (outcome,) = run_tasks([Task("reference", lambda _: task)], jobs=1)
+    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
     if outcome.result["status"] != "converged":
         message = outcome.result.get("message", "")
         raise InputError(Fault("virtual specimens", f"the reference curve failed: {message}"))

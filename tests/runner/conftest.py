@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +9,17 @@ import pytest
 
 from study.design.load import loads
 from study.design.spec import Design
+from study.execution.loky import Loky
 from study.forward import closed_form
 from study.material.material import Material
+from tests.runner import fake_worker
 
-FAKE = (sys.executable, str(Path(__file__).with_name("fake_worker.py")))
+
+def fake(jobs: int = 2) -> Loky:
+    """Processes with the fake solver."""
+    return Loky(fake_worker.perform, jobs)
+
+
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
 
 DESIGN = """

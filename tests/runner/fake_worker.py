@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import signal
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,7 +17,7 @@ from study.curve import Curve
 from study.fem.mesh.mesher import mesh_size
 from study.fem.solver.energy_balance import EnergyBalance
 from study.forward import closed_form, finite_element
-from study.runner import worker
+from study.runner import tasks
 from study.setup.geometry import Cylinder
 from study.setup.setup import Problem
 
@@ -57,6 +56,7 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
     )  # fmt: skip
 
 
-if __name__ == "__main__":
+def perform(task: dict[str, Any]) -> dict[str, Any]:
+    """Do a task of a study with the fake solver."""
     finite_element.solve = solve
-    worker.main(int(sys.argv[1]))
+    return tasks.perform(task)

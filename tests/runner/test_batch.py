@@ -22,12 +22,12 @@ from study.runner.batch import Progress, Summary, run_batch
 from study.runner.expansion import expand
 from study.runner.job import Work
 
-from .conftest import DESIGN, FAKE, SPECIMEN, TRUTH, make_data, material
+from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
 
 
 def run(work: Work, folder: Path, jobs: int = 2) -> tuple[Summary, list[Record]]:
     store = Store(folder)
-    summary = run_batch(work, store, jobs=jobs, command=FAKE)
+    summary = run_batch(work, store, jobs=jobs, executor=fake(jobs))
     return summary, store.records(work.input_hashes)
 
 
@@ -191,7 +191,7 @@ def test_progress_ends_at_the_total_and_time_left_at_zero(
 ) -> None:
     seen: list[Progress] = []
     store = Store(tmp_path / "results")
-    run_batch(expand(design, one_mix), store, jobs=2, command=FAKE, progress=seen.append)
+    run_batch(expand(design, one_mix), store, jobs=2, executor=fake(2), progress=seen.append)
     assert [p.done for p in seen] == list(range(1, 13))
     assert seen[-1].total == 12
     assert seen[-1].seconds_left == pytest.approx(0.0, abs=1e-6)

@@ -12,7 +12,7 @@ from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.numerical import formal_order, study_refinement
 
-from .conftest import FAKE
+from .conftest import fake
 
 
 def test_the_bonded_neo_hookean_cell_of_the_first_block_is_refined(
@@ -36,7 +36,7 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     finer = study_refinement.refinement_work(work)
     store = Store(tmp_path / "results")
     for part in (work, finer):
-        run_batch(part, store, jobs=2, command=FAKE)
+        run_batch(part, store, jobs=2, executor=fake(2))
     records = {r.case_id: r for r in store.read_all()}
     rows = {r.response: r for r in study_refinement.numerical(work, finer, records, ["mu0"])}
     row = rows["mu0"]

@@ -21,7 +21,7 @@ from study.runner.expansion import expand
 from study.runner.numerical import formal_order, input_uncertainty, study_refinement
 from study.runner.numerical.study_refinement import columns
 
-from .conftest import DESIGN, FAKE
+from .conftest import DESIGN, fake
 
 #: the fake solver is too stiff by this part of the mesh size between bonded plates
 ERROR = 1e-3
@@ -30,7 +30,7 @@ ERROR = 1e-3
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
     found = cell_convergence.measured_cells(
-        design, one_mix, 2, results, lambda _: None, command=FAKE
+        design, one_mix, 2, results, lambda _: None, executor=fake()
     )
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
@@ -107,11 +107,11 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     text += '"specimen.radius" = "0.1 mm"\n"measurements.force" = "0.02 N"\n'
     design = loads(text, "small.toml")
     work, store = expand(design, one_mix), Store(tmp_path / "results")
-    run_batch(work, store, jobs=2, command=FAKE)
-    run_batch(study_refinement.refinement_work(work), store, jobs=2, command=FAKE)
+    run_batch(work, store, jobs=2, executor=fake(2))
+    run_batch(study_refinement.refinement_work(work), store, jobs=2, executor=fake(2))
     moved = input_uncertainty.input_work(work)
     assert {job.extra["input"] for job in moved.jobs} == {"specimen.radius"}
-    run_batch(moved, store, jobs=2, command=FAKE)
+    run_batch(moved, store, jobs=2, executor=fake(2))
     rows = {tuple(r["levels"].values()): r for r in validation.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
@@ -145,7 +145,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
     moved = input_uncertainty.input_work(work)
     for part in (work, moved):
-        run_batch(part, store, jobs=2, command=FAKE)
+        run_batch(part, store, jobs=2, executor=fake(2))
     rows = validation.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
     sizes = {j.case.case_id: formal_order.base_size_mm(j.case) for j in work.jobs}

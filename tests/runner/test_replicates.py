@@ -24,7 +24,7 @@ from study.runner.fitting import fit_task
 from study.runner.job import Work
 from study.runner.numerical.study_refinement import refinement_work
 
-from .conftest import DESIGN, FAKE, SPECIMEN, make_data
+from .conftest import DESIGN, SPECIMEN, fake, make_data
 
 MESHES, NOISE = "\n[replicates]\nmesh_seeds = 5\n", "\n[replicates]\nnoise = 20\n"
 DEPTHS = np.linspace(0.3, 6.0, 100)
@@ -32,7 +32,7 @@ DEPTHS = np.linspace(0.3, 6.0, 100)
 
 def run(work: Work, folder: Path) -> list[Record]:
     store = Store(folder)
-    run_batch(work, store, jobs=2, command=FAKE)
+    run_batch(work, store, jobs=2, executor=fake(2))
     return store.records(work.input_hashes)
 
 
@@ -83,7 +83,7 @@ def test_replicates_resume(noisy) -> None:  # type: ignore[no-untyped-def]
     lost = sorted((home / "resumed" / "fits").iterdir())[::40]
     for path in lost:
         path.unlink()
-    summary = run_batch(work, store, jobs=2, command=FAKE)
+    summary = run_batch(work, store, jobs=2, executor=fake(2))
     assert (summary.computed, summary.already) == (8, 76)
     again = {r.case_id: r.responses for r in store.records(work.input_hashes)}
     assert again == {r.case_id: r.responses for r in records}

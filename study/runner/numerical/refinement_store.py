@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from study.execution.loky import Loky
+from study.execution.task import Executor, Task
 from study.record.store import Store
 from study.runner.numerical import refinement
 from study.runner.numerical.refinement import Solver, task_key
-from study.runner.pool import Task, run_tasks
 
 #: results that the same input gives again; memory and time may be better another day
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
@@ -23,13 +24,15 @@ def in_process(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 def by_workers(
     jobs: int,
-    command: Sequence[str] | None = None,
+    executor: Executor | None = None,
     finished: Callable[[Mapping[str, Any], dict[str, Any]], object] = lambda task, result: None,
 ) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only.
 
     Parameters
     ----------
+    executor : Executor, optional
+        Where the tasks run; by default ``jobs`` processes of this machine.
     finished : callable
         Called with every task and its result as soon as it is there.
     """
@@ -38,7 +41,7 @@ def by_workers(
         by_key = {task_key(task): dict(task) for task in tasks}
         work = [Task(key, _as_is(task)) for key, task in by_key.items()]
         found: dict[str, dict[str, Any]] = {}
-        for outcome in run_tasks(work, jobs=jobs, command=command):
+        for outcome in (executor or Loky(refinement.perform, jobs)).run(work):
             found[outcome.key] = outcome.result
             finished(by_key[outcome.key], outcome.result)
         return [found[task_key(task)] for task in tasks]
@@ -67,7 +70,7 @@ def kept(solve: Solver, store: Store) -> Solver:
 def kept_by_workers(
     jobs: int,
     store: Store,
-    command: Sequence[str] | None = None,
+    executor: Executor | None = None,
     finished: Callable[[Mapping[str, Any], dict[str, Any]], object] = lambda task, result: None,
 ) -> Solver:
     """Solve what is not stored yet on workers; every result is stored as it comes.
@@ -79,7 +82,7 @@ def kept_by_workers(
         keep(store, task, result)
         finished(task, result)
 
-    solve = by_workers(jobs, command, stored)
+    solve = by_workers(jobs, executor, stored)
 
     def looked_up(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         known = {task_key(t): store.read_json(f"solves/{task_key(t)}") for t in tasks}

@@ -1,15 +1,13 @@
-"""A worker whose tasks misbehave on demand, to see what the pool makes of it."""
+"""Tasks that misbehave on demand, to see what the executor makes of them."""
 
 from __future__ import annotations
 
 import os
+import re
 import signal
-import sys
 import time
 from pathlib import Path
 from typing import Any
-
-from study.runner import worker
 
 
 def perform(task: dict[str, Any]) -> dict[str, Any]:
@@ -21,6 +19,20 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         os.kill(os.getpid(), signal.SIGKILL)
     if kind == "hang":
         time.sleep(60)
+    if kind == "exit":
+        os._exit(3)
+    if kind == "raise":
+        raise ZeroDivisionError("a bug")
+    if kind == "nan":
+        return {"status": "converged", "value": float("nan")}
+    if kind == "not plain":
+        return {"status": "converged", "value": object()}
+    if kind == "memory":
+        raise MemoryError
+    if kind == "hold the interpreter":
+        re.match(r"(a+)+$", "a" * 40 + "b")  # one call into C that lasts for hours
+    if kind == "stopped":
+        os.kill(os.getpid(), signal.SIGSTOP)  # its answer never leaves the pipe
     if kind == "print":
         print("noise on stdout", flush=True)
         os.write(1, b"noise of a library\n")
@@ -30,8 +42,3 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         time.sleep(0.05)
         return {"status": "converged", "process": os.getpid()}
     return {"status": "converged", "value": task.get("value", 0) + 1}
-
-
-if __name__ == "__main__":
-    worker.perform = perform
-    worker.main(int(sys.argv[1]))

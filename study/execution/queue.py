@@ -1,0 +1,96 @@
+"""Which task comes next: dependencies, order and groups, in O(log n) a task."""
+
+from __future__ import annotations
+
+import heapq
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+from study.execution.task import Results, Task
+
+
+class ReadyQueue:
+    """Tasks in their order, each handed out once all that it needs is finished.
+
+    A worker gets the next task of its own group, else the first of those that belong to no
+    other worker's group.
+    """
+
+    def __init__(self, tasks: Sequence[Task], finished: Results) -> None:
+        self.results: dict[str, dict[str, Any]] = dict(finished)
+        self._tasks = list(tasks)
+        self._open: dict[int, int] = {}
+        self._dependents: dict[str, list[int]] = defaultdict(list)
+        self._ready: dict[str, list[int]] = defaultdict(list)
+        self._fronts: list[tuple[int, str]] = []
+        self._holders: dict[str, int] = defaultdict(int)
+        for number, task in enumerate(self._tasks):
+            needs = {need for need in task.needs if need not in self.results}
+            for need in needs:
+                self._dependents[need].append(number)
+            self._open[number] = len(needs)
+            if not needs:
+                self._make_ready(number)
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    @property
+    def waiting(self) -> list[str]:
+        """Keys of the tasks that were not handed out."""
+        return [self._tasks[number].key for number in self._open]
+
+    def finish(self, key: str, result: dict[str, Any]) -> None:
+        """Note a result; tasks that waited for it become ready."""
+        self.results[key] = result
+        for number in self._dependents.pop(key, ()):
+            self._open[number] -= 1
+            if self._open[number] == 0:
+                self._make_ready(number)
+
+    def give_back(self, task: Task) -> None:
+        """Have a task done once more, before all others."""
+        self._tasks.append(task)
+        number = -len(self._tasks)
+        self._open[number] = 0
+        self._make_ready(number)
+
+    def take(self, group: str) -> Task | None:
+        """Next task for a worker that keeps something of a group; None while there is none."""
+        ready = self._ready.get(group) if group else None
+        number = heapq.heappop(ready) if ready else self._first_free()
+        if number is None:
+            return None
+        del self._open[number]
+        return self._tasks[number if number >= 0 else -number - 1]
+
+    def hold(self, group: str) -> None:
+        """Give a group to a worker: no other gets its tasks."""
+        if group:
+            self._holders[group] += 1
+
+    def release(self, group: str) -> None:
+        """Take a group back from a worker."""
+        if group:
+            self._holders[group] -= 1
+            if self._ready[group]:
+                heapq.heappush(self._fronts, (self._ready[group][0], group))
+
+    def _make_ready(self, number: int) -> None:
+        group = self._tasks[number if number >= 0 else -number - 1].group
+        heapq.heappush(self._ready[group], number)
+        heapq.heappush(self._fronts, (number, group))
+
+    def _first_free(self) -> int | None:
+        """First ready task without a group, or of one that no worker holds."""
+        while self._fronts:
+            number, group = heapq.heappop(self._fronts)
+            ready = self._ready[group]
+            if self._holders[group] or not ready or ready[0] != number:
+                continue
+            first = heapq.heappop(ready)
+            if ready:
+                heapq.heappush(self._fronts, (ready[0], group))
+            return first
+        return None

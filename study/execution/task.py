@@ -1,0 +1,101 @@
+"""A unit of work, what became of it, and what an executor promises."""
+
+from __future__ import annotations
+
+import json
+import traceback
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from study.errors import Fault, InputError
+
+#: plain data (JSON) in, plain data with a ``status`` out; a function of a module, found by name
+Perform = Callable[[dict[str, Any]], dict[str, Any]]
+Results = Mapping[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One unit of work.
+
+    Parameters
+    ----------
+    key : str
+        Name, unlike that of every other task of a run.
+    payload : callable
+        Makes the plain data of the task from the results of the tasks it needs; called only
+        when all of them are finished.
+    needs : tuple of str
+        Keys of tasks that must be finished first.
+    group : str
+        Tasks of one group share something that a worker keeps: one worker does them all.
+    """
+
+    key: str
+    payload: Callable[[Results], dict[str, Any]]
+    needs: tuple[str, ...] = ()
+    group: str = ""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a task; the result always has a ``status``."""
+
+    key: str
+    result: dict[str, Any]
+    seconds: float = 0.0
+
+
+class Executor(Protocol):
+    """Where tasks are computed. The outcomes do not depend on it."""
+
+    def run(
+        self, tasks: Sequence[Task], finished: Results | None = None
+    ) -> Generator[Outcome, None, None]:
+        """Yield the outcome of every task as it comes; ``close()`` stops what still runs."""
+        ...
+
+
+def answer(perform: Perform, text: str) -> str:
+    """Do one task given as JSON and answer in JSON; a bug is an answer too.
+
+    Parameters
+    ----------
+    perform : callable
+        Does the task.
+    text : str
+        The task's plain data as JSON.
+
+    Returns
+    -------
+    str
+        JSON of the result; its ``status`` is ``failed`` with the traceback where ``perform``
+        raised or gave something that JSON cannot hold, ``out-of-memory`` where memory was short.
+    """
+    try:
+        return json.dumps(perform(json.loads(text)), allow_nan=False)
+    except MemoryError as error:
+        return json.dumps({"status": "out-of-memory", "message": f"out of memory: {error}"})
+    except Exception as error:  # noqa: BLE001 - the boundary: a bug must not stop the others
+        return json.dumps(
+            {
+                "status": "failed",
+                "message": f"{type(error).__name__}: {error}",
+                "traceback": "".join(traceback.format_exception(error)),
+            }
+        )
+
+
+def check_limit(seconds: float | None) -> float | None:
+    """Wall-clock limit of one task in seconds, if it is one.
+
+    Raises
+    ------
+    InputError
+        If the limit is not a positive number.
+    """
+    if seconds is None or seconds > 0 and seconds != float("inf"):
+        return seconds
+    rule = f"must be a positive number of seconds, got {seconds:g}"
+    raise InputError(Fault("timeout", rule, "leave it out for no limit"))

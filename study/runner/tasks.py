@@ -1,0 +1,38 @@
+"""The kinds of task of a study, each with the function that does it in a worker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from study.execution.loky import Loky
+from study.execution.task import Executor, Perform
+from study.runner import case, residual_bootstrap, virtual
+from study.runner.fitting import fit_task
+from study.runner.numerical import refinement
+
+KINDS: dict[str, Perform] = {
+    "case": case.perform,
+    "fit": fit_task.perform,
+    "noise": residual_bootstrap.perform,
+    "reference": virtual.perform,
+    "solve": refinement.perform,
+    "ping": lambda task: {"status": "converged"},
+}
+
+
+def perform(task: dict[str, Any]) -> dict[str, Any]:
+    """Do one task, named by its ``kind``."""
+    return KINDS[task["kind"]](task)
+
+
+def processes(jobs: int, timeout_s: float | None = None) -> Executor:
+    """Start processes of this machine, which know every kind of task.
+
+    Parameters
+    ----------
+    jobs : int
+        Tasks at once.
+    timeout_s : float, optional
+        Wall-clock limit of one task in seconds.
+    """
+    return Loky(perform, jobs, timeout_s)

@@ -1,0 +1,216 @@
+"""F01, F06, F07, F13: tasks that die, hang or are stopped cost themselves alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study.errors import InputError
+from study.execution.inline import Inline
+from study.execution.loky import Loky
+from study.execution.queue import ReadyQueue
+from study.execution.task import Outcome, Task
+from tests.execution.misbehaving import perform
+
+ROOT = Path(__file__).parents[2]
+
+
+def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
+    return Task(key, lambda results: {"kind": kind, **values}, needs)
+
+
+def run(
+    tasks: list[Task], jobs: int = 2, timeout_s: float | None = None, **options: Any
+) -> dict[str, Outcome]:
+    return {o.key: o for o in Loky(perform, jobs, timeout_s).run(tasks, **options)}
+
+
+def test_a_killed_worker_costs_its_own_task_alone() -> None:
+    found = run([task("a"), task("bad", "die"), task("b"), task("c")])
+    assert set(found) == {"a", "bad", "b", "c"}
+    assert found["bad"].result["status"] == "crashed"
+    assert "signal 9" in found["bad"].result["message"]
+    assert all(found[k].result["value"] == 1 for k in "abc")
+
+
+def test_a_task_whose_worker_died_is_tried_once_more(tmp_path: Path) -> None:
+    found = run([task("a", "die once", mark=str(tmp_path / "mark"))], jobs=1)
+    assert found["a"].result == {"status": "converged", "value": 1}
+
+
+def test_a_task_that_never_ends_is_killed_and_says_so() -> None:
+    began = time.monotonic()
+    found = run([task("slow", "hang"), task("a")], timeout_s=1.5)
+    assert found["slow"].result["status"] == "timeout"
+    assert "1.5 s" in found["slow"].result["message"]
+    assert found["a"].result["status"] == "converged"
+    assert time.monotonic() - began < 20  # not the 60 s that the task wanted
+
+
+def test_tasks_wait_for_what_they_need() -> None:
+    def payload(results: Any) -> dict[str, Any]:
+        return {"kind": "work", "value": results["first"]["value"]}
+
+    found = run([Task("second", payload, ("first",)), task("first", value=10)])
+    assert found["second"].result["value"] == 12
+
+
+def test_what_is_finished_already_is_not_done_again() -> None:
+    def payload(results: Any) -> dict[str, Any]:
+        return {"kind": "work", "value": results["stored"]["value"]}
+
+    found = run([Task("next", payload, ("stored",))], finished={"stored": {"value": 5}})
+    assert list(found) == ["next"]
+    assert found["next"].result["value"] == 6
+
+
+def test_dependents_of_a_crash_are_told_and_not_left_waiting() -> None:
+    seen: dict[str, Any] = {}
+
+    def payload(results: Any) -> dict[str, Any]:
+        seen.update(results["bad"])
+        return {"kind": "work"}
+
+    found = run([Task("next", payload, ("bad",)), task("bad", "die")], jobs=1)
+    assert seen["status"] == "crashed"
+    assert found["next"].result["status"] == "converged"
+
+
+def test_a_need_that_nobody_makes_is_a_bug_and_raises() -> None:
+    with pytest.raises(RuntimeError, match="nobody makes"):
+        run([task("a", needs=("ghost",))])
+
+
+def test_libraries_that_print_do_not_disturb_the_answers() -> None:
+    assert run([task("a", "print")], jobs=1)["a"].result["value"] == 1
+
+
+def test_every_worker_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    assert run([task("a", "threads")], jobs=1)["a"].result["threads"] == "1"
+
+
+def test_leaving_early_kills_the_workers() -> None:
+    outcomes = Loky(perform, 2).run([task("a"), task("slow", "hang")])
+    assert next(outcomes).key == "a"
+    outcomes.close()
+    children = _children()
+    assert not children, f"workers still alive: {children}"
+
+
+def _children() -> list[str]:
+    """Command lines of worker processes that this process has."""
+    listed = Path(f"/proc/self/task/{os.getpid()}/children")
+    found = [Path(f"/proc/{pid}/cmdline") for pid in listed.read_text().split()]
+    return [line for path in found if "popen_loky" in (line := path.read_text())]
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "said"),
+    [
+        ("raise", "failed", "ZeroDivisionError: a bug"),
+        ("nan", "failed", "not JSON compliant"),
+        ("not plain", "failed", "not JSON serializable"),
+        ("memory", "out-of-memory", "out of memory"),
+        ("exit", "crashed", "exit code 3"),
+    ],
+)
+def test_a_bug_is_the_outcome_of_its_task(kind: str, status: str, said: str) -> None:
+    found = run([task("bad", kind), task("a")], jobs=1)
+    assert found["bad"].result["status"] == status
+    assert said in found["bad"].result["message"]
+    assert found["a"].result["status"] == "converged"
+
+
+@pytest.mark.parametrize("kind", ["hold the interpreter", "stopped"])
+def test_the_limit_holds_whatever_a_worker_does(kind: str) -> None:
+    began = time.monotonic()
+    found = run([task("bad", kind), task("a")], timeout_s=1.5)
+    assert found["bad"].result["status"] == "timeout"
+    assert found["a"].result["status"] == "converged"
+    assert time.monotonic() - began < 20
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_limit_that_is_none_is_refused(limit: float) -> None:
+    with pytest.raises(InputError, match="must be a positive number"):
+        run([task("a")], timeout_s=limit)
+
+
+def test_outcomes_do_not_depend_on_the_executor() -> None:
+    def payload(results: Any) -> dict[str, Any]:
+        return {"kind": "work", "value": results["a"]["value"]}
+
+    tasks = [Task("b", payload, ("a",)), task("a", value=3), task("bad", "raise")]
+    inline = {o.key: o.result for o in Inline(perform).run(tasks)}
+    apart = {key: o.result for key, o in run(tasks).items()}
+    for found in (inline, apart):
+        found["bad"].pop("traceback")
+    assert inline == apart
+
+
+LEFT = """
+import signal
+from study.execution.loky import Loky
+from study.execution.task import Task
+from tests.execution.misbehaving import perform
+tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
+tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
+# a shell that starts a test in the background has it ignore Ctrl-C
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for outcome in Loky(perform, 2).run(tasks):
+    print(outcome.result["process"], flush=True)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
+    owner = subprocess.Popen(
+        [sys.executable, "-c", LEFT], cwd=ROOT, stdout=subprocess.PIPE, text=True,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    assert owner.stdout is not None
+    workers = {int(owner.stdout.readline()) for _ in range(2)}
+    owner.send_signal(how)
+    try:
+        owner.wait(timeout=20)
+    finally:
+        owner.kill()
+        owner.stdout.close()
+    deadline = time.monotonic() + 20
+    while any(_alive(pid) for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(_alive(pid) for pid in workers)
+
+
+def _alive(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+def test_the_queue_grows_no_slower_than_its_tasks() -> None:
+    """Looking at every task for every task took 10,000 of them 8 seconds: operations counted."""
+    count = 2000
+    tasks = [Task(str(k), lambda _: {}, group=str(k % 7)) for k in range(count)]
+    ready = ReadyQueue(tasks, {})
+    taken = [ready.take("") for _ in range(count)]
+    assert [t.key for t in taken if t] == [t.key for t in tasks]
+    assert ready.take("") is None
+    assert ready._fronts == []
+
+
+def test_tasks_of_a_group_stay_with_one_worker() -> None:
+    grouped = [
+        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
+    ]
+    found = run(grouped)
+    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
+    assert all(len(own) == 1 for own in processes.values())
+    assert processes["a"] != processes["b"]
