@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from study import units
-from study.design.reader import Bad, Faults, Section, choice, shown
+from study.design.reader import Bad, Faults, shown
 from study.design.spec import Config
+from study.design.study_file import Fitting
+from study.design.table import noted, read_table
 from study.errors import nearest
 
 
@@ -30,14 +33,10 @@ def read_fitting(table: Any, names: Sequence[str], faults: Faults) -> Config:
         also for itself), ``leave_out`` (``"specimen"``, ``"test"`` or None) and ``bounds``
         (name -> (low, high) in MPa, exponents plain).
     """
-    section = Section({} if table is None else table, "calibration", faults)
-    found = {
-        "specimens": section.take("specimens", choice("pooled", "each"), "pooled"),
-        "leave_out": section.take("leave_out", choice("specimen", "test"), None),
-        "bounds": section.take("bounds", lambda value: _bounds(value, names), {}),
-    }
-    section.finish()
-    return found
+    found = read_table(Fitting, {} if table is None else table, "calibration", faults).values()
+    bounds = {} if found["bounds"] is None else found["bounds"]
+    read = partial(_bounds, names=names)
+    return {**found, "bounds": noted(read, bounds, "calibration.bounds", faults)}
 
 
 def _bounds(value: Any, names: Sequence[str]) -> dict[str, tuple[float, float]]:

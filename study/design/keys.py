@@ -10,36 +10,44 @@ from typing import Any
 from study.design import sections
 from study.design.measured import FACTOR_KEYS
 from study.design.reader import MAX_NAME
+from study.design.study_file import INDENTERS, SPECIMENS, Compressibility, Model, Test
+from study.design.table import Table, reads_of
 from study.errors import nearest
 from study.material.energy import ENERGIES
 
 #: tables that a preset set may be named after
 TABLES = ("specimen", "test", "material", "model", "measurements", "calibration")
-_SPECIMEN = sorted({k for keys in sections.SPECIMENS.values() for k in keys})
-_INDENTER = sorted({k for keys in sections.INDENTERS.values() for k in keys})
+_SPECIMEN = sorted({key for shape in SPECIMENS.values() for key in shape.written_keys()})
+_INDENTER = sorted({key for shape in INDENTERS.values() for key in shape.written_keys()})
 _EXAMPLES = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
 
 #: keys that may differ between the cells of a design
 VARYING: tuple[str, ...] = (
     "specimen.shape",
     *(f"specimen.{key}" for key in _SPECIMEN),
-    *(f"test.{key}" for key in sections.TEST_KEYS),
+    *(f"test.{key}" for key in Test.written_keys()),
     "test.indenter.shape",
     *(f"test.indenter.{key}" for key in _INDENTER),
     *(f"material.{key}" for key in (*sections.MATERIAL_KEYS, *_EXAMPLES)),
-    *(f"model.{key}" for key in sections.MODEL_KEYS),
+    *(f"model.{key}" for key in Model.written_keys()),
     *(f"measurements.{key}" for key in FACTOR_KEYS),
     "calibration.method",
 )
 _REPLACED = r"calibration\.problem\."
-_DIMENSIONS = {"half_angle": "angle", "poisson_ratio": "number", "alpha": "number"}
-_LENGTHS = {*_SPECIMEN, *_INDENTER, "displacement", "mesh_size"} - {
-    "file",
-    "unit",
-    "axis",
-    "half_angle",
-}
-_PRESSURES = {"bulk_modulus", "youngs_modulus", "mu"}
+_VALUED: tuple[type[Table], ...] = (
+    *SPECIMENS.values(),
+    *INDENTERS.values(),
+    Test,
+    Model,
+    Compressibility,
+)
+#: what the value of a key measures, as its declaration says
+_DIMENSIONS = {
+    field.alias or name: found.dimension
+    for table in _VALUED
+    for name, field in table.model_fields.items()
+    if (found := reads_of(field)) is not None and found.dimension
+} | {"alpha": "number", "youngs_modulus": "pressure", "mu": "pressure"}
 
 #: keys that decide which others a table may have
 _RULING = {"specimen": "shape", "test.indenter": "shape", "material": "model"}
@@ -77,9 +85,7 @@ def dimension(key: str) -> str | None:
         return "length" if last == "displacement" else "force"
     if not may_vary(key):
         return None
-    if last in _LENGTHS:
-        return "length"
-    if last in _PRESSURES or re.fullmatch(r"C\d{2,3}", last):
+    if re.fullmatch(r"C\d{2,3}", last):
         return "pressure"
     return _DIMENSIONS.get(last)
 
@@ -136,9 +142,9 @@ def _make_room(merged: dict[str, Any], key: str, settings: Mapping[str, Any]) ->
 def _belongs(table: str, ruling: Any, key: str) -> bool:
     """Whether a key may stay in a table whose shape or energy becomes ``ruling``."""
     if table != "material":
-        kinds = sections.SPECIMENS if table == "specimen" else sections.INDENTERS
-        others = {k for keys in kinds.values() for k in keys}
-        return key not in others or ruling not in kinds or key in kinds[ruling]
+        kinds = SPECIMENS if table == "specimen" else INDENTERS
+        others = {key for shape in kinds.values() for key in shape.written_keys()}
+        return key not in others or ruling not in kinds or key in kinds[ruling].written_keys()
     if key in sections.MATERIAL_KEYS or ruling not in ENERGIES:
         return True
     if not sections.CONSTANT.fullmatch(key):

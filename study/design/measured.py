@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from study import units
 from study.design.reader import (
-    REQUIRED,
     Bad,
     Faults,
-    Section,
     choice,
     flag,
     integer,
@@ -23,73 +23,13 @@ from study.design.reader import (
     text,
 )
 from study.design.spec import MeasurementSpec, Range
+from study.design.table import Reads, Table, read_table
 from study.errors import UnitError
-
-KEYS = (
-    *("file", "files", "columns", "units", "block", "average", "range", "points"),
-    *("fit", "score", "swap", "zero", "toe", "sign", "decimal", "citation"),
-)
 
 #: keys that may differ between cells
 FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
-DIMENSIONS: Mapping[str, str] = {"displacement": "length", "force": "force"}
 MAX_POINTS = 100_000
 _FIELD = re.compile(r"\{([^{}]*)\}")
-
-
-def read_measurements_table(
-    table: Any, faults: Faults, path: str = "measurements"
-) -> MeasurementSpec | None:
-    """Specification of the measured curves; None where a fault was found.
-
-    Parameters
-    ----------
-    table : mapping
-        The table as written.
-    faults : Faults
-        Where faults go.
-    path : str
-        Of the table.
-    """
-    before = len(faults)
-    section = Section(table, path, faults)
-    values: dict[str, Any] = {
-        "file": section.take("file", csv_path, None),
-        "files": section.take("files", csv_pattern, None),
-        "columns": _by_quantity(section, "columns", name),
-        "units": _units(section),
-        "block": section.take("block", name, None),
-        "average": section.take("average", names, ()),
-        "range": section.take("range", read_range, None),
-        "points": section.take("points", integer(2, MAX_POINTS), 200),
-        "fit": section.take("fit", rows, None),
-        "score": section.take("score", rows, None),
-        "swap": section.take("swap", flag, False),
-        "zero": section.take("zero", choice("none", "first", "fit"), "none"),
-        "toe": section.take("toe", quantity("force"), None),
-        "sign": section.take("sign", choice("positive", "negative"), "positive"),
-        "decimal": section.take("decimal", choice(".", ","), "."),
-        "citation": section.take("citation", text, ""),
-    }
-    section.finish(KEYS)
-    _check_together(section)
-    return MeasurementSpec(**values) if len(faults) == before else None
-
-
-def _check_together(section: Section) -> None:
-    given = [key for key in ("file", "files") if key in section]
-    if len(given) != 1 and not section.broken:
-        rule = "stands beside file" if given else "is missing"
-        section.fault("file" if not given else "files", rule, "give one of file and files")
-    for key, other in (("fit", "score"), ("score", "fit")):
-        if key in section and other not in section:
-            section.fault(other, f"is missing beside {key}", "give both, or neither")
-    if section.table.get("swap") is True and "fit" not in section:
-        section.fault("swap", "needs fit and score", "say which rows change places")
-    block, files = section.table.get("block"), section.table.get("files")
-    if isinstance(block, str) and isinstance(files, str) and block not in _FIELD.findall(files):
-        rule = f"{block!r} is no group of the file names {shown(files)}"
-        section.fault("block", rule, f"write {{{block}}} where its label stands")
 
 
 def csv_path(value: Any) -> str:
@@ -158,30 +98,6 @@ def _labels(value: Any) -> Any:
     return text(str(value))
 
 
-def _by_quantity(section: Section, key: str, read: Any) -> dict[str, str] | None:
-    section.known.append(key)
-    if key not in section:
-        example = '{ displacement = "displacement_mm", force = "force_N" }'
-        section.fault(key, "is missing", f"for example {key} = {example}")
-        return None
-    inner = Section(section.table[key], section.where(key), section.faults)
-    values = {k: inner.take(k, read, REQUIRED, "displacement and force") for k in DIMENSIONS}
-    inner.finish()
-    return values
-
-
-def _units(section: Section) -> dict[str, str] | None:
-    section.known.append("units")
-    if "units" not in section:
-        example = 'units = { displacement = "mm", force = "N" }'
-        section.fault("units", "is missing", f"for example {example}")
-        return None
-    inner = Section(section.table["units"], section.where("units"), section.faults)
-    values = {k: inner.take(k, _unit(d)) for k, d in DIMENSIONS.items()}
-    inner.finish()
-    return values
-
-
 def _unit(dimension: str) -> Any:
     def read(value: Any) -> str:
         unit = text(value)
@@ -189,3 +105,84 @@ def _unit(dimension: str) -> Any:
         return unit
 
     return read
+
+
+class Columns(Table):
+    """Columns of a measured file."""
+
+    displacement: Annotated[str, Reads(name, mend="displacement and force")]
+    force: Annotated[str, Reads(name, mend="displacement and force")]
+
+
+class Units(Table):
+    """Units of the columns of a measured file."""
+
+    displacement: Annotated[str, Reads(_unit("length"))]
+    force: Annotated[str, Reads(_unit("force"))]
+
+
+class Measurements(Table):
+    """Where measured curves are and how rows become curves."""
+
+    file: Annotated[str | None, Reads(csv_path)] = None
+    files: Annotated[str | None, Reads(csv_pattern)] = None
+    columns: Columns = Field(
+        description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
+    )
+    units: Units = Field(description='for example units = { displacement = "mm", force = "N" }')
+    block: Annotated[str | None, Reads(name)] = None
+    average: Annotated[tuple[str, ...], Reads(names)] = ()
+    range: Annotated[Range | None, Reads(read_range)] = None
+    points: Annotated[int, Reads(integer(2, MAX_POINTS))] = 200
+    fit: Annotated[dict[str, Any] | None, Reads(rows)] = None
+    score: Annotated[dict[str, Any] | None, Reads(rows)] = None
+    swap: Annotated[bool, Reads(flag)] = False
+    zero: Annotated[str, Reads(choice("none", "first", "fit"))] = "none"
+    toe: Annotated[float | None, Reads(quantity("force"), "force")] = None
+    sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
+    decimal: Annotated[str, Reads(choice(".", ","))] = "."
+    citation: Annotated[str, Reads(text)] = ""
+
+
+def read_measurements_table(
+    table: Any, faults: Faults, path: str = "measurements"
+) -> MeasurementSpec | None:
+    """Specification of the measured curves; None where a fault was found.
+
+    Parameters
+    ----------
+    table : mapping
+        The table as written.
+    faults : Faults
+        Where faults go.
+    path : str
+        Of the table.
+    """
+    before = len(faults)
+    found = read_table(Measurements, table, path, faults)
+    if isinstance(table, Mapping):
+        _check_together(table, path, faults)
+    if len(faults) > before:
+        return None
+    values = found.values()
+    values["columns"], values["units"] = found.columns.values(), found.units.values()
+    return MeasurementSpec(**values)
+
+
+def _check_together(table: Mapping[str, Any], path: str, faults: Faults) -> None:
+    def fault(key: str, rule: str, mend: str) -> None:
+        faults.add(f"{path}.{key}", rule, mend)
+
+    given = [key for key in ("file", "files") if key in table]
+    if len(given) != 1:
+        rule = "stands beside file" if given else "is missing"
+        fault("file" if not given else "files", rule, "give one of file and files")
+    for key, other in (("fit", "score"), ("score", "fit")):
+        if key in table and other not in table:
+            fault(other, f"is missing beside {key}", "give both, or neither")
+    if table.get("swap") is True and "fit" not in table:
+        fault("swap", "needs fit and score", "say which rows change places")
+    block, files = table.get("block"), table.get("files")
+    if isinstance(block, str) and isinstance(files, str) and block not in _FIELD.findall(files):
+        rule = f"{block!r} is no group of the file names {shown(files)}"
+        fault("block", rule, f"write {{{block}}} where its label stands")

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 from study.design import plausibility, sections
 from study.design.measured import read_measurements_table
-from study.design.reader import Faults, Section, choice
+from study.design.reader import Faults
 from study.design.spec import CalibrationSpec, Config, MeasurementSpec
+from study.design.study_file import Calibration, CalibrationProblem
+from study.design.table import read_table
 from study.errors import InputError
 
-METHODS = ("auto", "analytic", "inverse-fem", "none")
 TABLES = ("specimen", "test", "material", "model", "measurements")
 
 #: tables that [calibration.problem] may replace
-REPLACEABLE = ("specimen", "test", "measurements")
+REPLACEABLE = CalibrationProblem.written_keys()
 
 
 def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Config:
@@ -121,17 +122,15 @@ def calibration_spec(table: Any, material: Config, faults: Faults) -> Calibratio
     faults : Faults
         Where faults go.
     """
-    section = Section({} if table is None else table, "calibration", faults)
-    default = "none" if material["constants"] else "auto"
-    method = section.take("method", choice(*METHODS), default)
-    leave_out = section.take("leave_out", choice("specimen", "test"), None)
-    problem = section.take("problem", lambda value: value, None)
-    section.finish()
+    found = read_table(Calibration, {} if table is None else table, "calibration", faults)
+    method = found.method
+    if not isinstance(table, Mapping) or "method" not in table:
+        method = "none" if material["constants"] else "auto"
+    problem = found.problem
     if problem is not None:
-        inner = Section(problem, "calibration.problem", faults)
-        inner.finish(REPLACEABLE)
+        read_table(CalibrationProblem, problem, "calibration.problem", faults)
         problem = problem if isinstance(problem, Mapping) else None
-    return CalibrationSpec(method, problem, leave_out)
+    return CalibrationSpec(cast(str, method), problem, found.leave_out)
 
 
 def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, ratio: float) -> Config:

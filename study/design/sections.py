@@ -13,60 +13,28 @@ from collections.abc import Mapping
 from typing import Any
 
 from study.design.reader import (
-    REQUIRED,
-    Bad,
     Faults,
     Section,
     choice,
-    flag,
     integer,
     number,
     quantity,
-    relative_path,
-    unit_of_length,
 )
 from study.design.spec import Config
+from study.design.study_file import (
+    INDENTERS,
+    SPECIMENS,
+    Compressibility,
+    IndenterShape,
+    Model,
+    SpecimenShape,
+    Test,
+)
+from study.design.table import Table, read_table
 from study.errors import InputError
 from study.material.energy import ENERGIES, MODELS, constant_names
 
-LENGTH = quantity("length")
 PRESSURE = quantity("pressure")
-LENGTH_OR_ZERO = quantity("length", closed=True)
-PLACE = quantity("length", -math.inf)
-INTERFACE = choice("frictionless", "bonded", synonyms={"lubricated": "frictionless"})
-
-#: keys of each shape and their readers; the key in the file + "_mm" or "_deg" inside
-SPECIMENS: Mapping[str, Mapping[str, Any]] = {
-    "cylinder": {"radius": LENGTH, "height": LENGTH},
-    "block": {"width": LENGTH, "depth": LENGTH, "height": LENGTH},
-    "surface": {
-        "file": relative_path,
-        "unit": unit_of_length,
-        "axis": choice("z", "-z", "x", "-x", "y", "-y"),
-        "clamp_below": PLACE,
-        "press_x": PLACE,
-        "press_y": PLACE,
-        "plate_tolerance": LENGTH,
-    },
-}
-INDENTERS: Mapping[str, Mapping[str, Any]] = {
-    "flat": {"radius": LENGTH, "edge_radius": LENGTH_OR_ZERO},
-    "cone": {
-        "half_angle": quantity("angle", 0, 90),
-        "tip_radius": LENGTH_OR_ZERO,
-        "shaft_radius": LENGTH,
-    },
-    "sphere": {"radius": LENGTH},
-}
-_OPTIONAL: Mapping[str, Any] = {
-    "edge_radius": 0.0,
-    "tip_radius": 0.0,
-    "shaft_radius": None,
-    "axis": "z",
-    **dict.fromkeys(("clamp_below", "press_x", "press_y", "plate_tolerance")),
-}
-_SUFFIX = {"half_angle": "_deg", "file": "", "unit": "", "axis": ""}
-MESHES = ("coarse", "medium", "fine")
 CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
 
 #: keys of which a table may have one; laying one over a table takes the others away
@@ -76,55 +44,53 @@ ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
     "measurements": ("file", "files"),
 }
 MATERIAL_KEYS = ("model", "order", *ALTERNATIVES["material"])
-MODEL_KEYS = ("space", "element_order", "element_shape", "formulation", "mesh", "mesh_size")
-TEST_KEYS = ("kind", "interface", "base", "displacement", "steps", "indenter")
 
 
 def read_specimen(table: Any, faults: Faults, path: str = "specimen") -> Config:
     """Specimen: its shape and sizes in mm."""
-    return _shaped(table, SPECIMENS, faults, path)
+    return _shaped(table, SpecimenShape, SPECIMENS, faults, path)
 
 
 def _shaped(
-    table: Any, kinds: Mapping[str, Mapping[str, Any]], faults: Faults, path: str
+    table: Any,
+    shapes: type[SpecimenShape] | type[IndenterShape],
+    kinds: Mapping[str, type[Table]],
+    faults: Faults,
+    path: str,
 ) -> Config:
-    section = Section(table, path, faults)
-    shape = section.take("shape", choice(*kinds), mend=f"one of {', '.join(kinds)}")
-    out: Config = {"shape": shape}
-    for key, read in kinds.get(shape, {}).items():
-        inside = key + _SUFFIX.get(key, "_mm")
-        mend = f"{shape} takes {', '.join(kinds[shape])}"
-        out[inside] = section.take(key, read, _OPTIONAL.get(key, REQUIRED), mend)
-    if shape is not None:
-        section.finish()
-    return out
+    keys = table if isinstance(table, Mapping) else {}
+    others = [key for key in keys if key != "shape"]
+    shape: str | None = read_table(shapes, table, path, faults, also=others).shape
+    if shape is None:
+        return {"shape": None}
+    return {"shape": shape, **read_table(kinds[shape], keys, path, faults, also=["shape"]).values()}
 
 
 def read_test(table: Any, faults: Faults, path: str = "test") -> Config:
     """Read how the specimen is loaded; the displacement may be None, for the range to give it."""
-    section = Section(table, path, faults)
-    kind = section.take("kind", choice("compression", "indentation"), mend="compression, ...")
-    interface = section.take("interface", INTERFACE, mend="frictionless or bonded")
-    base = section.take("base", INTERFACE, "bonded" if kind == "indentation" else interface)
+    found = read_table(Test, table, path, faults)
+    written = table if isinstance(table, Mapping) else {}
+    pressed = found.kind == "indentation"
+    base = found.base if "base" in written else "bonded" if pressed else found.interface
     out: Config = {
-        "kind": kind,
-        "interface": interface,
+        "kind": found.kind,
+        "interface": found.interface,
         "base": base,
-        "displacement_mm": section.take("displacement", LENGTH, None),
-        "steps": section.take("steps", integer(1, 10_000), 10),
+        "displacement_mm": found.displacement_mm,
+        "steps": found.steps,
     }
-    if kind == "indentation":
-        section.take("indenter", lambda value: value, mend="{ shape = ... } with flat|cone|sphere")
-    if kind == "indentation" and "indenter" in section:
-        out["indenter"] = _shaped(section.table["indenter"], INDENTERS, faults, f"{path}.indenter")
-    section.finish(TEST_KEYS)
+    if pressed and "indenter" not in written:
+        faults.add(f"{path}.indenter", "is missing", "{ shape = ... } with flat|cone|sphere")
+    if pressed and "indenter" in written:
+        where = f"{path}.indenter"
+        out["indenter"] = _shaped(written["indenter"], IndenterShape, INDENTERS, faults, where)
     return out
 
 
 def read_model(
     table: Any, faults: Faults, shape: str | None, ratio: float, path: str = "model"
 ) -> Config:
-    """Discretisation.
+    """Discretization.
 
     Parameters
     ----------
@@ -139,33 +105,19 @@ def read_model(
     path : str
         Of the table.
     """
-    section = Section(table, path, faults)
-    space = choice("axisymmetric", "3d")
+    found = read_table(Model, table, path, faults)
+    written = table if isinstance(table, Mapping) else {}
+    usual = "axisymmetric" if shape == "cylinder" else "3d"
     out: Config = {
-        "space": section.take("space", space, "axisymmetric" if shape == "cylinder" else "3d"),
-        "element_order": section.take("element_order", choice("linear", "quadratic"), "quadratic"),
-        "element_shape": section.take("element_shape", _element_shape, "simplex"),
-        "formulation": section.take("formulation", choice("mixed", "displacement"), "mixed"),
+        "space": found.space if "space" in written else usual,
+        "element_order": found.element_order,
+        "element_shape": found.element_shape,
+        "formulation": found.formulation,
     }
-    size = section.take("mesh_size", LENGTH, None)
-    mesh = section.take("mesh", choice(*MESHES), "medium")
-    if "mesh" in section and "mesh_size" in section:
-        section.fault("mesh_size", "stands beside mesh", "give one of the two")
-    out |= {"mesh": mesh, "mesh_ratio": ratio} if size is None else {"mesh_size_mm": size}
-    section.finish(MODEL_KEYS)
-    return out
-
-
-_element_shape = choice(
-    "simplex",
-    "tensor",
-    synonyms={
-        "triangle": "simplex",
-        "tetrahedron": "simplex",
-        "quadrilateral": "tensor",
-        "hexahedron": "tensor",
-    },
-)
+    if "mesh" in written and "mesh_size" in written:
+        faults.add(f"{path}.mesh_size", "stands beside mesh", "give one of the two")
+    named = {"mesh": found.mesh, "mesh_ratio": ratio}
+    return out | (named if found.mesh_size_mm is None else {"mesh_size_mm": found.mesh_size_mm})
 
 
 def read_material(table: Any, faults: Faults, path: str = "material") -> Config:
@@ -186,24 +138,21 @@ def read_material(table: Any, faults: Faults, path: str = "material") -> Config:
 
 
 def _compressibility(section: Section) -> Config:
-    nu = section.take("poisson_ratio", _poisson_ratio, None)
-    bulk = section.take("bulk_modulus", PRESSURE, None)
-    closed = section.take("incompressible", flag, False)
+    keys = Compressibility.written_keys()
+    section.known += keys
+    own = {key: value for key, value in section.table.items() if key in keys}
+    found = read_table(Compressibility, own, section.path, section.faults)
     given = [k for k in ALTERNATIVES["material"] if k in section and section.table[k] is not False]
     listed = ", ".join(ALTERNATIVES["material"])
     if len(given) > 1:
         section.fault(given[0], f"stands beside {' and '.join(given[1:])}", f"give one of {listed}")
     if not given:
         section.fault("poisson_ratio", "is missing", f"give one of {listed}")
-    if closed:
+    if found.incompressible:
         return {"incompressible": True}
-    return {"bulk_modulus_MPa": bulk} if nu is None and bulk is not None else {"poisson_ratio": nu}
-
-
-def _poisson_ratio(value: Any) -> float:
-    if value == 0.5 and not isinstance(value, bool):
-        raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
-    return float(number(-1.0, 0.5)(value))
+    if found.poisson_ratio is None and found.bulk_modulus_MPa is not None:
+        return {"bulk_modulus_MPa": found.bulk_modulus_MPa}
+    return {"poisson_ratio": found.poisson_ratio}
 
 
 def _moduli(section: Section, name: str) -> dict[str, float]:
