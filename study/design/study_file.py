@@ -43,7 +43,7 @@ SEEDS = (5, 1000)
 RESAMPLES = (20, 10_000)
 
 
-def tolerance(value: Any) -> float:
+def share(value: Any) -> float:
     """Read a share: a plain number, or percent."""
     if isinstance(value, str):
         percent = units.parse_percent(value)
@@ -231,7 +231,7 @@ class Converge(Table):
     ratio: Annotated[float, Reads(number(1, 10))] = 1.5
     levels: Annotated[int, Reads(integer(2, 10))] = 3
     qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
-    tolerance: Annotated[float | None, Reads(tolerance)] = None
+    tolerance: Annotated[float | None, Reads(share)] = None
     budget_s: Annotated[float | None, Reads(quantity("time"), "time")] = Field(None, alias="budget")
 
 

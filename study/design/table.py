@@ -6,9 +6,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    PlainValidator,
+    ValidationError,
+)
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, core_schema
 
 from study.design.reader import Bad, Faults, Read, quoted, shown
 from study.errors import UnitError, nearest
@@ -57,11 +62,9 @@ class Reads:
         except UnitError as error:
             raise Bad(error.faults[0].rule, error.faults[0].mend) from error
 
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Have pydantic read a value of this kind so."""
-        return core_schema.no_info_plain_validator_function(self)
+        return PlainValidator(self).__get_pydantic_core_schema__(source, handler)
 
 
 def reads_of(field: FieldInfo) -> Reads | None:

@@ -190,3 +190,11 @@ def test_loading_is_quick_and_light() -> None:
     args = [sys.executable, "-c", code, str(DESIGNS / "ecoflex-compression.toml")]
     done = subprocess.run(args, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
+
+
+@pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml")), ids=lambda p: p.stem)
+def test_every_design_that_ships_is_read(path: Path) -> None:
+    if load.file_kind(path) == "calibration":
+        assert load.load_calibration(path)["tests"]
+        return
+    assert cases.treatments(load.load(path))
