@@ -13,13 +13,14 @@ from study.analysis.anova_table import Effect
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, Options, prepare, threshold
-from study.analysis.design_matrix import nested_in, number_within, term_name, terms_of
-from study.analysis.effects import Scale
+from study.analysis.effects.estimates import Scale
 from study.analysis.error import ledger
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled
 from study.analysis.error.split_plot import Plots, split_plot, whole_plots
+from study.analysis.linear_model.design_matrix import nested_in, number_within, term_name, terms_of
+from study.analysis.linear_model.sums_of_squares import one_thread
 from study.analysis.outcome import Outcome
 from study.analysis.pseudoreplication import (
     CopyGroups,
@@ -28,7 +29,6 @@ from study.analysis.pseudoreplication import (
     ulp_floor,
 )
 from study.analysis.result import AnalysisResult, assemble
-from study.analysis.sums_of_squares import one_thread
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
 from study.tidy_csv import names_of

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.analysis.design_matrix import Layout
+from study.analysis.linear_model.design_matrix import Layout
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import _NUMBER, _check_names, names_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from study.analysis.anova_table import Anova, NaiveTerm, NestedUnits
 from study.analysis.data import prepare
-from study.analysis.effects import t_quantile
+from study.analysis.effects.estimates import t_quantile
 from study.analysis.result import AnalysisResult
 from study.errors import Fault, InputError, nearest
 

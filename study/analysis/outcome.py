@@ -16,11 +16,11 @@ from study.analysis.anova_table import (
     Sensitivity,
 )
 from study.analysis.data import Data
-from study.analysis.design_matrix import Term
-from study.analysis.effects import Scale
+from study.analysis.effects.estimates import Scale
+from study.analysis.linear_model.design_matrix import Term
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.sphericity import SphericityResult
-from study.analysis.sums_of_squares import Factored
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from study.analysis.data import Data
-from study.analysis.design_matrix import Layout, Term, model_matrix
-from study.analysis.sums_of_squares import Factored, factor
+from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix
+from study.analysis.linear_model.sums_of_squares import Factored, factor
 from study.arrays import Array, Ints
 
 

@@ -25,10 +25,10 @@ from study.analysis.assumption.variance import (
     bartlett,
     levene,
 )
-from study.analysis.design_matrix import terms_of
-from study.analysis.influence import influence, influential
+from study.analysis.effects.power import PowerRow, planned
+from study.analysis.linear_model.design_matrix import terms_of
+from study.analysis.linear_model.influence import influence, influential
 from study.analysis.outcome import _NO_ERROR, Outcome
-from study.analysis.power import PowerRow, planned
 from study.analysis.unreplicated import functional_shares, non_additivity
 from study.canonical import plain
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.analysis.data import Data
-from study.analysis.design_matrix import Layout, Term, balanced, term_name, terms_of
-from study.analysis.sums_of_squares import Factored, span
+from study.analysis.linear_model.design_matrix import Layout, Term, balanced, term_name, terms_of
+from study.analysis.linear_model.sums_of_squares import Factored, span
 from study.arrays import Array
 from study.canonical import plain
 

@@ -18,7 +18,7 @@ _HOME = {
     "why": "study.api.planning",
     "report": "study.api.study",
     "open_study": "study.api.opened_study",
-    "diff": "study.api.compare",
+    "diff": "study.api.comparison.compare",
     "analyze": "study.api.analysis",
     "anova": "study.analysis.anova:analyze",
     "ryan_joiner": "study.analysis.assumption.normality",
@@ -27,7 +27,7 @@ _HOME = {
     "solve": "study.api.single",
     "calibrate": "study.api.single",
     "choose_energy": "study.api.single",
-    "converge": "study.api.convergence",
+    "converge": "study.api.convergence.problem",
     "virtual": "study.api.single",
 }
 __all__ = list(_HOME)  # noqa: PLE0605

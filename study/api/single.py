@@ -18,7 +18,7 @@ from study.reporting.figure.meshes import picture
 from study.runner import build, provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.model_selection import choose
-from study.runner.virtual import usual_generator, write_virtual
+from study.runner.virtual.specimens import usual_generator, write_virtual
 from study.setup.setup import Problem
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.anova import analyze as anova
-from study.analysis.design_matrix import terms_of
+from study.analysis.linear_model.design_matrix import terms_of
 from study.api.uncertainty.numerical import effect_u_num
 from study.design.cases import treatments
 from study.design.checks import is_constant

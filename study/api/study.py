@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
-from study.api.compare import compare
-from study.api.design_changes import read_truths
+from study.api.comparison.compare import compare
+from study.api.comparison.design_changes import read_truths
 from study.api.folders import REPORTS, RESULTS, data_root
 from study.api.opened_study import open_study
 from study.api.remaining_time import (
@@ -29,7 +29,7 @@ from study.reporting.output.write import write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.provenance import versions
-from study.runner.virtual import write_virtual
+from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 
 if TYPE_CHECKING:

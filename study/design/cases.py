@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from typing import Any
 
-from study.design import keys, plausibility
+from study.design import overlay, plausibility
 from study.design.reader import Faults
 from study.design.resolve import resolve
 from study.design.spec import Case, Config, Design, Level, MeasurementSpec, Treatment
@@ -37,8 +37,8 @@ def _why_excluded(design: Design, labels: Mapping[str, str]) -> str | None:
 def resolve_cell(design: Design, levels: Sequence[Level], faults: Faults) -> Config:
     """Resolve the configuration of one cell; faults name the keys of the merged file."""
     settings = {k: v for level in levels for k, v in level.settings.items()}
-    tables = {k: v for k, v in design.config.items() if k in keys.TABLES}
-    return resolve(keys.lay(tables, settings), faults, design.converge.ratio)
+    tables = {k: v for k, v in design.config.items() if k in overlay.TABLES}
+    return resolve(overlay.lay(tables, settings), faults, design.converge.ratio)
 
 
 def treatments(design: Design) -> tuple[Treatment, ...]:

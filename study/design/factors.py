@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from study.design import keys, sections
+from study.design import overlay, study_file
 from study.design.reader import (
     MAX_NAME,
     Bad,
@@ -44,7 +44,7 @@ def read_presets(table: Any, faults: Faults) -> Presets:
         where = f"presets.{quoted(set_name)}"
         if not _readable(set_name, where, faults):
             continue
-        prefix = f"{set_name}." if set_name in keys.TABLES else ""
+        prefix = f"{set_name}." if set_name in overlay.TABLES else ""
         inner = Section(levels, where, faults)
         presets[set_name] = {
             label.strip(): _settings(level, prefix, f"{where}.{quoted(label)}", faults)
@@ -60,10 +60,10 @@ def _settings(level: Any, prefix: str, where: str, faults: Faults) -> dict[str, 
         return {}
     settings = flatten(level, prefix)
     for key in settings:
-        if not keys.may_vary(key):
+        if not overlay.may_vary(key):
             inner = quoted_path(key.removeprefix(prefix))
-            faults.add(f"{where}.{inner}", "unknown key", keys.suggestion(key))
-    return {key: value for key, value in settings.items() if keys.may_vary(key)}
+            faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
+    return {key: value for key, value in settings.items() if overlay.may_vary(key)}
 
 
 def quoted_path(key: str) -> str:
@@ -95,7 +95,7 @@ def read_factors(table: Any, presets: Presets, faults: Faults) -> tuple[Factor, 
 
 
 def _factor(key: str, value: Any, presets: Presets, faults: Faults) -> Factor | None:
-    if isinstance(value, Mapping) and key not in presets and keys.may_vary(key):
+    if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
         return read_range(key, value, f"factors.{quoted_path(key)}", faults)
     levels = _levels(key, value, presets, faults)
     return Factor(key, levels) if levels else None
@@ -103,9 +103,12 @@ def _factor(key: str, value: Any, presets: Presets, faults: Faults) -> Factor | 
 
 def _levels(key: str, value: Any, presets: Presets, faults: Faults) -> tuple[Level, ...]:
     where = f"factors.{quoted_path(key)}"
-    if key not in presets and not keys.may_vary(key):
-        valid = [*presets, *(k for k in keys.VARYING if k.partition(".")[0] == key.split(".")[0])]
-        mend = nearest(key[:MAX_NAME], valid) if valid else keys.suggestion(key)
+    if key not in presets and not overlay.may_vary(key):
+        valid = [
+            *presets,
+            *(k for k in overlay.VARYING if k.partition(".")[0] == key.split(".")[0]),
+        ]
+        mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
         faults.add(where, "is neither a key that may vary nor a preset set", mend)
         return ()
     if not isinstance(value, list):
@@ -173,7 +176,7 @@ def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
 def _slot(key: str) -> str:
     """Key, or the first of the keys that cannot stand beside it."""
     table, _, last = key.rpartition(".")
-    alternatives = sections.ALTERNATIVES.get(table, ())
+    alternatives = study_file.ALTERNATIVES.get(table, ())
     return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
@@ -260,7 +263,7 @@ def grouped(table: Mapping[str, Any]) -> dict[str, Any]:
 
 def read_range(key: str, value: Mapping[str, Any], where: str, faults: Faults) -> Factor | None:
     """Factor of a range, with its two ends as levels."""
-    dimension = keys.dimension(key)
+    dimension = overlay.dimension(key)
     if dimension is None:
         faults.add(where, "is no number, so it has no range", "list its levels: [.., ..]")
         return None

@@ -12,17 +12,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from study.design import keys, plausibility, toml_document
+from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
-from study.design.expected import read_expected
 from study.design.factors import Presets, grouped, read_exclusions, read_factors, read_presets
-from study.design.fitting import read_fitting
-from study.design.layout import default_model, read_scheme
-from study.design.measured import read_measurements_table
+from study.design.layout.schemes import default_model, read_scheme
 from study.design.reader import Bad, Faults, Section, choice, number, shown
 from study.design.resolve import calibration_spec, resolve_problem
-from study.design.sections import CONSTANT
-from study.design.settings import (
+from study.design.sections.fitting import read_fitting
+from study.design.sections.hypotheses import read_expected
+from study.design.sections.measurements import read_measurements_table
+from study.design.sections.settings import (
     read_analysis,
     read_converge,
     read_replicates,
@@ -32,6 +31,7 @@ from study.design.settings import (
     read_uncertainty,
 )
 from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec, Response
+from study.design.study_file import CONSTANT
 from study.errors import Fault, InputError
 from study.material.energy import constant_names
 
@@ -227,8 +227,8 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
-        if path[0] in keys.TABLES and len(path) > 1 and not any("." in part for part in path):
-            tables = keys.lay(tables, {".".join(path): value})
+        if path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
+            tables = overlay.lay(tables, {".".join(path): value})
         else:
             toml_document.set_value(tables, path, value)
     return _joined(tables, source)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from study.design import plausibility, sections
-from study.design.measured import read_measurements_table
+from study.design import plausibility
 from study.design.reader import Faults
+from study.design.sections.measurements import read_measurements_table
+from study.design.sections.problem import read_material, read_model, read_specimen, read_test
 from study.design.spec import CalibrationSpec, Config, MeasurementSpec
 from study.design.study_file import Calibration, CalibrationProblem
 from study.design.table import read_table
@@ -53,14 +54,12 @@ def resolve_problem(
     ``places`` says where tables stand that are not at the top of the file.
     """
     at = {name: name for name in TABLES} | dict(places or {})
-    specimen = sections.read_specimen(tables.get("specimen", {}), faults, at["specimen"])
+    specimen = read_specimen(tables.get("specimen", {}), faults, at["specimen"])
     config: Config = {
         "specimen": specimen,
-        "test": sections.read_test(tables.get("test", {}), faults, at["test"]),
-        "material": sections.read_material(tables.get("material", {}), faults, at["material"]),
-        "model": sections.read_model(
-            tables.get("model", {}), faults, specimen["shape"], ratio, at["model"]
-        ),
+        "test": read_test(tables.get("test", {}), faults, at["test"]),
+        "material": read_material(tables.get("material", {}), faults, at["material"]),
+        "model": read_model(tables.get("model", {}), faults, specimen["shape"], ratio, at["model"]),
         "measurements": None,
     }
     if "measurements" in tables:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -22,8 +24,20 @@ from study.design.reader import (
 )
 from study.design.table import Reads, Table, one_of
 
+#: keys that may differ between cells
+FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
+CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
+
+#: keys of which a table may have one; laying one over a table takes the others away
+ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
+    "material": ("poisson_ratio", "bulk_modulus", "incompressible"),
+    "model": ("mesh", "mesh_size"),
+    "measurements": ("file", "files"),
+}
+MATERIAL_KEYS = ("model", "order", *ALTERNATIVES["material"])
 MESHES = ("coarse", "medium", "fine")
 METHODS = ("auto", "analytic", "inverse-fem", "none")
+
 #: unit of every response; constants are reported in kPa, exponents plain
 RESPONSES = {
     "relative_rms_force_error": "%",
@@ -33,7 +47,6 @@ RESPONSES = {
     "mu0": "kPa",
     "seconds": "s",
 }
-
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
 

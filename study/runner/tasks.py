@@ -6,15 +6,16 @@ from typing import Any
 
 from study.execution.loky import Loky
 from study.execution.task import Executor, Perform
-from study.runner import case, residual_bootstrap, virtual
+from study.runner import case, residual_bootstrap
 from study.runner.fitting import fit_task
 from study.runner.numerical import refinement
+from study.runner.virtual import specimens
 
 KINDS: dict[str, Perform] = {
     "case": case.perform,
     "fit": fit_task.perform,
     "noise": residual_bootstrap.perform,
-    "reference": virtual.perform,
+    "reference": specimens.perform,
     "solve": refinement.perform,
     "ping": lambda task: {"status": "converged"},
 }

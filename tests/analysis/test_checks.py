@@ -9,8 +9,8 @@ import pytest
 
 from study.analysis.assumption.normality import anderson_darling, ryan_joiner, shapiro_wilk
 from study.analysis.assumption.variance import bartlett, levene
-from study.analysis.comparisons import studentized_range_quantile
-from study.analysis.design_matrix import Layout, terms_of
+from study.analysis.effects.comparisons import studentized_range_quantile
+from study.analysis.linear_model.design_matrix import Layout, terms_of
 from study.analysis.sphericity import epsilon_gg, sphericity
 from study.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
 

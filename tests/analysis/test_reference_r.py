@@ -21,10 +21,10 @@ from study.analysis.assumption.normality import shapiro_wilk
 from study.analysis.assumption.robustness import box_cox, hc3, welch_factorial
 from study.analysis.assumption.variance import bartlett, levene
 from study.analysis.data import prepare
-from study.analysis.design_matrix import model_matrix, terms_of
-from study.analysis.influence import influence, summary_of
+from study.analysis.linear_model.design_matrix import model_matrix, terms_of
+from study.analysis.linear_model.influence import influence, summary_of
+from study.analysis.linear_model.sums_of_squares import factor
 from study.analysis.result import AnalysisResult
-from study.analysis.sums_of_squares import factor
 
 pytestmark = pytest.mark.verify
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"

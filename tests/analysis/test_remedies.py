@@ -10,12 +10,12 @@ from statsmodels.stats.power import FTestPowerF2
 
 from study.analysis.anova import analyze
 from study.analysis.assumption.robustness import box_cox, hc3, sensitivity, welch_factorial
-from study.analysis.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
 from study.analysis.data import prepare
-from study.analysis.design_matrix import model_matrix, terms_of
-from study.analysis.influence import influence
-from study.analysis.power import detectable, power_of
-from study.analysis.sums_of_squares import factor
+from study.analysis.effects.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
+from study.analysis.effects.power import detectable, power_of
+from study.analysis.linear_model.design_matrix import model_matrix, terms_of
+from study.analysis.linear_model.influence import influence
+from study.analysis.linear_model.sums_of_squares import factor
 from study.errors import InputError
 
 RNG = np.random.default_rng(4)

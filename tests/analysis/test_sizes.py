@@ -24,9 +24,9 @@ from study.analysis.assumption.normality import (
     ryan_joiner,
     simulated_rj,
 )
-from study.analysis.design_matrix import Layout, grid, model_matrix, terms_of
 from study.analysis.error.blocked import Crossed, cell_fit, own_terms
-from study.analysis.sums_of_squares import span
+from study.analysis.linear_model.design_matrix import Layout, grid, model_matrix, terms_of
+from study.analysis.linear_model.sums_of_squares import span
 from study.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]

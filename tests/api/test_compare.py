@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from study.api.compare import compare
-from study.api.design_changes import read_truths
+from study.api.comparison.compare import compare
+from study.api.comparison.design_changes import read_truths
 from study.errors import InputError
 from study.reporting.content import comparison as words
 from study.study_result import comparison as kinds

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from study.design import cases, load, overview
-from study.design.keys import lay
+from study.design.overlay import lay
 from study.errors import InputError
 
 BASE = """

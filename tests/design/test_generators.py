@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 import pytest
 
-from study.design import generators, overview
+from study.design import overview
+from study.design.layout import generators
 
 NAMES = list("ABCDEFGHJKLM")
 

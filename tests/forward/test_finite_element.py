@@ -15,7 +15,7 @@ from study.record.table import table
 from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.job import Work
-from study.runner.virtual import usual_generator, write_virtual
+from study.runner.virtual.specimens import usual_generator, write_virtual
 
 DESIGN = """
 schema = 1

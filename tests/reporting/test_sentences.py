@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from study.reporting import report
 from study.reporting.content import sentences, verdicts
 from study.reporting.content.hypotheses import cheaper, recommendation
 from study.reporting.output.page import prepare, render
@@ -249,12 +250,11 @@ def test_nothing_is_called_normal(html: str):
 def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     data: ReportData, monkeypatch: pytest.MonkeyPatch
 ):
-    from study.reporting import report
 
     found = facts(data)
     every = report.groups(data, found[0])
     one = report.Group(5.0, tuple(m for group in every for m in group.members))
-    monkeypatch.setattr(sentences, "groups", lambda *_: (one,))
+    monkeypatch.setattr(report, "groups", lambda *_: (one,))
     assert "no cell can be told from another" in sentences.best_cell(data, found)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from study.analysis.convergence.grid_convergence import compare
-from study.api import cell_convergence
+from study.api.convergence.cells import affordable, measured_cells
 from study.api.opened_study import open_study
 from study.api.study import _write_manifest
 from study.api.uncertainty import numerical, validation
@@ -29,9 +29,7 @@ ERROR = 1e-3
 
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    found = cell_convergence.measured_cells(
-        design, one_mix, 2, results, lambda _: None, executor=fake()
-    )
+    found = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
     bonded = cells["neo-hookean", "bonded"]
@@ -58,7 +56,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
 def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
     design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
     work = expand(design, one_mix)
-    kept, left = cell_convergence.affordable(work, study_refinement.every_cell(work), 1)
+    kept, left = affordable(work, study_refinement.every_cell(work), 1)
     assert len(kept) + len(left) == 4
     assert left
 

@@ -17,7 +17,7 @@ from study.runner.expansion import expand
 from study.runner.job import Work
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.study_refinement import columns, fine_uncertainty, numerical_of_columns
-from study.runner.virtual import usual_generator, write_virtual
+from study.runner.virtual.specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import DESIGN, finished
 
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'

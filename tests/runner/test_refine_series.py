@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from study.analysis.convergence.grid_convergence import grid_convergence
-from study.api.cell_convergence import problem_cells
-from study.api.convergence import problem
+from study.api.convergence.cells import problem_cells
+from study.api.convergence.problem import problem
 from study.design.load import loads, loads_problem
 from study.errors import InputError
 from study.record.store import Store

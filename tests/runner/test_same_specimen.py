@@ -15,7 +15,7 @@ from study.runner.expansion import expand
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part, staged_fit
 from study.runner.job import FitJob, Work
-from study.runner.virtual import ECOFLEX_00_10, Generator, write_virtual
+from study.runner.virtual.specimens import ECOFLEX_00_10, Generator, write_virtual
 
 DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
 WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
@@ -26,7 +26,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
 ) -> None:
     """One file a test, the same factors of every specimen in each, and no shared fit."""
     from study.curve import Curve
-    from study.runner import virtual
+    from study.runner.virtual import specimens
 
     def line(config: Any, generator: Any, *, as_designed: bool) -> Curve:
         assert as_designed
@@ -34,7 +34,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
         stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
         return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
 
-    monkeypatch.setattr(virtual, "reference_curve", line)
+    monkeypatch.setattr(specimens, "reference_curve", line)
     loaded = load.load(DESIGN)
     write_virtual(loaded, tmp_path, Generator(noise_N=0.0, batches=3))
     work = expand(loaded, tmp_path)

@@ -20,7 +20,7 @@ from study.runner.job import Work
 from study.runner.numerical.refinement_store import in_process, kept
 from study.runner.numerical.space_comparison import compared, pairs, upcoming
 from study.runner.numerical.study_refinement import refinement_work
-from study.runner.virtual import usual_generator, write_virtual
+from study.runner.virtual.specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 
 DESIGN = """

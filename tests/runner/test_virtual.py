@@ -7,7 +7,7 @@ import pytest
 
 from study.curve import Curve
 from study.design.spec import MeasurementSpec
-from study.runner.virtual import Generator, VirtualTest, _csv, _files, generate
+from study.runner.virtual.specimens import Generator, VirtualTest, _csv, _files, generate
 
 D = np.linspace(0.1, 6.2, 62)
 REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})

@@ -11,12 +11,18 @@ import numpy as np
 
 from study.analysis.anova_table import BoxCoxResult, Sensitivity, WaldTest
 from study.analysis.data import Data, prepare
-from study.analysis.design_matrix import Layout, Term, model_matrix, term_name, terms_of
 from study.analysis.error.blocked import OwnTerm, cell_fit, own_terms
-from study.analysis.influence import least_squares
+from study.analysis.linear_model.design_matrix import (
+    Layout,
+    Term,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.influence import least_squares
+from study.analysis.linear_model.sums_of_squares import Factored, TermSum, factor, span, term_sums
 from study.analysis.outcome import Outcome
 from study.analysis.pseudoreplication import ulp_floor
-from study.analysis.sums_of_squares import Factored, TermSum, factor, span, term_sums
 from study.arrays import Array
 from study.errors import Fault, InputError
 

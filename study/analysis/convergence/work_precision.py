@@ -11,10 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.analysis.data import prepare
-from study.analysis.design_matrix import Layout, Term, model_matrix, term_name, terms_of
-from study.analysis.effects import term_rows
+from study.analysis.effects.estimates import term_rows
 from study.analysis.error.blocked import crossed
-from study.analysis.sums_of_squares import Factored, factor
+from study.analysis.linear_model.design_matrix import (
+    Layout,
+    Term,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.sums_of_squares import Factored, factor
 from study.arrays import Array
 
 if TYPE_CHECKING:

@@ -13,15 +13,27 @@ import numpy as np
 
 from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
-from study.analysis.design_matrix import Layout, Term, model_matrix, term_name, terms_of
-from study.analysis.effects import pooled_estimate, size
+from study.analysis.effects.estimates import pooled_estimate, size
 from study.analysis.error import ledger
 from study.analysis.error.blocked import Crossed, crossed
 from study.analysis.error.split_plot import Plots
+from study.analysis.linear_model.design_matrix import (
+    Layout,
+    Term,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.sums_of_squares import (
+    Factored,
+    complement,
+    factor,
+    term_sums,
+    with_shares,
+)
 from study.analysis.outcome import Outcome, kind_of
 from study.analysis.pseudoreplication import ulp_floor
 from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
-from study.analysis.sums_of_squares import Factored, complement, factor, term_sums, with_shares
 from study.arrays import Array
 
 

@@ -15,13 +15,10 @@ import numpy as np
 from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
-from study.analysis.design_matrix import Layout, Term, model_matrix, term_name
-from study.analysis.effects import TermEstimate, own_critical, size, t_quantile, term_rows
+from study.analysis.effects.estimates import TermEstimate, own_critical, size, t_quantile, term_rows
 from study.analysis.error import ledger
-from study.analysis.outcome import Outcome, kind_of
-from study.analysis.pseudoreplication import ulp_floor
-from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
-from study.analysis.sums_of_squares import (
+from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix, term_name
+from study.analysis.linear_model.sums_of_squares import (
     Factored,
     TermSum,
     alias_warnings,
@@ -29,6 +26,9 @@ from study.analysis.sums_of_squares import (
     term_sums,
     with_shares,
 )
+from study.analysis.outcome import Outcome, kind_of
+from study.analysis.pseudoreplication import ulp_floor
+from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.arrays import Array, Ints
 
 

@@ -9,11 +9,16 @@ import numpy as np
 
 from study.analysis import unreplicated
 from study.analysis.anova_table import Anova, ErrorTerm, Row
-from study.analysis.design_matrix import Term, balanced, model_matrix, nested_in, term_name
-from study.analysis.effects import TermEstimate, pooled_estimate, size
-from study.analysis.influence import summary_of
-from study.analysis.outcome import Outcome, kind_of
-from study.analysis.sums_of_squares import (
+from study.analysis.effects.estimates import TermEstimate, pooled_estimate, size
+from study.analysis.linear_model.design_matrix import (
+    Term,
+    balanced,
+    model_matrix,
+    nested_in,
+    term_name,
+)
+from study.analysis.linear_model.influence import summary_of
+from study.analysis.linear_model.sums_of_squares import (
     Factored,
     TermSum,
     alias_warnings,
@@ -23,6 +28,7 @@ from study.analysis.sums_of_squares import (
     term_sums,
     with_shares,
 )
+from study.analysis.outcome import Outcome, kind_of
 from study.analysis.unreplicated import LenthResult
 
 POOLED = "pooled"

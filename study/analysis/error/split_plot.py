@@ -15,11 +15,10 @@ import numpy as np
 from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
-from study.analysis.design_matrix import ModelMatrix, Term, model_matrix, term_name
-from study.analysis.effects import pooled_estimate, size
+from study.analysis.effects.estimates import pooled_estimate, size
 from study.analysis.error import ledger
-from study.analysis.outcome import Outcome, kind_of
-from study.analysis.sums_of_squares import (
+from study.analysis.linear_model.design_matrix import ModelMatrix, Term, model_matrix, term_name
+from study.analysis.linear_model.sums_of_squares import (
     ALIAS_TOLERANCE,
     Factored,
     TermSum,
@@ -30,6 +29,7 @@ from study.analysis.sums_of_squares import (
     term_sums,
     with_shares,
 )
+from study.analysis.outcome import Outcome, kind_of
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
 

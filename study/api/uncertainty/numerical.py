@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.work_precision import mesh_series
-from study.analysis.design_matrix import term_name, terms_of
+from study.analysis.linear_model.design_matrix import term_name, terms_of
 from study.canonical import digest
 from study.runner.numerical.study_refinement import fine_uncertainty
 

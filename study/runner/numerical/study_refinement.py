@@ -189,8 +189,6 @@ def series_uncertainty(
     >>> behaviour, round(u, 6)
     ('monotone', 0.5)
     """
-    from study.analysis.convergence.grid_convergence import grid_convergence
-
     usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
     nominal = [ratio**-k for k in range(len(values))]
     found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)

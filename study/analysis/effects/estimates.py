@@ -14,9 +14,9 @@ from itertools import combinations
 import numpy as np
 
 from study.analysis.anova_table import Effect, PairDifference
-from study.analysis.comparisons import letters, studentized_range_quantile
-from study.analysis.design_matrix import Layout, Term, grid, model_matrix, term_name
-from study.analysis.sums_of_squares import Factored
+from study.analysis.effects.comparisons import letters, studentized_range_quantile
+from study.analysis.linear_model.design_matrix import Layout, Term, grid, model_matrix, term_name
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array
 
 MATTERS = "matters"

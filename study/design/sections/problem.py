@@ -12,16 +12,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from study.design.reader import (
-    Faults,
-    Section,
-    choice,
-    integer,
-    number,
-    quantity,
-)
+from study.design.reader import Faults, Section, choice, integer, number, quantity
 from study.design.spec import Config
 from study.design.study_file import (
+    ALTERNATIVES,
+    CONSTANT,
     INDENTERS,
     SPECIMENS,
     Compressibility,
@@ -35,15 +30,6 @@ from study.errors import InputError
 from study.material.energy import ENERGIES, MODELS, constant_names
 
 PRESSURE = quantity("pressure")
-CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
-
-#: keys of which a table may have one; laying one over a table takes the others away
-ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
-    "material": ("poisson_ratio", "bulk_modulus", "incompressible"),
-    "model": ("mesh", "mesh_size"),
-    "measurements": ("file", "files"),
-}
-MATERIAL_KEYS = ("model", "order", *ALTERNATIVES["material"])
 
 
 def read_specimen(table: Any, faults: Faults, path: str = "specimen") -> Config:

@@ -7,10 +7,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from study.design import sections
-from study.design.measured import FACTOR_KEYS
+from study.design import study_file
 from study.design.reader import MAX_NAME
-from study.design.study_file import INDENTERS, SPECIMENS, Compressibility, Model, Test
+from study.design.study_file import FACTOR_KEYS, INDENTERS, SPECIMENS, Compressibility, Model, Test
 from study.design.table import Table, reads_of
 from study.errors import nearest
 from study.material.energy import ENERGIES
@@ -28,7 +27,7 @@ VARYING: tuple[str, ...] = (
     *(f"test.{key}" for key in Test.written_keys()),
     "test.indenter.shape",
     *(f"test.indenter.{key}" for key in _INDENTER),
-    *(f"material.{key}" for key in (*sections.MATERIAL_KEYS, *_EXAMPLES)),
+    *(f"material.{key}" for key in (*study_file.MATERIAL_KEYS, *_EXAMPLES)),
     *(f"model.{key}" for key in Model.written_keys()),
     *(f"measurements.{key}" for key in FACTOR_KEYS),
     "calibration.method",
@@ -41,6 +40,7 @@ _VALUED: tuple[type[Table], ...] = (
     Model,
     Compressibility,
 )
+
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
     field.alias or name: found.dimension
@@ -130,7 +130,7 @@ def _make_room(merged: dict[str, Any], key: str, settings: Mapping[str, Any]) ->
         node = node.get(part) if isinstance(node, dict) else None
     if not isinstance(node, dict):
         return
-    alternatives = sections.ALTERNATIVES.get(plain, ())
+    alternatives = study_file.ALTERNATIVES.get(plain, ())
     if last in alternatives:
         for other in alternatives:
             node.pop(other, None)
@@ -145,9 +145,9 @@ def _belongs(table: str, ruling: Any, key: str) -> bool:
         kinds = SPECIMENS if table == "specimen" else INDENTERS
         others = {key for shape in kinds.values() for key in shape.written_keys()}
         return key not in others or ruling not in kinds or key in kinds[ruling].written_keys()
-    if key in sections.MATERIAL_KEYS or ruling not in ENERGIES:
+    if key in study_file.MATERIAL_KEYS or ruling not in ENERGIES:
         return True
-    if not sections.CONSTANT.fullmatch(key):
+    if not study_file.CONSTANT.fullmatch(key):
         return True  # an unknown key stays, to be reported
     if ruling == "ogden":
         return key in ("mu", "alpha")

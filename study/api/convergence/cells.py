@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.work_precision import CostPoint, cost_to_accuracy, reference_value
-from study.api.convergence_page import write_page
+from study.api.convergence.page import write_page
 from study.api.folders import data_root
 from study.canonical import digest
 from study.design.cases import case_id, treatments

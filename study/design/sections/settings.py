@@ -8,7 +8,7 @@ from functools import partial
 from typing import Annotated, Any
 
 from study import units
-from study.design import keys, study_file
+from study.design import overlay, study_file
 from study.design.reader import (
     Bad,
     Faults,
@@ -53,8 +53,8 @@ def _assumed(value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
         raise Bad(f"must be a list of keys, got {shown(value)}", 'for example ["test.interface"]')
     for key in value:
-        if key not in keys.TABLES and not keys.may_vary(key):
-            raise Bad(f"names no input: {shown(key)}", keys.suggestion(key))
+        if key not in overlay.TABLES and not overlay.may_vary(key):
+            raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
     return tuple(value)
 
 
@@ -175,10 +175,10 @@ def read_uncertainty(table: Any, faults: Faults) -> dict[str, float]:
     section = Section({} if table is None else table, "uncertainty", faults)
     found: dict[str, float] = {}
     for key in section.table:
-        kind = keys.dimension(key)
+        kind = overlay.dimension(key)
         if kind is None:
             section.known.append(key)
-            section.fault(key, "names no input with a value", keys.suggestion(key))
+            section.fault(key, "names no input with a value", overlay.suggestion(key))
             continue
         read = number(0) if kind == "number" else quantity(kind)
         found[key] = section.take(key, read)

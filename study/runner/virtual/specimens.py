@@ -41,7 +41,7 @@ from study.forward import finite_element
 from study.record.atomic_files import write_atomic
 from study.runner import build, provenance
 from study.runner.job import TRUTH_SUFFIX
-from study.runner.virtual_truth import TRUTHS, truth
+from study.runner.virtual.truth import TRUTHS, truth
 from study.units import parse
 
 #: steps of a reference curve; between them it is interpolated with its tangent

@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 
 from study.arrays import Array
-from study.design import generators, overview
+from study.design import overview
 from study.design.factors import levels_at
+from study.design.layout import generators
 from study.design.reader import Bad, Faults, Section, choice, integer, shown
 from study.design.spec import AnalysisSpec, Factor, Scheme
 from study.errors import nearest

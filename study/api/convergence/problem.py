@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.grid_convergence import grid_convergence
-from study.api.cell_convergence import design_series
-from study.api.convergence_page import write_page
+from study.api.convergence.cells import design_series
+from study.api.convergence.page import write_page
 from study.api.folders import RESULTS, data_root
 from study.api.opened_study import open_study
 from study.design.load import file_kind, load_problem

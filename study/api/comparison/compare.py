@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.design_changes import changes
+from study.api.comparison.design_changes import changes
 from study.api.folders import RESULTS, results_folder
 from study.api.opened_study import open_study
 from study.errors import Fault, InputError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.analysis.anova_table import Influential, ModelSummary
-from study.analysis.sums_of_squares import Factored
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from study.analysis.anova_table import Row
-from study.analysis.design_matrix import ModelMatrix, Term, term_name
+from study.analysis.linear_model.design_matrix import ModelMatrix, Term, term_name
 from study.arrays import Array
 
 # A unit column that keeps less than this length outside the others is aliased with them.

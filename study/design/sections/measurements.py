@@ -26,8 +26,6 @@ from study.design.spec import MeasurementSpec, Range
 from study.design.table import Reads, Table, read_table
 from study.errors import UnitError
 
-#: keys that may differ between cells
-FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
 MAX_POINTS = 100_000
 _FIELD = re.compile(r"\{([^{}]*)\}")
 

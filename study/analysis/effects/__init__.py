@@ -1,0 +1,1 @@
+"""Effects of factors: estimates, comparisons of levels, power."""

@@ -1,0 +1,1 @@
+"""The linear model of a table: columns, sums of squares, residuals, influence."""

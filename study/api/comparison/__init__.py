@@ -1,0 +1,1 @@
+"""The verb diff: two studies beside each other."""

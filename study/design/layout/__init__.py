@@ -1,0 +1,1 @@
+"""Which combinations of levels are run."""

@@ -1,0 +1,1 @@
+"""Tables of a study file, each read and checked by itself."""

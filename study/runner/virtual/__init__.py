@@ -1,0 +1,1 @@
+"""Virtual specimens: measurements with a known truth."""
