@@ -107,8 +107,17 @@ class Process:
 
     def kill(self) -> None:
         """End the process and everything that it started."""
-        executor, self._executor = self._executor, None
-        if executor is not None:
+        executor, up = self._executor, self._up
+        self._executor = self._up = None
+        if executor is None:
+            return
+        if up is not None and up.done() and up.exception() is None:
+            # from outside, so that loky sees a death: asked to kill while it hands a task
+            # over, it loses track of that task
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(up.result(), signal.SIGKILL)
+            executor.shutdown(wait=True)
+        else:
             executor.shutdown(wait=True, kill_workers=True)
 
     def _warm(self) -> Any:
@@ -121,7 +130,9 @@ class Process:
 
 
 def serve_quietly() -> None:
-    """Prepare a worker process: no output, no share in Ctrl-C, no life without its parent.
+    """Prepare a worker process: no output, a group of its own, no life without its parent.
+
+    Ctrl-C then reaches the parent alone, and what a task starts dies with its worker.
 
     loky's processes outlive a killed parent: they wait on a pipe whose other end they hold.
     They are also replaced once they keep 300 MB, and ours keep solutions on purpose.
@@ -131,7 +142,7 @@ def serve_quietly() -> None:
     process_executor._MAX_MEMORY_LEAK_SIZE = sys.maxsize
     # libraries that print to stdout must not disturb anybody: stdout belongs to --json
     os.dup2(2, 1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.setpgid(0, 0)
     parent = os.getppid()
 
     def watch() -> None:
