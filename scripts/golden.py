@@ -76,7 +76,9 @@ def forces() -> Iterator[tuple[str, Any]]:
             if energy == "linear-elastic" and name != "compression":
                 continue
             for interface in ("frictionless", "bonded"):
-                for space in ("axisymmetric", "3d") if energy == "neo-hookean" else ("axisymmetric",):
+                for space in (
+                    ("axisymmetric", "3d") if energy == "neo-hookean" else ("axisymmetric",)
+                ):
                     text = PROBLEM.format(
                         test=test, interface=interface, energy=energy, constants=constants, space=space
                     )  # fmt: skip
@@ -90,7 +92,13 @@ def _curve(text: str) -> Any:
         found = study.solve(path)
     curve = found.curve
     gradient = {name: value.tolist() for name, value in sorted(curve.force_gradient.items())}
-    return [found.status, found.dofs, curve.force_N.tolist(), curve.stiffness_N_per_mm.tolist(), gradient]
+    return [
+        found.status,
+        found.dofs,
+        curve.force_N.tolist(),
+        curve.stiffness_N_per_mm.tolist(),
+        gradient,
+    ]
 
 
 def plans() -> Iterator[tuple[str, Any]]:
@@ -102,7 +110,9 @@ def plans() -> Iterator[tuple[str, Any]]:
 
 
 def _cells(path: Path) -> Any:
-    return [[case.case_id, dict(case.levels)] for case in cases(study.load_design(path), ["a", "b"])]
+    return [
+        [case.case_id, dict(case.levels)] for case in cases(study.load_design(path), ["a", "b"])
+    ]
 
 
 def a_study() -> Iterator[tuple[str, Any]]:

@@ -107,8 +107,17 @@ def analyze(
         (``"A"``, ``"A:B"``); a term that is absent has none. Cells are one computation where
         they agree within it in every block, within the smallest of a mapping: a larger one is
         that of a contrast in which the two cells need not differ.
+    alpha : float
+        Size of the tests; intervals have the level 1 - alpha.
+    seed : int
+        Seed of every simulation.
     exact : bool
         Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
+
+    Returns
+    -------
+    AnalysisResult
+        Error term, table, effects with intervals and verdicts, assumptions.
 
     Raises
     ------

@@ -113,9 +113,16 @@ def analyze(
         Columns of the factors; all factors of a study by default.
     block : str or sequence of str, optional
         Column of the blocks, or several that cross.
-    **options
+    results : Path
+        Folder of the results, where ``source`` is the name of a study.
+    **options : optional
         As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
         ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
+
+    Returns
+    -------
+    AnalysisResult
+        Error term, table, effects with intervals and verdicts, assumptions.
 
     Raises
     ------

@@ -42,8 +42,17 @@ def solve(
     ----------
     problem : Problem, mapping, str or Path
         A problem, its resolved configuration, or its file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    gradients : bool
+        Whether dF/d(constant) is computed too.
     progress : callable, optional
         Called with the fraction that is done.
+
+    Returns
+    -------
+    Solution
+        Curve in mm and N, with gradients, energy balance, mesh and status.
 
     Raises
     ------
@@ -206,6 +215,8 @@ def calibrate(
         Calibration file.
     data : str or Path, optional
         Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
     results : Path, optional
         Where accepted iterations are kept while it runs (an interrupted calibration goes on
         from there), and the document and the figure in the end; nothing is written without.
@@ -213,6 +224,11 @@ def calibrate(
         Gets every accepted iteration.
     profiles : bool
         Whether profile-likelihood intervals are computed.
+
+    Returns
+    -------
+    CalibrationResult
+        Constants with intervals, stability, residuals and how the search ended.
 
     Raises
     ------

@@ -75,10 +75,25 @@ def run(
         Folder of the measurements.
     jobs : int, optional
         Workers; one a core by default. Results do not depend on it.
+    results : Path
+        Where records go, in a folder of the study's name.
     reports : Path, optional
         Where the report goes; None writes none.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    progress : callable, optional
+        Called after every computation.
+    timeout_s : float, optional
+        Wall-clock limit of one computation in seconds.
     refine : bool
         Whether the mesh is refined under one block, for the numerical uncertainty.
+    formats : sequence of str
+        Formats of the report instead of those of the design.
+
+    Returns
+    -------
+    StudyResult
+        Records, analyses, numerical uncertainty and the report.
 
     Raises
     ------
@@ -171,10 +186,25 @@ def report(
 
     Parameters
     ----------
+    path : str, Path or StudyResult
+        Results folder, design file, name of the study, or the study itself.
+    reports : Path, optional
+        Where the report goes; None writes none.
+    results : Path
+        Folder of the results, where ``path`` is a name.
     formats : sequence of str
         Formats instead of those of the design.
     beside : str or Path, optional
         Another finished study; the report says which conclusions hold in both.
+    extra_warnings : sequence of str
+        Warnings to be printed with those of the study.
+    began : optional
+        Clock of the run that the report ends.
+
+    Returns
+    -------
+    StudyResult
+        The study with its report.
 
     Raises
     ------

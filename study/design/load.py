@@ -59,6 +59,11 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
     overrides : sequence of str
         ``key=value`` each, laid over the file before it is validated.
 
+    Returns
+    -------
+    Design
+        The validated study.
+
     Raises
     ------
     InputError

@@ -148,6 +148,15 @@ def ryan_joiner(
         Seed of the simulation.
     exact : bool
         Whether to simulate ``p_exact``.
+    alpha : float
+        Size of the test, to which the simulated p is made exact.
+    simulations : int, optional
+        Number of simulated samples; as many as ``alpha`` needs by default.
+
+    Returns
+    -------
+    RyanJoinerResult
+        Statistic, Minitab's p, exact p.
 
     Notes
     -----

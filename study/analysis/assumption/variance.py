@@ -138,10 +138,17 @@ def bartlett(
         Values of each group; whole numbers are converted first.
     simulations : int
         Number of simulated normal samples for a Monte-Carlo p; 0 for none.
+    seed : int
+        Seed of the simulation.
     approximate : bool
         Whether the values are residuals, so that the chi-squared p is approximate.
     design : ResidualDesign, optional
         Fit whose residuals the values are: the Monte-Carlo p is then exact for it.
+
+    Returns
+    -------
+    BartlettResult
+        Statistic, degrees of freedom, p; or the reason why there is none.
 
     Examples
     --------

@@ -81,6 +81,13 @@ def grid_convergence(
         Order that the element promises for this quantity.
     tolerance : float
         Algebraic error of a value (solver tolerance), in its unit.
+    qoi, unit : str
+        Name and unit of the quantity, for the sentences.
+
+    Returns
+    -------
+    ConvergenceResult
+        Behaviour, observed order, extrapolated value, GCI.
 
     Raises
     ------

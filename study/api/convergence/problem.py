@@ -59,12 +59,20 @@ def converge(
         Order that the elements promise; that of the problem by default.
     tolerance : float
         Algebraic error of a value, in its unit; that of the solver by default.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    data : str or Path, optional
+        Folder of the measurements.
     jobs : int, optional
         Workers for the cells of a design.
     memory_MB : float, optional
         Memory that one solution may take; most of what is free by default.
+    results : Path
+        Where solutions are kept.
     reports : Path, optional
         Where a page with figures goes; the document names it as ``report``.
+    progress : callable, optional
+        Called with a sentence before every round of solutions.
 
     Returns
     -------
