@@ -9,9 +9,8 @@ from study.design.cases import combinations, excluded, resolve_cell
 from study.design.factors import Presets, quoted_path
 from study.design.plausibility import is_homogeneous
 from study.design.reader import Faults
-from study.design.sections.settings import SCORED
 from study.design.spec import Config, Design, Level
-from study.design.study_file import RESPONSES
+from study.design.study_file import RESPONSES, SCORED
 from study.errors import Fault, InputError, nearest
 from study.material.energy import constant_names
 

@@ -24,6 +24,9 @@ from study.design.reader import (
 )
 from study.design.table import Reads, Table, one_of
 
+#: responses that compare with measured curves
+SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
+
 #: keys that may differ between cells
 FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
 CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")

@@ -33,8 +33,6 @@ from study.design.study_file import RESPONSES, Analysis, Converge, Report
 from study.design.table import Reads, Table, noted, read_table
 from study.errors import nearest
 
-#: responses that compare with measured curves
-SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
 _CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu[1-9]|alpha[1-9]")
 _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
 MAX_RESPONSES = 50
