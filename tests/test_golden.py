@@ -1,0 +1,49 @@
+"""The golden answers see a changed digit, and only what changed."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def golden() -> ModuleType:
+    path = Path(__file__).parents[1] / "scripts" / "golden.py"
+    spec = importlib.util.spec_from_file_location("golden", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["golden"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+OLD = {"a": [1.0, 2.0], "b": {"text": "x", "seconds": 3.0}}
+
+
+@pytest.mark.parametrize(
+    ("new", "rtol", "told"),
+    [
+        (OLD, 0.0, []),
+        ({**OLD, "b": {"text": "x", "seconds": 9.0}}, 0.0, []),
+        ({**OLD, "a": [1.0, 2.0 + 5e-16]}, 0.0, [".a[1]"]),
+        ({**OLD, "a": [1.0, 2.0 + 5e-16]}, 1e-12, []),
+        ({**OLD, "a": [1.0]}, 1e-12, [".a"]),
+        ({**OLD, "b": {"text": "y", "seconds": 3.0}}, 1e-12, [".b.text"]),
+        ({"a": [1.0, 2.0]}, 0.0, [".b"]),
+    ],
+)
+def test_a_change_is_found_where_it_is(
+    golden: ModuleType, new: object, rtol: float, told: list[str]
+) -> None:
+    kept, found = golden._still(OLD), golden._still(new)
+    places = [line.split(": ")[0] for line in golden.differences(kept, found, "", rtol)]
+    assert places == told
+
+
+def test_a_file_that_is_not_there_is_bad_input(golden: ModuleType, tmp_path: Path) -> None:
+    assert golden.main(["compare", str(tmp_path / "none.json")]) == 2
