@@ -290,7 +290,8 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
         tables.get("design"), factors, study["seed"], "exclude" in tables, faults
     )
     analysis = read_analysis(tables.get("analysis"), faults, declared)
-    if "model" not in (tables.get("analysis") or {}):
+    asked = tables.get("analysis")
+    if not isinstance(asked, Mapping) or "model" not in asked:
         analysis = default_model(scheme, factors, analysis)
     responses = _responses(tables, faults)
     design = Design(

@@ -83,7 +83,7 @@ class ResponseTable(Table):
 def read_study(table: Any, faults: Faults, default_name: str) -> dict[str, Any]:
     """Read ``[study]``: name, question, seed, assumed."""
     found = read_table(Study, {} if table is None else table, "study", faults).values()
-    if table is None or "name" not in table:
+    if not isinstance(table, Mapping) or "name" not in table:
         found["name"] = default_name
     return found
 
