@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from study.curve import Curve
+from study.design.study_file import RESPONSES, SCORED
 
 
 def constants_only(extra: Mapping[str, Any]) -> bool:
@@ -16,12 +17,7 @@ def constants_only(extra: Mapping[str, Any]) -> bool:
 
 
 #: unit of every response that comes from curves
-UNITS = {
-    "relative_rms_force_error": "%",
-    "rms_force_error": "N",
-    "peak_force_error": "N",
-    "work_error": "%",
-}
+UNITS = {name: RESPONSES[name] for name in SCORED}
 
 
 def rms_force_error(predicted: Curve, measured: Curve) -> float:
