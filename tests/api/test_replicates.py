@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from study.runner.build import problem
 
 from study import api
 from study.api.opened_study import open_study
@@ -16,7 +17,6 @@ from study.errors import InputError
 from study.fem.solver.solve import solve
 from study.forward import closed_form
 from study.material.material import Material
-from study.runner.build import problem
 from study.study_result.study_result import StudyResult
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
