@@ -9,17 +9,7 @@ from pydantic import ValidationError
 
 from study.errors import Fault, nearest
 from study.setup.quantity import shown
-from study.setup.section import (
-    Bad,
-    Read,
-    Reads,
-    declared_fields,
-    key_of,
-    must_be_written,
-    read_section,
-    reads_of,
-    written_keys,
-)
+from study.setup.section import Bad, Read, Reads, keys_of, read_section, written_keys
 from study.setup.text import quoted
 
 Kind = TypeVar("Kind")
@@ -69,11 +59,7 @@ def read_table(
     try:
         found = read_section(kind, {key: value for key, value in own.items() if key not in bad})
     except ValidationError as error:
-        for one in error.errors(include_url=False):
-            keys = tuple(str(part) for part in one["loc"])
-            if keys[0] not in bad:
-                _note(kind, one, keys, path, faults)
-        bad |= {str(one["loc"][0]) for one in error.errors(include_url=False)}
+        bad |= _invalid(kind, error, path, faults, bad)
     else:
         if not bad:
             return found
@@ -117,32 +103,36 @@ def one_of(names: Iterable[str]) -> Callable[[Any], str]:
 
 def _unwritten(kind: type, written: Mapping[str, Any], path: str, faults: Faults) -> set[str]:
     """Note the keys that must stand in a file and do not."""
-    found = set()
-    for name, one in declared_fields(kind).items():
-        key = key_of(name, one)
-        if must_be_written(one) and key not in written:
-            read = reads_of(one)
-            found.add(key)
-            faults.add(
-                _dotted(path, key), "is missing", (read.mend if read else one.description) or ""
-            )
-    return found
+    missing = [k for k in keys_of(kind) if k.must_be_written and k.written not in written]
+    for key in missing:
+        faults.add(_dotted(path, key.written), "is missing", key.mend)
+    return {key.written for key in missing}
 
 
 def _foreign(
     kind: type, written: Mapping[str, Any], path: str, faults: Faults, also: Iterable[str]
 ) -> set[str]:
     """Note the keys that nobody declares."""
-    valid = [*written_keys(kind), *also]
-    foreign = {key for key in written if key not in valid}
-    for key in written:
-        if key in foreign:
-            faults.add(_dotted(path, quoted(key)), "unknown key", nearest(key, valid))
-    return foreign
+    valid = written_keys(kind)
+    foreign = [key for key in written if key not in valid]
+    for key in foreign:
+        faults.add(_dotted(path, quoted(key)), "unknown key", nearest(key, [*valid, *also]))
+    return set(foreign)
+
+
+def _invalid(
+    kind: type, found: ValidationError, path: str, faults: Faults, noted: set[str]
+) -> set[str]:
+    """Note the errors of pydantic, but for the keys that are noted."""
+    errors = [(tuple(map(str, one["loc"])), one) for one in found.errors(include_url=False)]
+    for keys, error in errors:
+        if keys[0] not in noted:
+            _note(kind, error, keys, path, faults)
+    return {keys[0] for keys, _ in errors}
 
 
 def _dotted(path: str, key: str) -> str:
-    return f"{path}.{key}" if path else key
+    return f"{path}.{key}" if path and key else path or key
 
 
 def _note(
@@ -150,12 +140,12 @@ def _note(
 ) -> None:
     """Note one error of pydantic as a fault."""
     *parents, key = keys
-    inner, where = _inner(kind, parents), _dotted(path, ".".join(keys))
+    above, where = _dotted(path, ".".join(parents)), _dotted(path, ".".join(keys))
     if error["type"] == "missing":
-        _unwritten(inner, error["input"], _dotted(path, ".".join(parents)), faults)
+        _unwritten(_inner(kind, parents), error["input"], above, faults)
     elif error["type"] == "unexpected_keyword_argument":
-        above = _dotted(path, ".".join(parents))
-        faults.add(_dotted(above, quoted(key)), "unknown key", nearest(key, written_keys(inner)))
+        valid = written_keys(_inner(kind, parents))
+        faults.add(_dotted(above, quoted(key)), "unknown key", nearest(key, valid))
     elif error["type"] == "dataclass_type":
         faults.add(where, f"must be a table, got {shown(error['input'])}", f"write [{where}]")
     else:
@@ -165,25 +155,17 @@ def _note(
 
 def _inner(kind: type, parents: Sequence[str]) -> type:
     """Find the declaration of a table within a table."""
-    for key in parents:
-        annotation = next(
-            one.annotation
-            for name, one in declared_fields(kind).items()
-            if key_of(name, one) == key
-        )
-        kind = annotation if isinstance(annotation, type) else kind
+    for parent in parents:
+        kind = next(key.kind or kind for key in keys_of(kind) if key.written == parent)
     return kind
 
 
 def _partial(kind: type[Kind], written: Mapping[str, Any], bad: set[str]) -> Kind:
     """Values of the keys that are right, the defaults of those left out, None for the others."""
     found = object.__new__(kind)
-    for name, one in declared_fields(kind).items():
-        key, read = key_of(name, one), reads_of(one)
-        value = None if one.is_required() else one.get_default()
-        if key in bad:
-            value = None
-        elif key in written and read is not None:
-            value = read(written[key])
-        object.__setattr__(found, name, value)
+    for key in keys_of(kind):
+        value = None if key.written in bad else key.default
+        if key.written in written and key.written not in bad and key.reads is not None:
+            value = key.reads(written[key.written])
+        object.__setattr__(found, key.name, value)
     return found

@@ -13,7 +13,7 @@ from study.errors import nearest
 from study.material.energy import ENERGIES
 from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
-from study.setup.section import declared_fields, key_of, reads_of, written_keys
+from study.setup.section import keys_of, written_keys
 from study.setup.setup import Model
 from study.setup.test_kind import TestSection
 from study.setup.text import MAX_NAME
@@ -47,10 +47,10 @@ _VALUED: tuple[type, ...] = (
 
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
-    key_of(name, declared): found.dimension
+    key.written: key.reads.dimension
     for table in _VALUED
-    for name, declared in declared_fields(table).items()
-    if (found := reads_of(declared)) is not None and found.dimension
+    for key in keys_of(table)
+    if key.reads is not None and key.reads.dimension
 } | {"alpha": "number", "youngs_modulus": "pressure", "mu": "pressure"}
 
 #: keys that decide which others a table may have

@@ -23,16 +23,16 @@ from study.setup.geometry import Block, Cylinder, Specimen
 from study.setup.setup import Setup
 
 
-def area_of(specimen: Specimen) -> float:
-    """Cross-section area in mm^2 of a cylinder or block, the mean one of a surface."""
+def height_and_area(specimen: Specimen) -> tuple[float, float]:
+    """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
     if isinstance(specimen, Cylinder):
-        return math.pi * specimen.radius_mm**2
+        return specimen.height_mm, math.pi * specimen.radius_mm**2
     if isinstance(specimen, Block):
-        return specimen.width_mm * specimen.depth_mm
+        return specimen.height_mm, specimen.width_mm * specimen.depth_mm
     from study.surface.surface import body
 
     found = body(specimen)
-    return found.volume_mm3 / found.height_mm
+    return found.height_mm, found.volume_mm3 / found.height_mm
 
 
 def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
@@ -57,7 +57,7 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
     InputError
         If a displacement reaches the height of the specimen.
     """
-    height, area = specimen.height_mm, area_of(specimen)
+    height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
     if d.max(initial=0.0) >= height:
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"

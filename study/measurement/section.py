@@ -12,7 +12,7 @@ from pydantic import Field
 from study import units
 from study.errors import Fault, InputError, UnitError
 from study.setup.quantity import Force, integer, shown
-from study.setup.section import Bad, Read, Reads, declared_fields, section
+from study.setup.section import Bad, Read, Reads, keys_of, section
 from study.setup.text import choice, flag, name, names, relative_path, text
 
 MAX_POINTS = 100_000
@@ -220,7 +220,8 @@ class MeasurementSpec:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
         """Inverse of :meth:`as_dict`, also after a way through JSON."""
-        values = {k: v for k, v in data.items() if k in declared_fields(cls)}
+        names = {key.name for key in keys_of(cls)}
+        values = {k: v for k, v in data.items() if k in names}
         values["average"] = tuple(values.get("average") or ())
         if values.get("range") is not None:
             values["range"] = Range(**values["range"])

@@ -11,7 +11,7 @@ from study.runner.fitting.fit_task import FitProblem, fit_problem
 from study.runner.job import CaseJob, FitJob
 from study.runner.response import constants_only
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Setup, height_of, problem_of
+from study.setup.setup import Setup, known_height_mm, problem_of
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -116,7 +116,7 @@ def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float
     from study.fem.cost import estimate
 
     section = {**config["material"], "constants": None, "model": "neo-hookean"}
-    height = height_of(config["specimen"]) or 1.0
+    height = known_height_mm(config["specimen"]) or 1.0
     if config["test"].get("displacement_mm") is None:
         depth_mm = depth_mm or 0.2 * height
     try:

@@ -181,10 +181,12 @@ def _walked(value: Any, places: Sequence[Path]) -> Any:
 
 
 def _found(section: Config, places: Sequence[Path]) -> dict[str, Any]:
+    from study.surface.surface import height_of
+
     path = find(str(section["file"]), places)
     sha = hashlib.sha256(path.read_bytes()).hexdigest()
     whole = {**section, "path": str(path), "sha256": sha}
-    return {**whole, "height_mm": specimen_of(whole).height_mm}
+    return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
 def find(name: str, places: Sequence[Path]) -> Path:
@@ -230,10 +232,12 @@ def surface_notes(configs: Sequence[Config]) -> tuple[str, ...]:
 
 
 def _notes(config: Config) -> Iterator[str]:
+    from study.surface.surface import body
+
     if _is_surface(config.get("specimen")):
         made = specimen_of(config["specimen"])
         if isinstance(made, Surface):
-            yield from made.notes
+            yield from body(made).notes
 
 
 def fingerprints(config: Config) -> list[str]:

@@ -68,20 +68,6 @@ class Surface:
     )
     shape: Literal["surface"] = "surface"
 
-    @property
-    def height_mm(self) -> float:
-        """Height of the specimen, read from the file."""
-        from study.surface.surface import body
-
-        return body(self).height_mm
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was mended when the file was read, and what looks strange."""
-        from study.surface.surface import body
-
-        return body(self).notes
-
 
 @section
 class Flat:

@@ -23,21 +23,15 @@ def quantity(
 
     def read(value: Any) -> float:
         number = units.parse(value, dimension)
-        _check_inside(number, value, dimension, low, high, closed)
+        unit = units.INTERNAL[dimension]
+        if number < low or (number == low and not closed):
+            bound = "at least" if closed else "above"
+            raise Bad(f"must be {bound} {low:g} {unit}, got {value!r}")
+        if number >= high:
+            raise Bad(f"must be below {high:g} {unit}, got {value!r}")
         return number
 
     return read
-
-
-def _check_inside(
-    number: float, written: Any, dimension: str, low: float, high: float, closed: bool
-) -> None:
-    unit = units.INTERNAL[dimension]
-    if number < low or (number == low and not closed):
-        bound = "at least" if closed else "above"
-        raise Bad(f"must be {bound} {low:g} {unit}, got {written!r}")
-    if number >= high:
-        raise Bad(f"must be below {high:g} {unit}, got {written!r}")
 
 
 def measured(
@@ -61,14 +55,14 @@ def measured(
     mend : str
         What to write where the key is missing.
     """
+    return Reads(quantity(dimension, low, high, closed=closed), dimension, mend, finite)
 
-    def given(value: Any) -> float:
-        if isinstance(value, (bool, str)) or not math.isfinite(value):
-            raise Bad(f"must be a finite number, got {shown(value)}")
-        _check_inside(value, value, dimension, low, high, closed)
-        return float(value)
 
-    return Reads(quantity(dimension, low, high, closed=closed), dimension, mend, given)
+def finite(value: Any) -> float:
+    """Take a number given in Python; a problem checks the range that it needs."""
+    if isinstance(value, (bool, str)) or not math.isfinite(value):
+        raise Bad(f"must be a finite number, got {shown(value)}")
+    return float(value)
 
 
 def number(

@@ -50,6 +50,8 @@ def section(declared: type[Kind]) -> type[Kind]:
     """
     config = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
     made: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
+    fields: Mapping[str, FieldInfo] = made.__pydantic_fields__  # type: ignore[attr-defined]
+    _DECLARED[made] = tuple(_key(name, one) for name, one in fields.items())
     return made
 
 
@@ -93,50 +95,88 @@ class Reads:
         return PlainValidator(self.validated).__get_pydantic_core_schema__(source, handler)
 
 
-def declared_fields(kind: type) -> Mapping[str, FieldInfo]:
-    """Fields of a section by their names in Python."""
-    fields: Mapping[str, FieldInfo] = kind.__pydantic_fields__  # type: ignore[attr-defined]
-    return fields
-
-
-def key_of(name: str, declared: FieldInfo) -> str:
-    """Key under which a field is written in a file."""
-    alias = declared.validation_alias
-    return alias if isinstance(alias, str) else name
-
-
-def written_keys(kind: type) -> tuple[str, ...]:
-    """Keys as they are written in the file, in the order of the declaration."""
-    return tuple(
-        key_of(name, one) for name, one in declared_fields(kind).items() if not is_derived(one)
-    )
-
-
 #: Mark of a field that no file may set: what other tables say decides it.
 DERIVED = "derived"
 
 
-def is_derived(declared: FieldInfo) -> bool:
-    """Whether a field is set by other tables, so that it is no key of a file."""
-    return DERIVED in declared.metadata
+@dataclass(frozen=True)
+class Key:
+    """Declaration of one key of a section.
+
+    Parameters
+    ----------
+    name : str
+        Of the field in Python.
+    written : str
+        Name under which the key stands in a file.
+    kind : type or None
+        Section of a table within the table.
+    reads : Reads or None
+        How its value is read, if it says so.
+    default
+        Value where the key is left out; None for a required one.
+    is_required : bool
+        Whether Python must give it.
+    is_derived : bool
+        Whether other tables set it, so that it is no key of a file.
+    mend : str
+        What to write where it is missing; a key that has it must stand in a file.
+    """
+
+    name: str
+    written: str
+    kind: type | None
+    reads: Reads | None
+    default: object
+    is_required: bool
+    is_derived: bool
+    mend: str
+
+    @property
+    def must_be_written(self) -> bool:
+        """Whether a file must say it, although Python may leave it out."""
+        return self.is_required or bool(self.mend)
 
 
-def must_be_written(declared: FieldInfo) -> bool:
-    """Whether a file must say the value of a field, although Python may leave it out."""
-    found = reads_of(declared)
-    return declared.is_required() or bool(found and found.mend)
+#: keys of every section, by its class
+_DECLARED: dict[type, tuple[Key, ...]] = {}
 
 
-def reads_of(declared: FieldInfo) -> Reads | None:
-    """How a field is read, if it says so; also where it may be None."""
+def keys_of(kind: type) -> tuple[Key, ...]:
+    """Keys of a section, in the order of the declaration."""
+    return _DECLARED[kind]
+
+
+def _key(name: str, declared: FieldInfo) -> Key:
+    alias, reads = declared.validation_alias, _reads_of(declared)
+    required = declared.is_required()
+    return Key(
+        name=name,
+        written=alias if isinstance(alias, str) else name,
+        kind=declared.annotation if isinstance(declared.annotation, type) else None,
+        reads=reads,
+        default=None if required else declared.get_default(),
+        is_required=required,
+        is_derived=DERIVED in declared.metadata,
+        mend=(reads.mend if reads else declared.description) or "",
+    )
+
+
+def _reads_of(declared: FieldInfo) -> Reads | None:
+    """How a field is read; also where it may be None."""
     options: Iterable[Any] = typing.get_args(declared.annotation)
     inner = (mark for option in options for mark in typing.get_args(option))
     return next((mark for mark in (*declared.metadata, *inner) if isinstance(mark, Reads)), None)
 
 
+def written_keys(kind: type) -> tuple[str, ...]:
+    """Keys as they are written in the file, in the order of the declaration."""
+    return tuple(key.written for key in keys_of(kind) if not key.is_derived)
+
+
 def values_of(value: object) -> dict[str, Any]:
     """Values of a section by their names, in internal units; sections within it stay."""
-    return {name: getattr(value, name) for name in declared_fields(type(value))}
+    return {key.name: getattr(value, key.name) for key in keys_of(type(value))}
 
 
 def read_section(kind: type[Kind], table: Mapping[str, Any]) -> Kind:

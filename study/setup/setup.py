@@ -13,7 +13,7 @@ from study.material.material import Material
 from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
 from study.setup.material_section import MaterialSection
 from study.setup.quantity import Length
-from study.setup.section import DERIVED, Kind, declared_fields, section
+from study.setup.section import DERIVED, Kind, keys_of, section
 from study.setup.test_kind import Test, TestSection
 from study.setup.text import word
 
@@ -97,7 +97,7 @@ class Setup:
             specimen_of(resolved["specimen"]),
             loading_of(resolved["test"]),
             model_of(resolved.get("model", {})),
-            height_of(resolved["specimen"]),
+            known_height_mm(resolved["specimen"]),
         )
 
     @property
@@ -191,7 +191,7 @@ def indenter_of(resolved: Mapping[str, Any]) -> Indenter:
     return _made("test.indenter", INDENTERS[resolved["shape"]], resolved)
 
 
-def height_of(resolved: Mapping[str, Any]) -> float | None:
+def known_height_mm(resolved: Mapping[str, Any]) -> float | None:
     """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
     height = resolved.get("height_mm")
     return None if height is None else float(height)
@@ -199,10 +199,9 @@ def height_of(resolved: Mapping[str, Any]) -> float | None:
 
 def _made(where: str, kind: type[Kind], resolved: Mapping[str, Any]) -> Kind:
     """Section of a resolved table, which may hold more: where a file lies, its checksum."""
-    values = {k: v for k, v in resolved.items() if k in declared_fields(kind) and v is not None}
-    missing = [
-        k for k, one in declared_fields(kind).items() if one.is_required() and k not in values
-    ]
+    known = keys_of(kind)
+    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
+    missing = [k.name for k in known if k.is_required and k.name not in values]
     if missing:
         raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
     return kind(**values)

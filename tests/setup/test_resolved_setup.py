@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from study.errors import InputError
-from study.forward.closed_form import area_of
+from study.forward.closed_form import height_and_area
 from study.setup.geometry import Block, Cone, Cylinder, Flat
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Setup, indenter_of, loading_of, model_of, problem_of, specimen_of
@@ -44,7 +44,7 @@ def test_base_follows_interface_in_compression_and_holds_in_indentation() -> Non
 def test_shapes_and_synonyms() -> None:
     block = {"shape": "block", "width_mm": 1.0, "depth_mm": 2.0, "height_mm": 3.0}
     assert specimen_of(block) == Block(1.0, 2.0, 3.0)
-    assert area_of(specimen_of(block)) == 2.0
+    assert height_and_area(specimen_of(block)) == (3.0, 2.0)
     cone = {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0, "shaft_radius_mm": None}
     assert indenter_of(cone) == Cone(30.0, 1.0)
     assert model_of({"element_shape": "hexahedron"}).element_shape == "tensor"

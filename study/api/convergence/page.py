@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.arrays import Array
-from study.forward.closed_form import area_of
+from study.forward.closed_form import height_and_area
 from study.reporting.output.convergence_page import write_convergence
 from study.runner.numerical.refinement_store import slug
-from study.setup.setup import height_of, problem_of
+from study.setup.setup import problem_of
 
 #: cells whose coarsest and finest mesh are shown
 SHOWN = 4
@@ -72,8 +72,8 @@ def _picture(
 def near(config: Mapping[str, Any]) -> Array:
     """Corner of the section that matters: under an indenter, or where plate and side meet."""
     made = problem_of(config)
-    height = height_of(config["specimen"]) or 1.0
-    radius = float(np.sqrt(area_of(made.specimen) / np.pi))
+    height, area = height_and_area(made.specimen)
+    radius = float(np.sqrt(area / np.pi))
     if made.test.kind == "indentation":
         reach = min(max(3 * made.test.displacement_mm, 0.1 * radius), radius, height)
         return np.array([[0.0, height - reach], [reach, height]])

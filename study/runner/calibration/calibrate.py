@@ -42,7 +42,7 @@ from study.runner.fitting.staged_fit import (
 from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
 from study.setup.material_section import MaterialSection
-from study.setup.setup import height_of
+from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -331,7 +331,7 @@ def _stability(
         float(c.measured.curve.displacement_mm.max()) / height
         for c in curves
         if tests[c.test]["test"]["kind"] == "compression"
-        and (height := height_of(tests[c.test]["specimen"])) is not None
+        and (height := known_height_mm(tests[c.test]["specimen"])) is not None
     ]
     range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
     judged = stability(material, *range_of)

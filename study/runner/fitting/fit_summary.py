@@ -11,7 +11,7 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.stability import stability
 from study.setup.material_section import MaterialSection
-from study.setup.setup import height_of
+from study.setup.setup import known_height_mm
 
 Config = Mapping[str, Any]
 
@@ -51,7 +51,7 @@ def _stability(
     """Mu0 and whether the material is stable over the range that was measured."""
     material = MaterialSection.of(config["material"]).material(constants)
     outcome: dict[str, Any] = {"mu0": float(material.mu0)}
-    height = height_of(config["specimen"])
+    height = known_height_mm(config["specimen"])
     depth = max(float(curve.displacement_mm.max()) for curve in measured)
     if height is None or config["test"]["kind"] != "compression" or depth >= height:
         judged = stability(material)

@@ -36,7 +36,7 @@ from study.runner.numerical.study_refinement import (
     series_uncertainty,
     two_mesh_uncertainty,
 )
-from study.setup.setup import height_of
+from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.runner.numerical.refinement import Series
@@ -144,7 +144,7 @@ def _shifted(
 
 def _fixed_range(config: Mapping[str, Any]) -> dict[str, Any]:
     """Say the measured range in mm, so that another height does not move it."""
-    spec, height = config.get("measurements"), height_of(config.get("specimen") or {})
+    spec, height = config.get("measurements"), known_height_mm(config.get("specimen") or {})
     if spec is None or height is None:
         return dict(config)
     made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
