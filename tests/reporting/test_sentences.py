@@ -254,7 +254,7 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     found = facts(data)
     every = report.groups(data, found[0])
     one = report.Group(5.0, tuple(m for group in every for m in group.members))
-    monkeypatch.setattr(report, "groups", lambda *_: (one,))
+    monkeypatch.setattr("study.reporting.content.sentences.groups", lambda *_: (one,))
     assert "no cell can be told from another" in sentences.best_cell(data, found)
 
 
