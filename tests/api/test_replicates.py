@@ -16,10 +16,11 @@ from study.errors import InputError
 from study.fem.solver.solve import solve
 from study.forward import closed_form
 from study.material.material import Material
+from study.setup.geometry import Cylinder
 from study.setup.setup import problem_of
 from study.study_result.study_result import StudyResult
 
-SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+SPECIMEN = Cylinder(25.0, 30.0)
 HEAD = """
 schema = 1
 [study]

@@ -273,7 +273,9 @@ def generate(
     --------
     >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 7.0]),
     ...               force_gradient={"C20": np.array([1.0, 2.0])})
-    >>> spec = MeasurementSpec(file="a.csv", block="batch", average=("repeat",))
+    >>> from study.measurement.section import Columns, Units
+    >>> spec = MeasurementSpec(columns=Columns("d", "F"), units=Units("mm", "N"),
+    ...                        file="a.csv", block="batch", average=("repeat",))
     >>> tests = list(generate(curve, Generator(batches=2, repeats=2), spec))
     >>> [t.groups for t in tests][:2]
     [{'batch': '1', 'repeat': '1'}, {'batch': '1', 'repeat': '2'}]
