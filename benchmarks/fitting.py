@@ -18,9 +18,10 @@ from study.calibration.fit import MeasuredCurve, fit
 from study.calibration.iteration import EvaluationFailed
 from study.curve import Curve
 from study.forward import finite_element
-from study.runner import build
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import TOLERANCES
+from study.setup.material_section import MaterialSection
+from study.setup.setup import problem_of
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (
@@ -42,7 +43,7 @@ def config(model: str, order: int | None, mesh: str) -> dict[str, Any]:
 
 def ours(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[float, int, Array]:
     """Seconds, simulations and constants of our fit."""
-    names = build.calibrated_names(setting["material"])
+    names = MaterialSection.of(setting["material"]).calibrated_names
     began = time.perf_counter()
     model = fit_task.InverseFem(setting, [measured], names)
     data = [MeasuredCurve("virtual", measured)]
@@ -58,7 +59,7 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
     The relative step is the square root of the solver's own tolerance: smaller ones
     differentiate its noise.
     """
-    names = build.calibrated_names(setting["material"])
+    names = MaterialSection.of(setting["material"]).calibrated_names
     began = time.perf_counter()
     last: Any = None
     solves = 0
@@ -69,7 +70,7 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
         constants = dict(zip(names, values.tolist(), strict=True))
         try:
             solution = finite_element.solve(
-                build.problem(setting, constants), gradients=False, warm=last
+                problem_of(setting, constants), gradients=False, warm=last
             )
         except EvaluationFailed:
             return np.full(len(measured), 1e3)
@@ -91,7 +92,7 @@ def compare(mesh: str) -> None:
     for model, order, true in ENERGIES:
         setting = config(model, order, mesh)
         began = time.perf_counter()
-        solution = finite_element.solve(build.problem(setting, true), gradients=False)
+        solution = finite_element.solve(problem_of(setting, true), gradients=False)
         forward = time.perf_counter() - began
         measured = Curve(solution.curve.displacement_mm, solution.curve.force_N)
         exact = np.array(list(true.values()))
@@ -118,9 +119,7 @@ def main() -> None:
         f"{'scipy s':>10}{'solves':>8}{'error':>10}{'ratio':>7}{'solves':>8}"
         f"{'iteration':>10}"
     )
-    finite_element.solve(
-        build.problem(config(*ENERGIES[0][:2], "coarse"), ENERGIES[0][2])
-    )  # compiles
+    finite_element.solve(problem_of(config(*ENERGIES[0][:2], "coarse"), ENERGIES[0][2]))  # compiles
     for mesh in ("coarse", "medium", "fine"):
         compare(mesh)
 

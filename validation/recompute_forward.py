@@ -54,11 +54,12 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
         If it has no answer.
     """
     from study.fem.solver.solve import solve
-    from study.runner import build
+    from study.forward.closed_form import height_and_area
+    from study.setup.setup import problem_of
 
-    problem = build.problem(job.config, one.constants, depth_mm)
+    problem = problem_of(job.config, one.constants, depth_mm)
     if job.closed_form:
-        problem = _on_two_elements(problem, build.area_mm2(job.config["specimen"]))
+        problem = _on_two_elements(problem, height_and_area(problem.specimen)[1])
     test = replace(problem.test, steps=MORE_STEPS * problem.test.steps)
     found = solve(replace(problem, test=test), gradients=True)
     if found.status != "converged":

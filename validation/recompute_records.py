@@ -110,9 +110,9 @@ def _job(
 
 def _sticks(test: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
-    from study.runner import build
+    from study.setup.setup import loading_of
 
-    made = build.loading(test, displacement_mm=1.0)
+    made = loading_of(test).to_depth(1.0)
     return made.kind == "indentation" and made.interface == "bonded" and not made.holds_face
 
 

@@ -18,10 +18,10 @@ from study.fem.cost import expected_unknowns
 from study.fem.mesh.mesher import mesh_size
 from study.fem.mesh.size_field import sharp_edge
 from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Interface, Sphere
+from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.setup.test_kind import Interface, Test
 
 Generator = np.random.Generator
 

@@ -11,8 +11,9 @@ from typing import Any
 
 from study.execution.task import Task
 from study.forward import closed_form, finite_element
-from study.runner import build
 from study.runner.tasks import processes
+from study.setup.material_section import MaterialSection
+from study.setup.setup import problem_of, specimen_of
 
 _NEEDED = ("numpy", "scipy", "pandas", "numba", "skfem", "meshio", "matplotlib", "statsmodels")
 _SYSTEM_LIBRARIES = (
@@ -87,9 +88,11 @@ def _solve() -> tuple[str, str]:
         "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
         "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
     }  # fmt: skip
-    solution = finite_element.solve(build.problem(config))
+    solution = finite_element.solve(problem_of(config))
     exact = closed_form.compression(
-        config["specimen"], build.material(config["material"]), np.array([1.0])
+        specimen_of(config["specimen"]),
+        MaterialSection.of(config["material"]).material(),
+        np.array([1.0]),
     )
     error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
     finding = f"force within {error:.1e} of the closed form, by {solution.solver}"

@@ -15,11 +15,11 @@ from study.record.atomic_files import write_atomic
 from study.record.record import plain
 from study.reporting.figure.curves import FitPanel, fit_figure
 from study.reporting.figure.meshes import picture
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.model_selection import choose
 from study.runner.virtual.specimens import usual_generator, write_virtual
-from study.setup.setup import Problem
+from study.setup.setup import Problem, problem_of
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -72,7 +72,7 @@ def _problem(
         if not isinstance(config, Mapping):
             places = provenance.folders(config, data_root(config))
             config = provenance.located(load_problem(config, overrides), places)
-        problem = build.problem(config)
+        problem = problem_of(config)
     _judge(problem)
     return problem
 

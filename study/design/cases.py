@@ -11,10 +11,11 @@ from dataclasses import is_dataclass
 from typing import Any
 
 from study.design import overlay, plausibility
-from study.design.reader import Faults
+from study.design.diagnostics import Faults
 from study.design.resolve import resolve
-from study.design.spec import Case, Config, Design, Level, MeasurementSpec, Treatment
+from study.design.spec import Case, Config, Design, Level, Treatment
 from study.errors import Fault, InputError
+from study.measurement.section import MeasurementSpec
 
 MAX_CASES = 100_000
 ID_LENGTH = 16

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from study.design.cases import combinations, excluded, resolve_cell
+from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
 from study.design.plausibility import is_homogeneous
-from study.design.reader import Faults
 from study.design.spec import Config, Design, Level
 from study.design.study_file import RESPONSES, SCORED
 from study.errors import Fault, InputError, nearest

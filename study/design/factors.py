@@ -8,21 +8,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from study.design import overlay, study_file
-from study.design.reader import (
-    MAX_NAME,
-    Bad,
-    Faults,
-    Read,
-    Section,
-    name,
-    number,
-    quoted,
-    shown,
-    text,
-)
+from study.design.diagnostics import Faults
+from study.design.reader import Section
 from study.design.spec import Exclusion, Factor, Level, Span
 from study.design.toml_document import flatten
 from study.errors import UnitError, nearest
+from study.setup.quantity import number, shown
+from study.setup.section import Bad, Read
+from study.setup.text import MAX_NAME, name, quoted, text
 from study.units import parse
 
 MAX_FACTORS = 20

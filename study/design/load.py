@@ -14,9 +14,10 @@ from typing import Any
 
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
+from study.design.diagnostics import Faults
 from study.design.factors import Presets, grouped, read_exclusions, read_factors, read_presets
 from study.design.layout.schemes import default_model, read_scheme
-from study.design.reader import Bad, Faults, Section, choice, number, shown
+from study.design.reader import Section
 from study.design.resolve import calibration_spec, resolve_problem
 from study.design.sections.fitting import read_fitting
 from study.design.sections.hypotheses import read_expected
@@ -30,10 +31,14 @@ from study.design.sections.settings import (
     read_study,
     read_uncertainty,
 )
-from study.design.spec import CalibrationSpec, Config, Design, MeasurementSpec, Response
-from study.design.study_file import CONSTANT
+from study.design.spec import Config, Design, Response
+from study.design.study_file import CONSTANT, Calibration
 from study.errors import Fault, InputError
 from study.material.energy import constant_names
+from study.measurement.section import MeasurementSpec
+from study.setup.quantity import number, shown
+from study.setup.section import Bad
+from study.setup.text import choice
 
 SCHEMA = 1
 _COMMON = ("schema", "study", "specimen", "test", "material", "model", "converge", "report")
@@ -331,7 +336,7 @@ def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:
     return read_measurements_table(tables["measurements"], Faults())
 
 
-def _base_calibration(tables: Mapping[str, Any]) -> CalibrationSpec:
+def _base_calibration(tables: Mapping[str, Any]) -> Calibration:
     """Table ``[calibration]`` as written; its faults are reported by the cells."""
     material = tables.get("material")
     given = [k for k in material if CONSTANT.fullmatch(k)] if isinstance(material, dict) else []

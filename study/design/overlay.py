@@ -8,45 +8,49 @@ from collections.abc import Mapping
 from typing import Any
 
 from study.design import study_file
-from study.design.reader import MAX_NAME
-from study.design.study_file import FACTOR_KEYS, INDENTERS, SPECIMENS, Compressibility, Model, Test
-from study.design.table import Table, reads_of
+from study.design.study_file import FACTOR_KEYS
 from study.errors import nearest
 from study.material.energy import ENERGIES
+from study.setup.geometry import INDENTERS, SPECIMENS
+from study.setup.material_section import Compressibility
+from study.setup.section import keys_of, written_keys
+from study.setup.setup import Model
+from study.setup.test_kind import TestSection
+from study.setup.text import MAX_NAME
 
 #: tables that a preset set may be named after
 TABLES = ("specimen", "test", "material", "model", "measurements", "calibration")
-_SPECIMEN = sorted({key for shape in SPECIMENS.values() for key in shape.written_keys()})
-_INDENTER = sorted({key for shape in INDENTERS.values() for key in shape.written_keys()})
+_SPECIMEN = sorted({key for shape in SPECIMENS.values() for key in written_keys(shape)} - {"shape"})
+_INDENTER = sorted({key for shape in INDENTERS.values() for key in written_keys(shape)} - {"shape"})
 _EXAMPLES = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
 
 #: keys that may differ between the cells of a design
 VARYING: tuple[str, ...] = (
     "specimen.shape",
     *(f"specimen.{key}" for key in _SPECIMEN),
-    *(f"test.{key}" for key in Test.written_keys()),
+    *(f"test.{key}" for key in written_keys(TestSection)),
     "test.indenter.shape",
     *(f"test.indenter.{key}" for key in _INDENTER),
     *(f"material.{key}" for key in (*study_file.MATERIAL_KEYS, *_EXAMPLES)),
-    *(f"model.{key}" for key in Model.written_keys()),
+    *(f"model.{key}" for key in written_keys(Model)),
     *(f"measurements.{key}" for key in FACTOR_KEYS),
     "calibration.method",
 )
 _REPLACED = r"calibration\.problem\."
-_VALUED: tuple[type[Table], ...] = (
+_VALUED: tuple[type, ...] = (
     *SPECIMENS.values(),
     *INDENTERS.values(),
-    Test,
+    TestSection,
     Model,
     Compressibility,
 )
 
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
-    field.alias or name: found.dimension
+    key.written: key.reads.dimension
     for table in _VALUED
-    for name, field in table.model_fields.items()
-    if (found := reads_of(field)) is not None and found.dimension
+    for key in keys_of(table)
+    if key.reads is not None and key.reads.dimension
 } | {"alpha": "number", "youngs_modulus": "pressure", "mu": "pressure"}
 
 #: keys that decide which others a table may have
@@ -143,8 +147,8 @@ def _belongs(table: str, ruling: Any, key: str) -> bool:
     """Whether a key may stay in a table whose shape or energy becomes ``ruling``."""
     if table != "material":
         kinds = SPECIMENS if table == "specimen" else INDENTERS
-        others = {key for shape in kinds.values() for key in shape.written_keys()}
-        return key not in others or ruling not in kinds or key in kinds[ruling].written_keys()
+        others = {key for shape in kinds.values() for key in written_keys(shape)}
+        return key not in others or ruling not in kinds or key in written_keys(kinds[ruling])
     if key in study_file.MATERIAL_KEYS or ruling not in ENERGIES:
         return True
     if not study_file.CONSTANT.fullmatch(key):

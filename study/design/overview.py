@@ -18,8 +18,8 @@ from study.design.cases import (
     resolve_cell,
     treatments,
 )
+from study.design.diagnostics import Faults
 from study.design.plausibility import is_homogeneous, plausibility
-from study.design.reader import Faults
 from study.design.spec import Design, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]

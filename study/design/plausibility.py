@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from study.design.reader import Faults
+from study.design.diagnostics import Faults
 from study.design.spec import Config
 from study.material.material import Material
 from study.material.stability import stability
+from study.setup import setup
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
 PLAUSIBLE_MPA = (1e-4, 10.0)
@@ -159,12 +160,8 @@ def is_homogeneous(config: Mapping[str, Any]) -> bool:
 
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     """
-    test = config["test"]
-    return bool(
-        test["kind"] == "compression"
-        and test["interface"] == test["base"] == "frictionless"
-        and config["specimen"]["shape"] in ("cylinder", "block")
-    )
+    test, shape = config["test"], config["specimen"]["shape"]
+    return setup.is_homogeneous(test["kind"], test["interface"], test["base"], shape)
 
 
 def plausibility(config: Mapping[str, Any]) -> tuple[str, ...]:

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from dataclasses import replace
+from typing import Any
 
 from study.design import plausibility
-from study.design.reader import Faults
+from study.design.diagnostics import Faults, read_table
 from study.design.sections.measurements import read_measurements_table
 from study.design.sections.problem import read_material, read_model, read_specimen, read_test
-from study.design.spec import CalibrationSpec, Config, MeasurementSpec
+from study.design.spec import Config
 from study.design.study_file import Calibration, CalibrationProblem
-from study.design.table import read_table
 from study.errors import InputError
+from study.measurement.section import MeasurementSpec
+from study.setup.section import written_keys
 
 TABLES = ("specimen", "test", "material", "model", "measurements")
 
 #: tables that [calibration.problem] may replace
-REPLACEABLE = CalibrationProblem.written_keys()
+REPLACEABLE = written_keys(CalibrationProblem)
 
 
 def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Config:
@@ -109,7 +111,7 @@ def _range_end(
         return None
 
 
-def calibration_spec(table: Any, material: Config, faults: Faults) -> CalibrationSpec:
+def calibration_spec(table: Any, material: Config, faults: Faults) -> Calibration:
     """Read ``[calibration]``; the method is ``auto`` unless the constants are given.
 
     Parameters
@@ -129,7 +131,7 @@ def calibration_spec(table: Any, material: Config, faults: Faults) -> Calibratio
     if problem is not None:
         read_table(CalibrationProblem, problem, "calibration.problem", faults)
         problem = problem if isinstance(problem, Mapping) else None
-    return CalibrationSpec(cast(str, method), problem, found.leave_out)
+    return replace(found, method=method, problem=problem)
 
 
 def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, ratio: float) -> Config:
@@ -143,7 +145,7 @@ def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, rati
     return {"method": spec.method, "problem": problem, "leave_out": spec.leave_out}
 
 
-def _check_method(spec: CalibrationSpec, config: Config, fitted: Config, faults: Faults) -> None:
+def _check_method(spec: Calibration, config: Config, fitted: Config, faults: Faults) -> None:
     if spec.method == "none":
         if not config["material"]["constants"] and config["material"]["model"]:
             mend = "give them, or let [calibration] find them"

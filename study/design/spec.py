@@ -3,141 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
-from study.errors import Fault, InputError
+from study.design.study_file import Analysis, Calibration, Converge, Replicates, Report
+from study.measurement.section import MeasurementSpec
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup
 
 #: plain validated sections with mm, N, MPa and deg inside
 Config = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Range:
-    """Range of displacement: percent of the specimen's height, or mm.
-
-    Parameters
-    ----------
-    kind : {"percent", "mm"}
-        What ``low`` and ``high`` count.
-    low, high : float
-        Ends of the range, 0 <= low < high.
-    """
-
-    kind: Literal["percent", "mm"]
-    low: float
-    high: float
-
-    def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
-        """Both ends in mm.
-
-        Parameters
-        ----------
-        height_mm : float, optional
-            Height of the specimen; needed for a range in percent.
-
-        Raises
-        ------
-        InputError
-            If the range is in percent and the specimen has no height.
-
-        Examples
-        --------
-        >>> Range("percent", 1.0, 20.0).in_mm(30.0)
-        (0.3, 6.0)
-        """
-        if self.kind == "mm":
-            return self.low, self.high
-        if height_mm is None:
-            rule = "in percent needs a specimen with a height"
-            raise InputError(Fault("measurements.range", rule, 'give it in mm: ["0.3 mm", "6 mm"]'))
-        return self.low * height_mm / 100, self.high * height_mm / 100
-
-
-@dataclass(frozen=True)
-class MeasurementSpec:
-    """Where measured curves are and how their rows become curves.
-
-    Parameters
-    ----------
-    file, files : str, optional
-        One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
-    columns, units : mapping of str to str
-        Column and unit of ``displacement`` and ``force``.
-    block : str, optional
-        Column of the unit that was replicated.
-    average : tuple of str
-        Columns whose rows are repeats, nested in a specimen.
-    range : Range, optional
-        Displacements that are used.
-    points : int
-        Number of displacements, even over the range.
-    fit, score : mapping of str to str or tuple of str, optional
-        Which rows give constants, which give responses.
-    swap : bool
-        Whether fit and score also change places.
-    zero, sign, decimal : str
-        Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
-    toe : float, optional
-        Force in N at which contact counts as made.
-    citation : str
-        Printed in the report.
-    """
-
-    file: str | None = None
-    files: str | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    block: str | None = None
-    average: tuple[str, ...] = ()
-    range: Range | None = None
-    points: int = 200
-    fit: Mapping[str, Any] | None = None
-    score: Mapping[str, Any] | None = None
-    swap: bool = False
-    zero: str = "none"
-    toe: float | None = None
-    sign: str = "positive"
-    decimal: str = "."
-    citation: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
-        """Inverse of :meth:`as_dict`, also after a way through JSON."""
-        known = {f.name for f in fields(cls)}
-        values = {k: v for k, v in data.items() if k in known}
-        values["average"] = tuple(values.get("average") or ())
-        if values.get("range") is not None:
-            values["range"] = Range(**values["range"])
-        for key in ("fit", "score"):
-            if values.get(key) is not None:
-                values[key] = {
-                    k: tuple(v) if isinstance(v, list) else v for k, v in values[key].items()
-                }
-        return cls(**values)
-
-
-@dataclass(frozen=True)
-class CalibrationSpec:
-    """How constants are found.
-
-    Parameters
-    ----------
-    method : {"auto", "analytic", "inverse-fem", "none"}
-        Closed form where the calibration test is homogeneous and inverse FEM elsewhere, ...
-    problem : mapping, optional
-        Tables of ``[calibration.problem]`` as written, which replace the design's own.
-    leave_out : {"specimen", "test"}, optional
-        What a cross-validation leaves out.
-    """
-
-    method: str
-    problem: Mapping[str, Any] | None = None
-    leave_out: str | None = None
 
 
 @dataclass(frozen=True)
@@ -234,50 +110,6 @@ class Response:
 
 
 @dataclass(frozen=True)
-class AnalysisSpec:
-    """How the table is analyzed; ``model`` is "full", an order of interaction, or terms "A:B"."""
-
-    model: str | int | tuple[str, ...] = "full"
-    type: str = "II"
-    error: str = "auto"
-    alpha: float = 0.05
-
-
-@dataclass(frozen=True)
-class ConvergeSpec:
-    """Mesh refinement: ratio, meshes, watched quantity, tolerance (a fraction), time budget."""
-
-    ratio: float = 1.5
-    levels: int = 3
-    qoi: str = "peak_force"
-    tolerance: float | None = None
-    budget_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Replicates:
-    """What is computed several times for an error term; at most one of the two.
-
-    Parameters
-    ----------
-    mesh_seeds : int
-        Meshes of every cell that differ by a seed only (error source E3); 0 for the one mesh.
-    noise : int
-        Refits of every fit to its measured curve with resampled residuals (E2); 0 for none.
-    """
-
-    mesh_seeds: int = 0
-    noise: int = 0
-
-
-@dataclass(frozen=True)
-class ReportSpec:
-    """Formats of the report."""
-
-    format: tuple[str, ...] = ("html",)
-
-
-@dataclass(frozen=True)
 class Expected:
     """What was expected of a response before the study ran.
 
@@ -343,11 +175,11 @@ class Design:
     seed: int
     assumed: tuple[str, ...]
     measurements: MeasurementSpec | None
-    calibration: CalibrationSpec
-    analysis: AnalysisSpec
-    converge: ConvergeSpec
+    calibration: Calibration
+    analysis: Analysis
+    converge: Converge
     uncertainty: Mapping[str, float]
-    report: ReportSpec
+    report: Report
     scheme: Scheme = field(default_factory=Scheme)
     replicates: Replicates = field(default_factory=Replicates)
     expected: tuple[Expected, ...] = ()
@@ -376,6 +208,16 @@ class Case:
     block: str | None
     config: Config
     case_id: str
+
+    @cached_property
+    def setup(self) -> Setup:
+        """Specimen, test and discretization, typed."""
+        return Setup.of(self.config)
+
+    @cached_property
+    def material(self) -> MaterialSection:
+        """Energy and constants, as far as these are given."""
+        return MaterialSection.of(self.config["material"])
 
     @property
     def treatment(self) -> Treatment:

@@ -13,7 +13,7 @@ from study.material.homogeneous import UNIAXIAL
 from study.material.stability import stability, stable_in
 from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere, Surface
 from study.setup.setup import Problem
-from study.surface.surface import body
+from study.surface.surface import body, height_of
 
 #: range of stretches under an indenter in which a material must at least be stable
 _UNDER_INDENTER = np.linspace(0.8, 1.2, 41)
@@ -48,8 +48,8 @@ def _material(problem: Problem) -> Iterator[Fault]:
 
 def _depth(problem: Problem) -> Iterator[Fault]:
     depth, specimen = problem.test.displacement_mm, problem.specimen
-    if depth >= specimen.height_mm:
-        rule = f"{depth:g} mm is not smaller than the specimen's height, {specimen.height_mm:g} mm"
+    if depth >= height_of(specimen):
+        rule = f"{depth:g} mm is not smaller than the specimen's height, {height_of(specimen):g} mm"
         yield Fault("test.displacement", rule, "press less deep")
 
 
@@ -102,7 +102,7 @@ def instability(problem: Problem) -> str:
         return ""
     stretches = _UNDER_INDENTER
     if problem.test.kind == "compression":
-        stretches = np.linspace(1 - problem.test.displacement_mm / specimen.height_mm, 1.0, 41)
+        stretches = np.linspace(1 - problem.test.displacement_mm / height_of(specimen), 1.0, 41)
     if stable_in(UNIAXIAL, material, stretches):
         return ""
     return stability(material, stretches).sentence

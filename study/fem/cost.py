@@ -26,6 +26,7 @@ from study.fem.mesh.structured import CORNER_FRACTION, GROWTH, equivalent_radius
 from study.setup.geometry import Block, Cone, Flat, Specimen, Surface
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.setup import Problem
+from study.surface.surface import height_of
 
 #: part of the machine's memory that one solution may take
 _SHARE = 0.8
@@ -88,7 +89,7 @@ def size_faults(problem: Problem) -> Iterator[Fault]:
     if not rule:
         return
     size = mesh_size(problem)
-    low, high = size, problem.specimen.height_mm
+    low, high = size, height_of(problem.specimen)
     while high / low > 1.02:
         middle = (low * high) ** 0.5
         finer = replace(problem, model=replace(problem.model, mesh_size_mm=middle))
@@ -116,7 +117,7 @@ def _between_plates(problem: Problem) -> float:
     """Cells of a structured mesh: see :func:`study.fem.mesh.mesher.compressed_mesh`."""
     test, specimen, h = problem.test, problem.specimen, mesh_size(problem)
     bonded = [plate == "bonded" for plate in (test.interface, test.base)]
-    half = specimen.height_mm / 2
+    half = height_of(specimen) / 2
     high = sum(_line(half, h, graded=plate) for plate in bonded)
     if bonded[0] == bonded[1]:
         high /= 2  # the half above the middle plane
@@ -156,7 +157,7 @@ def _under_indenter(problem: Problem) -> float:
     if problem.model.element_shape == "tensor":
         return _grid(problem, field, radius)
     rho = _places(radius, field.ring_mm, field)
-    z = specimen.height_mm - _places(specimen.height_mm, 0.0, field)
+    z = height_of(specimen) - _places(height_of(specimen), 0.0, field)
     h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
     density = np.asarray(1 / h**2 if flat else np.pi / 2 * rho / h**3)
     total = abs(float(np.trapezoid(np.trapezoid(density, rho, axis=1), z)))
@@ -175,7 +176,7 @@ def _grid(problem: Problem, field: SizeField, radius: float) -> float:
     def along_axis(depth: Array) -> Array:
         return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
 
-    high = _steps(specimen.height_mm, 0.0, field, along_axis)
+    high = _steps(height_of(specimen), 0.0, field, along_axis)
     solid = problem.model.space == "3d"
     if solid and isinstance(pressed, Flat) and has_room(specimen, field.ring_mm):
         return high * _rings(specimen, field)
@@ -275,7 +276,7 @@ def estimate(problem: Problem) -> Estimate:
     dofs = expected_unknowns(problem)
     if dofs < _COUNTED:
         dofs = unknowns(problem, build_mesh(problem))
-    seconds = _load_steps(problem, problem.specimen.height_mm) * _iteration(problem, dofs)
+    seconds = _load_steps(problem, height_of(problem.specimen)) * _iteration(problem, dofs)
     memory = memory_MB(dofs, solid=problem.model.space == "3d")
     return Estimate(int(dofs), float(seconds), memory)
 

@@ -7,6 +7,7 @@ respect to the constants is analytic, so a fit costs microseconds.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,16 +19,31 @@ from study.errors import Fault, InputError
 from study.forward import halfspace
 from study.material.homogeneous import response
 from study.material.material import Material
-from study.runner import build
+from study.setup.geometry import Block, Cylinder, Specimen
+from study.setup.setup import Setup
 
 
-def compression(specimen: Mapping[str, Any], material: Material, displacement_mm: Array) -> Curve:
+def height_and_area(specimen: Specimen) -> tuple[float, float]:
+    """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
+    if isinstance(specimen, Cylinder):
+        return specimen.height_mm, math.pi * specimen.radius_mm**2
+    if isinstance(specimen, Block):
+        return specimen.height_mm, specimen.width_mm * specimen.depth_mm
+    from study.surface.surface import body
+
+    found = body(specimen)
+    return found.height_mm, found.volume_mm3 / found.height_mm
+
+
+def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
     """Force of a cylinder or block compressed between frictionless plates.
 
     Parameters
     ----------
-    specimen : mapping
-        Specimen section with a height and a cross-section.
+    specimen : Specimen
+        Its height and cross-section count.
+    material : Material
+        Of the specimen.
     displacement_mm : ndarray, shape (n,)
         Displacements, from 0 to below the height.
 
@@ -41,9 +57,9 @@ def compression(specimen: Mapping[str, Any], material: Material, displacement_mm
     InputError
         If a displacement reaches the height of the specimen.
     """
-    height, area = build.height_mm(specimen), build.area_mm2(specimen)
+    height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
-    if height is None or d.max(initial=0.0) >= height:
+    if d.max(initial=0.0) >= height:
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
         raise InputError(Fault("test.displacement", rule))
     stretch = 1 - d / height
@@ -77,21 +93,22 @@ def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
-    pressed = config["test"].get("indenter")
-    if config["test"]["kind"] != "indentation" or pressed is None:
-        return compression(config["specimen"], unit, d).force_N
+    setup = Setup.of(config)
+    pressed = setup.test.indenter
+    if setup.test.kind != "indentation" or pressed is None:
+        return compression(setup.specimen, unit, d).force_N
     nu = float(config["material"].get("poisson_ratio") or 0.5)
-    height = build.height_mm(config["specimen"])
+    height = setup.height_mm
     per_modulus = halfspace.indentation(
-        build.indenter(pressed),
+        pressed,
         np.maximum(d, 0.0),
         height_mm=np.inf if height is None else height,
         poisson_ratio=nu,
-        bonded=build.loading(config["test"], 1.0).base == "bonded",
+        bonded=setup.test.held_below == "bonded",
     )
     # E = 4 (1 + nu) C10
     force = 4 * (1 + nu) * per_modulus
     if height is None or d.max(initial=0.0) >= height:
         return force
     # an indenter as wide as the specimen is a plate, and none needs more force than that
-    return np.minimum(force, compression(config["specimen"], unit, d).force_N)
+    return np.minimum(force, compression(setup.specimen, unit, d).force_N)

@@ -16,8 +16,8 @@ from typing import Any
 
 from study.curve import Curve
 from study.forward.model import Prediction
-from study.runner import build
 from study.setup.load_steps import StepSettings
+from study.setup.setup import problem_of
 
 Config = Mapping[str, Any]
 
@@ -53,7 +53,7 @@ class Anchors:
             return _cold(config, constants, depth_mm, gradients=False)
         if constants == anchor["constants"]:
             return Prediction(self._solution, self._seconds)
-        problem = build.problem(config, constants, depth_mm)
+        problem = problem_of(config, constants, depth_mm)
         found = solve(problem, gradients=False, warm=self._solution)
         if found.status != "converged":
             return _cold(config, constants, depth_mm, gradients=False)
@@ -71,7 +71,7 @@ class Anchors:
 def _cold(
     config: Config, constants: Mapping[str, float] | None, depth_mm: float, *, gradients: bool
 ) -> Prediction:
-    problem = build.problem(config, constants, depth_mm)
+    problem = problem_of(config, constants, depth_mm)
     load_compiled(problem)
     began = time.perf_counter()
     solution = solve(problem, gradients=gradients)

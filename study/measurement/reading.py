@@ -19,7 +19,7 @@ from study.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, read_csv
 from study.units import parse
 
 if TYPE_CHECKING:
-    from study.design.spec import MeasurementSpec
+    from study.measurement.section import Columns, MeasurementSpec
 
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
@@ -142,8 +142,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
         found: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
     else:
         found = locate_pattern(spec.files or "", root, citation=citation)
-    columns = spec.columns
-    required = [columns["displacement"], columns["force"]]
+    required = [spec.columns.displacement, spec.columns.force]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
@@ -182,7 +181,6 @@ def _split(
     table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
 ) -> Iterable[tuple[str, dict[str, str], Array, Array]]:
     """Rows of each test of a table: name for messages, labels, displacement, force."""
-    columns = spec.columns
     d = _quantity(table, spec, "displacement", "length", MAX_TRAVEL_MM)
     f = _quantity(table, spec, "force", "force", MAX_FORCE_N)
     inside = [name for name in groups if name not in labels]
@@ -208,7 +206,7 @@ def _split(
         ordered = {name: found[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
-        _check_one_test(table, members, d, where, groups, columns)
+        _check_one_test(table, members, d, where, groups, spec.columns)
         yield where, ordered, d[members], f[members]
 
 
@@ -233,7 +231,7 @@ def _check_one_test(
     d: Array,
     where: str,
     groups: Sequence[str],
-    columns: Mapping[str, str],
+    columns: Columns,
 ) -> None:
     """Refuse rows in which the travel starts again: they are several tests, not one."""
     own = d[list(members)]
@@ -242,7 +240,7 @@ def _check_one_test(
     if not back or own.size < 5:
         return
     k, after = members[back[0]], members[back[0] + 1]
-    used = {*groups, *columns.values()}
+    used = {*groups, columns.displacement, columns.force}
     changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
@@ -260,7 +258,7 @@ def _quantity(
     table: CsvTable, spec: MeasurementSpec, what: str, dimension: str, limit: float
 ) -> Array:
     """Column in mm or N, refused where it is beyond any test."""
-    factor, column = _factor(table, spec, what, dimension), spec.columns[what]
+    factor, column = _factor(table, spec, what, dimension), getattr(spec.columns, what)
     values = table.numbers(column)
     beyond = np.flatnonzero(np.abs(values) > limit / factor)
     if beyond.size:
@@ -268,7 +266,7 @@ def _quantity(
         raise InputError(
             Fault(
                 f"{table.source}:{table.lines[k]}: column {column!r}",
-                f"{values[k]:.6g} {(spec.units or {})[what]} is beyond any test of a specimen",
+                f"{values[k]:.6g} {getattr(spec.units, what)} is beyond any test of a specimen",
                 "check the cell and measurements.units",
             )
         )
@@ -277,15 +275,7 @@ def _quantity(
 
 def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -> float:
     """Factor from the declared unit of a column to mm or N."""
-    column, unit = spec.columns[what], (spec.units or {}).get(what, "")
-    if not unit:
-        raise InputError(
-            Fault(
-                f"measurements.units.{what}",
-                "is missing",
-                f'for example units = {{ {what} = "{"mm" if dimension == "length" else "N"}" }}',
-            )
-        )
+    column, unit = getattr(spec.columns, what), getattr(spec.units, what)
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
     if suffix:

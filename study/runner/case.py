@@ -14,10 +14,12 @@ from study.errors import InputError
 from study.forward import closed_form, finite_element
 from study.forward.finite_element import Anchors
 from study.record.record import STATUSES, Record
-from study.runner import build, response
+from study.runner import response
 from study.runner.fitting import fit_task
 from study.runner.provenance import versions
 from study.runner.response import constants_only
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup
 
 Config = Mapping[str, Any]
 
@@ -176,9 +178,10 @@ def _predict(
     constants = None if fit is None else fit["values"]
     depth = float(measured.displacement_mm.max())
     asked = (config.get("calibration") or {}).get("method") or "auto"
-    if asked == "analytic" and build.is_homogeneous(config):
-        material = build.material(config["material"], constants)
-        curve = closed_form.compression(config["specimen"], material, measured.displacement_mm)
+    setup = Setup.of(config)
+    if asked == "analytic" and setup.is_homogeneous:
+        material = MaterialSection.of(config["material"]).material(constants)
+        curve = closed_form.compression(setup.specimen, material, measured.displacement_mm)
         if not np.all(np.isfinite(curve.force_N)):
             raise _Stopped("unstable", "the material has no equilibrium state in this range")
         return _Prediction(
@@ -200,7 +203,7 @@ def _predict(
 def _constants(config: Config, direction: Mapping[str, Any]) -> dict[str, Any]:
     if direction["fit"] is not None:
         return dict(direction["fit"])
-    material = build.material(config["material"])
+    material = MaterialSection.of(config["material"]).material()
     return {"values": dict(material.constants), "mu0": material.mu0}
 
 

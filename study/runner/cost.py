@@ -7,10 +7,11 @@ from typing import Any
 
 from study.canonical import digest
 from study.errors import InputError
-from study.runner import build
 from study.runner.fitting.fit_task import FitProblem, fit_problem
 from study.runner.job import CaseJob, FitJob
 from study.runner.response import constants_only
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup, known_height_mm, problem_of
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -41,7 +42,7 @@ class Costs:
         """Seconds of one calibration."""
         if problem.method != "inverse-fem":
             return _OVERHEAD_S
-        names = build.calibrated_names(problem.config["material"])
+        names = MaterialSection.of(problem.config["material"]).calibrated_names
         solves = (
             _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
@@ -55,7 +56,7 @@ class Costs:
         problem = fit_problem(config)
         shared = problem.method == "inverse-fem" and problem.shares_scored_problem
         asked = (config.get("calibration") or {}).get("method") or "auto"
-        if shared or (asked == "analytic" and build.is_homogeneous(config)):
+        if shared or (asked == "analytic" and Setup.of(config).is_homogeneous):
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
         if job.group:
@@ -101,7 +102,7 @@ def _scales(names: Sequence[str]) -> bool:
 
 
 def _from_anchor(config: Mapping[str, Any]) -> float:
-    if _scales(build.calibrated_names(config["material"])):
+    if _scales(MaterialSection.of(config["material"]).calibrated_names):
         return _SCALED
     return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
 
@@ -115,11 +116,11 @@ def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float
     from study.fem.cost import estimate
 
     section = {**config["material"], "constants": None, "model": "neo-hookean"}
-    height = build.height_mm(config["specimen"]) or 1.0
+    height = known_height_mm(config["specimen"]) or 1.0
     if config["test"].get("displacement_mm") is None:
         depth_mm = depth_mm or 0.2 * height
     try:
-        problem = build.problem({**config, "material": section}, {"C10": 0.005}, depth_mm)
+        problem = problem_of({**config, "material": section}, {"C10": 0.005}, depth_mm)
         found = estimate(problem)
         return float(found.seconds), float(found.memory_MB)
     except (InputError, ValueError, RuntimeError):

@@ -14,13 +14,14 @@ from study.design.cases import case_id, cases, plain, treatments
 from study.design.spec import Case, Design
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.calibration.model_selection import LeftOut, distinct_tests, left_out
 from study.runner.fitting.fit_task import FitProblem, fit_key, fit_problem, start_problem
 from study.runner.job import CaseJob, DataCache, Direction, FitJob, Work
 from study.runner.provenance import code_version
 from study.runner.replicates import mesh_seeded, resampled
 from study.runner.response import UNITS, is_plain
+from study.setup.setup import Setup
 
 Config = Mapping[str, Any]
 
@@ -211,6 +212,6 @@ def _is_simulated(job: CaseJob) -> bool:
     depths = {float(d.measured.displacement_mm.max()) for d in job.directions}
     problem = fit_problem(config)
     asked = (config.get("calibration") or {}).get("method") or "auto"
-    closed = asked == "analytic" and build.is_homogeneous(config)
+    closed = asked == "analytic" and Setup.of(config).is_homogeneous
     solved = problem.method == "inverse-fem" and problem.shares_scored_problem
     return len(depths) == 1 and not closed and not solved

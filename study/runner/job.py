@@ -9,13 +9,15 @@ from typing import Any
 
 from study.canonical import digest
 from study.curve import Curve
-from study.design.spec import Case, Design, MeasurementSpec
+from study.design.spec import Case, Design
 from study.measurement.conditioning import SORTED
 from study.measurement.measured_test import Measurements
 from study.measurement.reading import read_measurements
+from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.fitting.fit_task import FitProblem
+from study.setup.setup import known_height_mm
 
 Config = Mapping[str, Any]
 
@@ -52,7 +54,7 @@ class DataCache:
     def _get(self, spec: Any, specimen: Config, test: Config) -> Measurements | None:
         if not spec:
             return None
-        height, depth = build.height_mm(specimen), test.get("displacement_mm")
+        height, depth = known_height_mm(specimen), test.get("displacement_mm")
         made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
         key = digest([made.as_dict(), height, depth])
         if key not in self._read:

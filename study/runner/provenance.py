@@ -14,8 +14,8 @@ from typing import Any, cast
 import study
 from study.errors import Fault, InputError, MissingDataError, nearest
 from study.measurement.data_root import check_relative, locate
-from study.runner import build
 from study.setup.geometry import Surface
+from study.setup.setup import problem_of, specimen_of
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = (
@@ -181,10 +181,12 @@ def _walked(value: Any, places: Sequence[Path]) -> Any:
 
 
 def _found(section: Config, places: Sequence[Path]) -> dict[str, Any]:
+    from study.surface.surface import height_of
+
     path = find(str(section["file"]), places)
     sha = hashlib.sha256(path.read_bytes()).hexdigest()
     whole = {**section, "path": str(path), "sha256": sha}
-    return {**whole, "height_mm": build.specimen(whole).height_mm}
+    return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
 def find(name: str, places: Sequence[Path]) -> Path:
@@ -221,7 +223,7 @@ def _check_use(config: Config) -> None:
     depth = config["test"].get("displacement_mm") or (
         _USUAL_DEPTH * float(config["specimen"]["height_mm"])
     )
-    check(build.problem({**config, "material": material}, {"C10": 0.005}, depth))
+    check(problem_of({**config, "material": material}, {"C10": 0.005}, depth))
 
 
 def surface_notes(configs: Sequence[Config]) -> tuple[str, ...]:
@@ -230,10 +232,12 @@ def surface_notes(configs: Sequence[Config]) -> tuple[str, ...]:
 
 
 def _notes(config: Config) -> Iterator[str]:
+    from study.surface.surface import body
+
     if _is_surface(config.get("specimen")):
-        made = build.specimen(config["specimen"])
+        made = specimen_of(config["specimen"])
         if isinstance(made, Surface):
-            yield from made.notes
+            yield from body(made).notes
 
 
 def fingerprints(config: Config) -> list[str]:

@@ -20,9 +20,9 @@ import numpy as np
 from study.arrays import Array
 from study.canonical import digest
 from study.curve import Curve
-from study.runner import build
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Checkpoint, Part, Predict, single_stage
+from study.setup.material_section import MaterialSection
 
 #: points below which residuals say nothing of their correlation
 _FEWEST = 8
@@ -141,7 +141,7 @@ def _described(fit: Any, material: Mapping[str, Any], found: Sequence[Residuals]
         "message": str(fit.message),
         "names": list(fit.names),
         "values": constants,
-        "mu0": float(build.material(material, constants).mu0),
+        "mu0": float(MaterialSection.of(material).material(constants).mu0),
         "identifiable": bool(fit.status.converged),
         "reason": "" if fit.status.converged else str(fit.status.sentence),
         "evaluations": int(fit.evaluations),

@@ -1,35 +1,41 @@
-"""What the solver needs and nothing else: specimen, test, material with numbers, model."""
+"""Specimens and indenters: sections of a study file and values of the solver in one."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
-Space = Literal["axisymmetric", "3d"]
-Order = Literal["linear", "quadratic"]
-Shape = Literal["simplex", "tensor"]
-Formulation = Literal["mixed", "displacement"]
-Interface = Literal["frictionless", "bonded"]
+from pydantic import Field
+
+from study.setup.quantity import Coordinate, LengthOrZero, measured, unit_of_length
+from study.setup.section import Reads, section
+from study.setup.text import relative_path, word
+
+_CYLINDER = measured("length", mend="cylinder takes radius, height")
+_BLOCK = measured("length", mend="block takes width, depth, height")
+_SURFACE = "surface takes file, unit, axis, clamp_below, press_x, press_y, plate_tolerance"
+_CONE = "cone takes half_angle, tip_radius, shaft_radius"
 
 
-@dataclass(frozen=True)
+@section
 class Cylinder:
     """Circular cylinder standing on its base (mm)."""
 
-    radius_mm: float
-    height_mm: float
+    radius_mm: Annotated[float, _CYLINDER] = Field(validation_alias="radius")
+    height_mm: Annotated[float, _CYLINDER] = Field(validation_alias="height")
+    shape: Literal["cylinder"] = "cylinder"
 
 
-@dataclass(frozen=True)
+@section
 class Block:
     """Rectangular block standing on its base (mm)."""
 
-    width_mm: float
-    depth_mm: float
-    height_mm: float
+    width_mm: Annotated[float, _BLOCK] = Field(validation_alias="width")
+    depth_mm: Annotated[float, _BLOCK] = Field(validation_alias="depth")
+    height_mm: Annotated[float, _BLOCK] = Field(validation_alias="height")
+    shape: Literal["block"] = "block"
 
 
-@dataclass(frozen=True)
+@section
 class Surface:
     """Closed surface read from a file, standing on its lowest points.
 
@@ -51,52 +57,56 @@ class Surface:
         by default.
     """
 
-    file: str
-    unit: str = "mm"
-    axis: str = "z"
-    clamp_below_mm: float | None = None
-    press_x_mm: float | None = None
-    press_y_mm: float | None = None
-    plate_tolerance_mm: float | None = None
-
-    @property
-    def height_mm(self) -> float:
-        """Height of the specimen, read from the file."""
-        from study.surface.surface import body
-
-        return body(self).height_mm
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was mended when the file was read, and what looks strange."""
-        from study.surface.surface import body
-
-        return body(self).notes
+    file: Annotated[str, Reads(relative_path, mend=_SURFACE)]
+    unit: Annotated[str, Reads(unit_of_length, mend=_SURFACE)] = "mm"
+    axis: Annotated[str, word("z", "-z", "x", "-x", "y", "-y")] = "z"
+    clamp_below_mm: Coordinate | None = Field(default=None, validation_alias="clamp_below")
+    press_x_mm: Coordinate | None = Field(default=None, validation_alias="press_x")
+    press_y_mm: Coordinate | None = Field(default=None, validation_alias="press_y")
+    plate_tolerance_mm: Annotated[float, measured("length")] | None = Field(
+        default=None, validation_alias="plate_tolerance"
+    )
+    shape: Literal["surface"] = "surface"
 
 
-@dataclass(frozen=True)
+@section
 class Flat:
-    """Flat-ended cylindrical indenter with a rounded edge (mm)."""
+    """Flat-ended cylindrical indenter; its edge may be rounded (mm)."""
 
-    radius_mm: float
-    edge_radius_mm: float = 0.0
+    radius_mm: Annotated[float, measured("length", mend="flat takes radius, edge_radius")] = Field(
+        validation_alias="radius"
+    )
+    edge_radius_mm: LengthOrZero = Field(default=0.0, validation_alias="edge_radius")
+    shape: Literal["flat"] = "flat"
 
 
-@dataclass(frozen=True)
+@section
 class Cone:
     """Cone with a spherical tip; the half-angle is measured from the axis (deg, mm)."""
 
-    half_angle_deg: float
-    tip_radius_mm: float = 0.0
-    shaft_radius_mm: float | None = None
+    half_angle_deg: Annotated[float, measured("angle", 0, 90, mend=_CONE)] = Field(
+        validation_alias="half_angle"
+    )
+    tip_radius_mm: LengthOrZero = Field(default=0.0, validation_alias="tip_radius")
+    shaft_radius_mm: Annotated[float, measured("length")] | None = Field(
+        default=None, validation_alias="shaft_radius"
+    )
+    shape: Literal["cone"] = "cone"
 
 
-@dataclass(frozen=True)
+@section
 class Sphere:
     """Spherical indenter (mm)."""
 
-    radius_mm: float
+    radius_mm: Annotated[float, measured("length", mend="sphere takes radius")] = Field(
+        validation_alias="radius"
+    )
+    shape: Literal["sphere"] = "sphere"
 
 
 Specimen = Cylinder | Block | Surface
 Indenter = Flat | Cone | Sphere
+
+#: every shape by its name in a file
+SPECIMENS: dict[str, type[Specimen]] = {"cylinder": Cylinder, "block": Block, "surface": Surface}
+INDENTERS: dict[str, type[Indenter]] = {"flat": Flat, "cone": Cone, "sphere": Sphere}

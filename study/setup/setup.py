@@ -1,33 +1,66 @@
-"""A setup: specimen, test and discretization, and the checks across them."""
+"""A setup: specimen, test and discretization, and the problem that they make with a material."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Any, Literal
 
+from pydantic import Field
+
+from study.errors import Fault, InputError
 from study.material.material import Material
-from study.setup.geometry import Formulation, Order, Shape, Space, Specimen
-from study.setup.test_kind import Test
+from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
+from study.setup.material_section import MaterialSection
+from study.setup.quantity import Length
+from study.setup.section import DERIVED, Kind, keys_of, section
+from study.setup.test_kind import Test, TestSection
+from study.setup.text import word
+
+Space = Literal["axisymmetric", "3d"]
+Order = Literal["linear", "quadratic"]
+Shape = Literal["simplex", "tensor"]
+Formulation = Literal["mixed", "displacement"]
+MeshName = Literal["coarse", "medium", "fine"]
 
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
-MESH_LEVELS = ("coarse", "medium", "fine")
+MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
+_ELEMENTS: Mapping[str, Shape] = {
+    "triangle": "simplex",
+    "tetrahedron": "simplex",
+    "quadrilateral": "tensor",
+    "hexahedron": "tensor",
+}
 
 
-@dataclass(frozen=True)
+@section
 class Model:
-    """Discretisation. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins).
+    """Discretization. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins).
 
-    A ``mesh_seed`` moves the nodes of the mesh at random (see :mod:`study.fem.mesh.perturbation`).
+    Parameters
+    ----------
+    space : {"axisymmetric", "3d"}
+        Axisymmetric for a cylinder unless the file says 3d, and 3d for all others.
+    element_order, element_shape, formulation : str
+        Of the elements.
+    mesh_size_mm : float, optional
+        Element size.
+    mesh : {"coarse", "medium", "fine"}
+        Size relative to a reference size of the problem.
+    mesh_ratio : float
+        Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
+    mesh_seed : int, optional
+        Moves the nodes of the mesh at random (see :mod:`study.fem.mesh.perturbation`).
     """
 
-    space: Space = "axisymmetric"
-    element_order: Order = "quadratic"
-    element_shape: Shape = "simplex"
-    formulation: Formulation = "mixed"
-    mesh: Literal["coarse", "medium", "fine"] = "medium"
-    mesh_ratio: float = 1.5
-    mesh_size_mm: float | None = None
-    mesh_seed: int | None = None
+    space: Annotated[Space, word("axisymmetric", "3d")] = "axisymmetric"
+    element_order: Annotated[Order, word("linear", "quadratic")] = "quadratic"
+    element_shape: Annotated[Shape, word("simplex", "tensor", synonyms=_ELEMENTS)] = "simplex"
+    formulation: Annotated[Formulation, word("mixed", "displacement")] = "mixed"
+    mesh: Annotated[MeshName, word(*MESH_LEVELS)] = "medium"
+    mesh_ratio: Annotated[float, DERIVED] = 1.5
+    mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
+    mesh_seed: Annotated[int | None, DERIVED] = None
 
 
 @dataclass(frozen=True)
@@ -40,7 +73,135 @@ class Problem:
     model: Model
 
 
+@dataclass(frozen=True)
+class Setup:
+    """What is tested and how it is discretized; the material is not part of it.
+
+    Parameters
+    ----------
+    specimen, test, model
+        Sections of the study file.
+    height_mm : float, optional
+        Of the specimen; None for a surface whose file has not been looked for.
+    """
+
+    specimen: Specimen
+    test: TestSection
+    model: Model
+    height_mm: float | None
+
+    @classmethod
+    def of(cls, resolved: Mapping[str, Any]) -> Setup:
+        """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
+        return cls(
+            specimen_of(resolved["specimen"]),
+            loading_of(resolved["test"]),
+            model_of(resolved.get("model", {})),
+            known_height_mm(resolved["specimen"]),
+        )
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """Whether the deformation is the same everywhere; see :func:`is_homogeneous`."""
+        test, shape = self.test, self.specimen.shape
+        return is_homogeneous(test.kind, test.interface, test.held_below, shape)
+
+    def problem(self, material: Material, displacement_mm: float | None = None) -> Problem:
+        """Problem of this setup.
+
+        Parameters
+        ----------
+        material : Material
+            With its constants.
+        displacement_mm : float, optional
+            Final displacement where the test leaves it to the measurements.
+
+        Raises
+        ------
+        InputError
+            If nothing gives the displacement.
+        """
+        return Problem(self.specimen, self.test.to_depth(displacement_mm), material, self.model)
+
+
+def is_homogeneous(kind: str, interface: str, base: str, shape: str) -> bool:
+    """Whether a deformation is the same everywhere: compression between frictionless plates.
+
+    The closed form is then exact, and space, mesh, order and element shape cannot matter.
+    Whether a surface is a cylinder only its file knows.
+    """
+    return (
+        kind == "compression"
+        and interface == base == "frictionless"
+        and shape in ("cylinder", "block")
+    )
+
+
+def problem_of(
+    resolved: Mapping[str, Any],
+    constants: Mapping[str, float] | None = None,
+    displacement_mm: float | None = None,
+) -> Problem:
+    """Problem of resolved tables.
+
+    Parameters
+    ----------
+    resolved : mapping
+        ``specimen``, ``test``, ``material`` and ``model`` in internal units.
+    constants : mapping of str to float, optional
+        Constants in MPa instead of those of the table.
+    displacement_mm : float, optional
+        Final displacement where the tables leave it to the measurements.
+
+    Raises
+    ------
+    InputError
+        If something that the solver needs is missing.
+    """
+    material = MaterialSection.of(resolved["material"]).material(constants)
+    return Setup.of(resolved).problem(material, displacement_mm)
+
+
 def mesh_level(model: Model) -> float:
     """Size of a named mesh over the reference size: 1 on the fine one."""
     steps = len(MESH_LEVELS) - 1 - MESH_LEVELS.index(model.mesh)
     return float(model.mesh_ratio**steps)
+
+
+def specimen_of(resolved: Mapping[str, Any]) -> Specimen:
+    """Specimen of its resolved table; a surface found on this machine is read from there."""
+    if resolved.get("path"):
+        resolved = {**resolved, "file": resolved["path"]}
+    return _made("specimen", SPECIMENS[resolved["shape"]], resolved)
+
+
+def model_of(resolved: Mapping[str, Any]) -> Model:
+    """Discretization of its resolved table."""
+    return _made("model", Model, resolved)
+
+
+def loading_of(resolved: Mapping[str, Any]) -> TestSection:
+    """Test of its resolved table."""
+    pressed = resolved.get("indenter")
+    return _made("test", TestSection, {**resolved, "indenter": pressed and indenter_of(pressed)})
+
+
+def indenter_of(resolved: Mapping[str, Any]) -> Indenter:
+    """Indenter of its resolved table."""
+    return _made("test.indenter", INDENTERS[resolved["shape"]], resolved)
+
+
+def known_height_mm(resolved: Mapping[str, Any]) -> float | None:
+    """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
+    height = resolved.get("height_mm")
+    return None if height is None else float(height)
+
+
+def _made(where: str, kind: type[Kind], resolved: Mapping[str, Any]) -> Kind:
+    """Section of a resolved table, which may hold more: where a file lies, its checksum."""
+    known = keys_of(kind)
+    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
+    missing = [k.name for k in known if k.is_required and k.name not in values]
+    if missing:
+        raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
+    return kind(**values)

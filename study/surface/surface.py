@@ -11,18 +11,15 @@ import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, UnitError
+from study.setup.geometry import Specimen, Surface
 from study.surface.integrity import inspect, volume
 from study.units import parse
-
-if TYPE_CHECKING:
-    from study.setup.geometry import Surface
 
 SUFFIXES = (".stl", ".ply", ".obj")
 MAX_BYTES = 200 * 1024**2
@@ -109,6 +106,11 @@ class Body:
     def touches(self, which: str) -> bool:
         """Whether a face lies in a plate: more than a thousandth of the cross-section."""
         return self.plate_area_mm2(which) > 1e-3 * self.volume_mm3 / self.height_mm
+
+
+def height_of(specimen: Specimen) -> float:
+    """Height of a specimen in mm; that of a surface is read from its file."""
+    return body(specimen).height_mm if isinstance(specimen, Surface) else specimen.height_mm
 
 
 def body(surface: Surface) -> Body:

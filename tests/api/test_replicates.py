@@ -16,10 +16,11 @@ from study.errors import InputError
 from study.fem.solver.solve import solve
 from study.forward import closed_form
 from study.material.material import Material
-from study.runner.build import problem
+from study.setup.geometry import Cylinder
+from study.setup.setup import problem_of
 from study.study_result.study_result import StudyResult
 
-SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+SPECIMEN = Cylinder(25.0, 30.0)
 HEAD = """
 schema = 1
 [study]
@@ -270,7 +271,7 @@ def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) ->
     config = treatments(loads(text))[1].config
     assert config["model"]["element_order"] == "quadratic"
     d = np.linspace(0.3, 3.0, 60)
-    curve = solve(problem(config, {"C10": 8e-3})).curve
+    curve = solve(problem_of(config, {"C10": 8e-3})).curve
     force = curve.force_at(d) + 0.02 * np.random.default_rng(2).standard_normal(d.size)
     lines = [f"{x:.9f},{f:.10f}" for x, f in zip(d, force, strict=True)]
     (folder / "tests.csv").write_text("d_mm,f_N\n0,0\n" + "\n".join(lines) + "\n3.1,12\n")

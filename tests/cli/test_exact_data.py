@@ -20,7 +20,7 @@ from tests.conftest import ROOT
 
 #: C10 of the specimens, MPa: the later ones start from the solution of the first
 SPECIMENS = (5.4e-3, 6.0e-3, 7.5e-3)
-BLOCK = {"shape": "block", "width_mm": 60.0, "depth_mm": 60.0, "height_mm": 40.0}
+BLOCK = Block(60.0, 60.0, 40.0)
 #: shares of the force by which the measured curves exceed the simulated ones
 OFF = 0.01
 

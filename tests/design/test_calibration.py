@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from study.design import cases, load
-from study.design.spec import Range
 from study.errors import InputError
+from study.measurement.section import Range
 
 TEXT = """
 schema = 1

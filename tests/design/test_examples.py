@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from study.design import cases, load, overview, plausibility
-from study.design.spec import Design, MeasurementSpec, Practical, Range
+from study.design.spec import Design, Practical
+from study.measurement.section import MeasurementSpec, Range
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from study.design import load, overview
-from study.design.spec import Replicates
+from study.design.study_file import Replicates
 from study.errors import InputError
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()

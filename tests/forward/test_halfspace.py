@@ -12,9 +12,9 @@ import pytest
 from study.curve import Curve
 from study.forward import finite_element
 from study.forward.halfspace import indentation
-from study.runner import build
 from study.runner.fitting import fit_task
 from study.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.setup.setup import problem_of
 
 LAYERS = Path(__file__).parents[2] / "validation" / "layers.csv"
 HIGH = 1e9
@@ -90,7 +90,7 @@ def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
 
 
 def virtual(config: dict[str, Any]) -> Curve:
-    solution = finite_element.solve(build.problem(config, {"C10": NEO_HOOKEAN}), gradients=False)
+    solution = finite_element.solve(problem_of(config, {"C10": NEO_HOOKEAN}), gradients=False)
     assert solution.status == "converged", solution.message
     return Curve(solution.curve.displacement_mm, solution.curve.force_N)
 

@@ -8,9 +8,9 @@ import time
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from study.design.spec import Range
 from study.errors import InputError
 from study.measurement.reading import read_measurements
+from study.measurement.section import Range
 from study.tabular import NUMBER, parse_csv
 from tests.record.samples import Spec
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from study.curve import Curve
-from study.design.spec import MeasurementSpec, Range
+from study.measurement.section import MeasurementSpec, Range
 from study.record.record import Record
 
 

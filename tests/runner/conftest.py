@@ -12,6 +12,7 @@ from study.design.spec import Design
 from study.execution.loky import Loky
 from study.forward import closed_form
 from study.material.material import Material
+from study.setup.setup import specimen_of
 from tests.runner import fake_worker
 
 
@@ -110,7 +111,7 @@ def make_data(home: Path, mixes: tuple[str, ...] = ("M1", "M2", "M3")) -> Path:
     for (mix, specimen), constants in TRUTH.items():
         if mix not in mixes:
             continue
-        force = closed_form.compression(SPECIMEN, material(*constants), d).force_N
+        force = closed_form.compression(specimen_of(SPECIMEN), material(*constants), d).force_N
         for repeat in (1, 2):
             lines += [
                 f"{mix},{specimen},{repeat},{x:.4f},{f:.10f}" for x, f in zip(d, force, strict=True)

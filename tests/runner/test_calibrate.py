@@ -15,6 +15,7 @@ from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
 from study.runner.calibration.result import CalibrationResult
+from study.setup.setup import specimen_of
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
 RP2 = {"C10": 7e-3, "C20": 1.5e-3}
@@ -56,7 +57,7 @@ def write(
     """Write closed-form compression tests; ``specimens`` maps labels to stiffness factors."""
     d = np.linspace(0.0, depth, 181)
     material = Material(model, constants, poisson_ratio=0.4995)
-    force = closed_form.compression(SPECIMEN, material, d).force_N
+    force = closed_form.compression(specimen_of(SPECIMEN), material, d).force_N
     rng = np.random.default_rng(seed)
     rows = ["s,r,d,f"]
     for label, stiffness in (specimens or {"A": 1.0}).items():

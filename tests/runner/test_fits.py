@@ -12,6 +12,7 @@ from study.curve import Curve
 from study.forward import closed_form, finite_element
 from study.material.material import Material
 from study.runner.fitting import fit_task
+from study.setup.setup import specimen_of
 
 from .fake_worker import BONDED, solve
 
@@ -32,7 +33,7 @@ def config(model: str, interface: str, **more: Any) -> dict[str, Any]:
 
 def curve(model: str, constants: dict[str, float]) -> Curve:
     return closed_form.compression(
-        SPECIMEN, Material(model, constants, poisson_ratio=0.4995), DEPTHS
+        specimen_of(SPECIMEN), Material(model, constants, poisson_ratio=0.4995), DEPTHS
     )
 
 
@@ -80,9 +81,9 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
 
 def _size() -> float:
     from study.fem.mesh.mesher import mesh_size
-    from study.runner import build
+    from study.setup.setup import problem_of
 
-    return mesh_size(build.problem(config("neo-hookean", "bonded"), {"C10": 1.0}))
+    return mesh_size(problem_of(config("neo-hookean", "bonded"), {"C10": 1.0}))
 
 
 def test_a_solver_that_stops_is_a_rejected_step_and_a_status(

@@ -15,6 +15,7 @@ from study.material.material import Material
 from study.runner.expansion import expand
 from study.runner.fitting import fit_task
 from study.runner.job import Work
+from study.setup.setup import specimen_of
 
 DESIGN = """
 schema = 1
@@ -67,7 +68,7 @@ def measured(path: Path, stiffness: dict[str, float]) -> None:
     d = np.linspace(0, 12, 121)
     specimen = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
     material = Material("reduced-polynomial", {"C10": 7e-3, "C20": 1e-3}, poisson_ratio=0.4995)
-    force = closed_form.compression(specimen, material, d).force_N
+    force = closed_form.compression(specimen_of(specimen), material, d).force_N
     rows = ["s,d,f"]
     for label, factor in stiffness.items():
         rows += [f"{label},{x:.5f},{factor * y:.8f}" for x, y in zip(d, force, strict=True)]

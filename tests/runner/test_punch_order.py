@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from study.design.load import loads_problem
-from study.runner import build
 from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import edge_rules, formal_order
 from study.runner.numerical.refinement import Budget, refine, series_of
 from study.runner.numerical.refinement_store import in_process
+from study.setup.setup import problem_of
 
 PUNCH = """
 schema = 1
@@ -52,7 +52,7 @@ def punch_series(
         ratio=ratio, levels=levels,
     )  # fmt: skip
     config = loads_problem(text, "punch.toml")
-    formal = formal_order(build.problem(config))
+    formal = formal_order(problem_of(config))
     one = series_of(config, config["converge"])
     refine([one], in_process, Budget(), lambda s: judgement.outlook(s, formal.order))
     found = judgement.document(one, formal)
@@ -83,7 +83,7 @@ def test_a_deep_punch_into_rubber_is_told_what_may_hide_the_order(depth: float, 
     ).replace("0.001 mm", f"{depth} mm")  # fmt: skip
     law = 'model = "neo-hookean"\nC10 = "0.5 MPa"\nbulk_modulus = "1000 MPa"\n'
     text = text.replace('model = "linear-elastic"\nyoungs_modulus = "1 MPa"\n', law)
-    found = formal_order(build.problem(loads_problem(text, "punch.toml")))
+    found = formal_order(problem_of(loads_problem(text, "punch.toml")))
     assert found.order == 1.0
     assert ("large strains" in found.why) is said
 

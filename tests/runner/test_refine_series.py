@@ -15,11 +15,11 @@ from study.api.convergence.problem import problem
 from study.design.load import loads, loads_problem
 from study.errors import InputError
 from study.record.store import Store
-from study.runner import build
 from study.runner.numerical import refinement_store
 from study.runner.numerical.formal_order import clamped_corner, formal_order
 from study.runner.numerical.judgement import within
 from study.runner.numerical.refinement import Budget, perform, solve_task, task_key
+from study.setup.setup import problem_of
 
 PROBLEM = """
 schema = 1
@@ -301,7 +301,7 @@ def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str
     config = loads_problem(PROBLEM, "p.toml")
     for name, section in change.items():
         config = {**config, name: {**config[name], "base": None, **section}}
-    found = formal_order(build.problem(config))
+    found = formal_order(problem_of(config))
     assert found.order == pytest.approx(order, abs=1e-3)
     assert why in found.why
 

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from study.design.load import loads_problem
-from study.runner import build
 from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import formal_order
 from study.runner.numerical.refinement import Budget, refine, series_of
 from study.runner.numerical.refinement_store import in_process
+from study.setup.setup import problem_of
 from tests.fem.answers import layers
 
 DISC = """
@@ -59,7 +59,7 @@ def volume_law(nu: float) -> str:
 
 def series(text: str) -> dict[str, Any]:
     config = loads_problem(text, "known.toml")
-    formal = formal_order(build.problem(config))
+    formal = formal_order(problem_of(config))
     one = series_of(config, config["converge"])
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)

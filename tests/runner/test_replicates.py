@@ -23,6 +23,7 @@ from study.runner.expansion import expand
 from study.runner.fitting import fit_task
 from study.runner.job import Work
 from study.runner.numerical.study_refinement import refinement_work
+from study.setup.setup import specimen_of
 
 from .conftest import DESIGN, SPECIMEN, fake, make_data
 
@@ -148,7 +149,7 @@ def fitted(
         "model": {}, "calibration": {"method": "auto", "problem": None},
     }  # fmt: skip
     truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
-    exact = closed_form.compression(SPECIMEN, truth, DEPTHS).force_N
+    exact = closed_form.compression(specimen_of(SPECIMEN), truth, DEPTHS).force_N
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_task.fit_problem(config)
     measured = Curve(DEPTHS, exact + noise_N)
@@ -197,7 +198,7 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     for i in range(1, DEPTHS.size):
         drift[i] = 0.8 * drift[i - 1] + random.standard_normal()
     exact = closed_form.compression(
-        SPECIMEN, Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995), DEPTHS
+        specimen_of(SPECIMEN), Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995), DEPTHS
     ).force_N
     measured = Curve(DEPTHS, exact + 0.02 * drift)
     base = fit_task.perform(fit_task.payload(problem, [measured], None))

@@ -10,10 +10,11 @@ import pytest
 from study import api
 from study.design.load import load, load_problem
 from study.errors import InputError
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.expansion import expand
 from study.runner.fitting.fit_task import fit_problem
 from study.runner.fitting.staged_fit import Part, cheaper
+from study.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write
 
 PROBLEM = """
@@ -123,7 +124,7 @@ def test_the_table_arrives(home: Path) -> None:
     path = home / "problem.toml"
     more = 'unit = "cm"\naxis = "-x"\nclamp_below = "-3 mm"\npress_x = "1 mm"\n'
     path.write_text(PROBLEM.replace('unit = "mm"\n', more))
-    made = build.specimen(load_problem(path)["specimen"])
+    made = specimen_of(load_problem(path)["specimen"])
     assert (made.unit, made.axis, made.clamp_below_mm) == ("cm", "-x", -3)  # type: ignore[union-attr]
     assert (made.press_x_mm, made.press_y_mm) == (1, None)  # type: ignore[union-attr]
 
@@ -162,7 +163,7 @@ def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path)
 def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     work = expand(load(home / "design.toml"), home.parent / "measurements")
     config = fit_problem(work.jobs[0].case.config).config
-    assert not build.is_homogeneous(config)  # whatever the plates: only the file knows the shape
+    assert not Setup.of(config).is_homogeneous  # whatever the plates: only the file knows the shape
     assert config["specimen"]["height_mm"] == pytest.approx(6)
     part = cheaper(Part("inverse-fem", {**config, "model": {"space": "3d", "mesh": "fine"}}, ()))
     assert part is not None

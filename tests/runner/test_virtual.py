@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.design.spec import MeasurementSpec
+from study.measurement.section import MeasurementSpec
 from study.runner.virtual.specimens import Generator, VirtualTest, _csv, _files, generate
 
 D = np.linspace(0.1, 6.2, 62)

@@ -14,7 +14,7 @@ from study.design.cases import case_id, treatments
 from study.design.load import load
 from study.execution.task import Executor
 from study.record.store import Store
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.batch import default_jobs, run_batch
 from study.runner.cost import Costs
 from study.runner.expansion import expand
@@ -25,6 +25,7 @@ from study.runner.numerical.input_uncertainty import with_sources
 from study.runner.numerical.judgement import documents
 from study.runner.numerical.refinement import budget_of, refine, series_of
 from study.runner.numerical.refinement_store import kept_by_workers, store_of
+from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
     from study.design.spec import Design
@@ -76,7 +77,7 @@ def problem_cells(
         series_of(provenance.located(t.config, places), spec, levels_of=dict(t.levels))
         for t in treatments(design)
     ]
-    formal = {id(one): formal_order(build.problem(one.config)) for one in cells}
+    formal = {id(one): formal_order(problem_of(one.config)) for one in cells}
     solver = solve or kept_by_workers(jobs, store_of(results, design.name))
     budget = budget_of(spec.budget_s, memory_MB)
     refine(

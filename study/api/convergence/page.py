@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.arrays import Array
+from study.forward.closed_form import height_and_area
 from study.reporting.output.convergence_page import write_convergence
-from study.runner import build
 from study.runner.numerical.refinement_store import slug
+from study.setup.setup import problem_of
 
 #: cells whose coarsest and finest mesh are shown
 SHOWN = 4
@@ -63,16 +64,16 @@ def _picture(
     from study.fem.mesh.mesher import build_mesh
 
     model = {**config["model"], "mesh": None, "mesh_size_mm": size}
-    mesh = build_mesh(build.problem({**config, "model": model}))
+    mesh = build_mesh(problem_of({**config, "model": model}))
     label = f"{_SHAPES[mesh.cells.shape[1]]}, {size:.3g} mm, {len(mesh.cells)} elements"
     return mesh.digest(), (label, np.asarray(mesh.points), np.asarray(mesh.cells))
 
 
 def near(config: Mapping[str, Any]) -> Array:
     """Corner of the section that matters: under an indenter, or where plate and side meet."""
-    made = build.problem(config)
-    height = build.height_mm(config["specimen"]) or 1.0
-    radius = float(np.sqrt(build.area_mm2(config["specimen"]) / np.pi))
+    made = problem_of(config)
+    height, area = height_and_area(made.specimen)
+    radius = float(np.sqrt(area / np.pi))
     if made.test.kind == "indentation":
         reach = min(max(3 * made.test.displacement_mm, 0.1 * radius), radius, height)
         return np.array([[0.0, height - reach], [reach, height]])

@@ -13,7 +13,7 @@ from study.api.folders import RESULTS, data_root
 from study.api.opened_study import open_study
 from study.design.load import file_kind, load_problem
 from study.errors import Fault, InputError
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.numerical import curve_quantities, judgement
 from study.runner.numerical.formal_order import FormalOrder
 from study.runner.numerical.formal_order import formal_order as promised
@@ -21,6 +21,7 @@ from study.runner.numerical.input_uncertainty import with_sources
 from study.runner.numerical.judgement import stored_convergence
 from study.runner.numerical.refinement import budget_of, refine, series_of
 from study.runner.numerical.refinement_store import in_process, kept, store_of
+from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import ConvergenceResult
@@ -145,7 +146,7 @@ def problem(
         places = provenance.folders(config, data_root(config))
         config = provenance.located(load_problem(config, overrides), places)
     curve_quantities.quantity(config["converge"].qoi)
-    formal = promised(build.problem(config))
+    formal = promised(problem_of(config))
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
     name = "problem" if isinstance(source, Mapping) else Path(source).stem

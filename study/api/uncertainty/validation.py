@@ -9,7 +9,6 @@ import numpy as np
 
 from study.analysis.convergence.grid_convergence import compare
 from study.arrays import Array
-from study.runner import build
 from study.runner.batch import run_batch
 from study.runner.numerical import study_refinement
 from study.runner.numerical.input_uncertainty import (
@@ -63,7 +62,7 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
         if record is None or not record.converged:
             continue
         # where the deformation is the same everywhere no mesh matters
-        share = 0.0 if build.is_homogeneous(job.case.config) else mesh(job)
+        share = 0.0 if job.case.setup.is_homogeneous else mesh(job)
         rows.append(
             _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
         )

@@ -17,10 +17,13 @@ import numpy as np
 
 from study.arrays import Array
 from study.design.factors import level_label
-from study.design.reader import Bad, Section, name, shown
+from study.design.reader import Section
 from study.design.spec import Factor, Scheme
 from study.design.toml_document import flatten
 from study.errors import nearest
+from study.setup.quantity import shown
+from study.setup.section import Bad
+from study.setup.text import name
 
 #: letters that pydoe takes for factors
 LETTERS = string.ascii_lowercase

@@ -29,11 +29,16 @@ import numpy as np
 
 from study.arrays import Array
 from study.design import overview
+from study.design.diagnostics import Faults
 from study.design.factors import levels_at
 from study.design.layout import generators
-from study.design.reader import Bad, Faults, Section, choice, integer, shown
-from study.design.spec import AnalysisSpec, Factor, Scheme
+from study.design.reader import Section
+from study.design.spec import Factor, Scheme
+from study.design.study_file import Analysis
 from study.errors import nearest
+from study.setup.quantity import integer, shown
+from study.setup.section import Bad
+from study.setup.text import choice
 
 Made = tuple[tuple[Factor, ...], Scheme]
 
@@ -83,7 +88,7 @@ def _small(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
     return factors if math.prod(len(f.levels) for f in factors) <= generators.MAX_CELLS else ()
 
 
-def default_model(scheme: Scheme, factors: Sequence[Factor], spec: AnalysisSpec) -> AnalysisSpec:
+def default_model(scheme: Scheme, factors: Sequence[Factor], spec: Analysis) -> Analysis:
     """Terms that a design can tell, where the file does not ask for others."""
     if scheme.kind == "full":
         terms = generators.model_terms(scheme, factors)

@@ -7,11 +7,12 @@ from functools import partial
 from typing import Any
 
 from study import units
-from study.design.reader import Bad, Faults, shown
+from study.design.diagnostics import Faults, noted, read_table
 from study.design.spec import Config
 from study.design.study_file import Fitting
-from study.design.table import noted, read_table
 from study.errors import nearest
+from study.setup.quantity import shown
+from study.setup.section import Bad, values_of
 
 
 def read_fitting(table: Any, names: Sequence[str], faults: Faults) -> Config:
@@ -33,7 +34,7 @@ def read_fitting(table: Any, names: Sequence[str], faults: Faults) -> Config:
         also for itself), ``leave_out`` (``"specimen"``, ``"test"`` or None) and ``bounds``
         (name -> (low, high) in MPa, exponents plain).
     """
-    found = read_table(Fitting, {} if table is None else table, "calibration", faults).values()
+    found = values_of(read_table(Fitting, {} if table is None else table, "calibration", faults))
     bounds = {} if found["bounds"] is None else found["bounds"]
     read = partial(_bounds, names=names)
     return {**found, "bounds": noted(read, bounds, "calibration.bounds", faults)}

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from study.design.reader import Bad, Faults, Read, Section, shown, text
+from study.design.diagnostics import Faults
+from study.design.reader import Section
 from study.design.spec import Expected, Factor, Response
 from study.design.toml_document import flatten
 from study.errors import nearest
+from study.setup.quantity import shown
+from study.setup.section import Bad, Read
+from study.setup.text import text
 
 MAX_EXPECTED = 50
 

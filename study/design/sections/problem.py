@@ -12,64 +12,55 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from study.design.reader import Faults, Section, choice, integer, number, quantity
+from study.design.diagnostics import Faults, noted, one_of, read_table
+from study.design.reader import Section
 from study.design.spec import Config
-from study.design.study_file import (
-    ALTERNATIVES,
-    CONSTANT,
-    INDENTERS,
-    SPECIMENS,
-    Compressibility,
-    IndenterShape,
-    Model,
-    SpecimenShape,
-    Test,
-)
-from study.design.table import Table, read_table
+from study.design.study_file import ALTERNATIVES, CONSTANT
 from study.errors import InputError
 from study.material.energy import ENERGIES, MODELS, constant_names
+from study.setup.geometry import INDENTERS, SPECIMENS
+from study.setup.material_section import Compressibility
+from study.setup.quantity import integer, number, quantity, shown
+from study.setup.section import values_of, written_keys
+from study.setup.setup import Model
+from study.setup.test_kind import TestSection
+from study.setup.text import choice
 
 PRESSURE = quantity("pressure")
 
 
 def read_specimen(table: Any, faults: Faults, path: str = "specimen") -> Config:
     """Specimen: its shape and sizes in mm."""
-    return _shaped(table, SpecimenShape, SPECIMENS, faults, path)
+    return _shaped(table, SPECIMENS, faults, path)
 
 
-def _shaped(
-    table: Any,
-    shapes: type[SpecimenShape] | type[IndenterShape],
-    kinds: Mapping[str, type[Table]],
-    faults: Faults,
-    path: str,
-) -> Config:
-    keys = table if isinstance(table, Mapping) else {}
-    others = [key for key in keys if key != "shape"]
-    shape: str | None = read_table(shapes, table, path, faults, also=others).shape
-    if shape is None:
-        return {"shape": None}
-    return {"shape": shape, **read_table(kinds[shape], keys, path, faults, also=["shape"]).values()}
+def _shaped(table: Any, kinds: Mapping[str, type], faults: Faults, path: str) -> Config:
+    """Read a table whose shape says which keys it has."""
+    if isinstance(table, Mapping) and "shape" in table:
+        shape = noted(one_of(kinds), table["shape"], f"{path}.shape", faults)
+        if shape is None:
+            return {"shape": None}
+        return {"shape": shape, **values_of(read_table(kinds[shape], table, path, faults))}
+    if isinstance(table, Mapping):
+        faults.add(f"{path}.shape", "is missing", f"one of {', '.join(kinds)}")
+    else:
+        faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
+    return {"shape": None}
 
 
 def read_test(table: Any, faults: Faults, path: str = "test") -> Config:
     """Read how the specimen is loaded; the displacement may be None, for the range to give it."""
-    found = read_table(Test, table, path, faults)
+    found = read_table(TestSection, table, path, faults)
     written = table if isinstance(table, Mapping) else {}
     pressed = found.kind == "indentation"
-    base = found.base if "base" in written else "bonded" if pressed else found.interface
-    out: Config = {
-        "kind": found.kind,
-        "interface": found.interface,
-        "base": base,
-        "displacement_mm": found.displacement_mm,
-        "steps": found.steps,
-    }
+    out: Config = values_of(found)
+    del out["indenter"]
+    if "base" not in written:
+        out["base"] = found.held_below
     if pressed and "indenter" not in written:
         faults.add(f"{path}.indenter", "is missing", "{ shape = ... } with flat|cone|sphere")
     if pressed and "indenter" in written:
-        where = f"{path}.indenter"
-        out["indenter"] = _shaped(written["indenter"], IndenterShape, INDENTERS, faults, where)
+        out["indenter"] = _shaped(written["indenter"], INDENTERS, faults, f"{path}.indenter")
     return out
 
 
@@ -124,7 +115,7 @@ def read_material(table: Any, faults: Faults, path: str = "material") -> Config:
 
 
 def _compressibility(section: Section) -> Config:
-    keys = Compressibility.written_keys()
+    keys = written_keys(Compressibility)
     section.known += keys
     own = {key: value for key, value in section.table.items() if key in keys}
     found = read_table(Compressibility, own, section.path, section.faults)

@@ -4,34 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any
 
 from study import units
-from study.design import overlay, study_file
-from study.design.reader import (
-    Bad,
-    Faults,
-    Section,
-    choice,
-    integer,
-    number,
-    quantity,
-    shown,
-    slug,
-    text,
-)
-from study.design.spec import (
-    AnalysisSpec,
-    ConvergeSpec,
-    Practical,
-    Replicates,
-    ReportSpec,
-    Response,
-)
-from study.design.study_file import RESPONSES, Analysis, Converge, Report
-from study.design.table import Reads, Table, noted, read_table
+from study.design import overlay
+from study.design.diagnostics import Faults, noted, read_table
+from study.design.reader import Section
+from study.design.spec import Practical, Response
+from study.design.study_file import RESPONSES, Analysis, Converge, Replicates, Report
 from study.errors import nearest
+from study.setup.quantity import integer, number, quantity, shown
+from study.setup.section import Bad, Reads, section, values_of
+from study.setup.text import choice, slug, text
 
 _CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu[1-9]|alpha[1-9]")
 _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
@@ -63,7 +49,8 @@ def _response_name(value: Any) -> str:
     return value
 
 
-class Study(Table):
+@section
+class Study:
     """Name, question, seed and what is assumed."""
 
     name: Annotated[str, Reads(slug)] = ""
@@ -72,7 +59,8 @@ class Study(Table):
     assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
 
 
-class ResponseTable(Table):
+@section
+class ResponseTable:
     """One ``[[response]]``; the unit of ``practical`` is that of the response."""
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
@@ -82,7 +70,7 @@ class ResponseTable(Table):
 
 def read_study(table: Any, faults: Faults, default_name: str) -> dict[str, Any]:
     """Read ``[study]``: name, question, seed, assumed."""
-    found = read_table(Study, {} if table is None else table, "study", faults).values()
+    found = values_of(read_table(Study, {} if table is None else table, "study", faults))
     if not isinstance(table, Mapping) or "name" not in table:
         found["name"] = default_name
     return found
@@ -139,11 +127,11 @@ def read_practical(value: Any, unit: str) -> Practical:
     return Practical(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside, unit, False)
 
 
-def read_analysis(table: Any, faults: Faults, factors: Sequence[str]) -> AnalysisSpec:
+def read_analysis(table: Any, faults: Faults, factors: Sequence[str]) -> Analysis:
     """Read ``[analysis]``; terms are names of factors, never code."""
     found = read_table(Analysis, {} if table is None else table, "analysis", faults)
     model = noted(partial(_model, factors=factors), found.model, "analysis.model", faults)
-    return AnalysisSpec(model, found.type, found.error, found.alpha)
+    return replace(found, model=model)
 
 
 def _model(value: Any, factors: Sequence[str]) -> str | int | tuple[str, ...]:
@@ -170,37 +158,35 @@ def _term(value: Any, factors: Sequence[str]) -> str:
 
 def read_uncertainty(table: Any, faults: Faults) -> dict[str, float]:
     """Read ``[uncertainty]``: dotted key -> standard uncertainty in internal units."""
-    section = Section({} if table is None else table, "uncertainty", faults)
+    reading = Section({} if table is None else table, "uncertainty", faults)
     found: dict[str, float] = {}
-    for key in section.table:
+    for key in reading.table:
         kind = overlay.dimension(key)
         if kind is None:
-            section.known.append(key)
-            section.fault(key, "names no input with a value", overlay.suggestion(key))
+            reading.known.append(key)
+            reading.fault(key, "names no input with a value", overlay.suggestion(key))
             continue
         read = number(0) if kind == "number" else quantity(kind)
-        found[key] = section.take(key, read)
+        found[key] = reading.take(key, read)
     return {k: v for k, v in found.items() if v is not None}
 
 
-def read_converge(table: Any, faults: Faults) -> ConvergeSpec:
+def read_converge(table: Any, faults: Faults) -> Converge:
     """Read ``[converge]``."""
-    found = read_table(Converge, {} if table is None else table, "converge", faults)
-    return ConvergeSpec(**{**found.values(), "ratio": found.ratio or 1.5})
+    return read_table(Converge, {} if table is None else table, "converge", faults)
 
 
 def read_replicates(table: Any, faults: Faults) -> Replicates:
     """Read ``[replicates]``: ``mesh_seeds`` or ``noise``, each the number of repeats of a cell."""
-    found = read_table(study_file.Replicates, {} if table is None else table, "replicates", faults)
+    found = read_table(Replicates, {} if table is None else table, "replicates", faults)
     if isinstance(table, Mapping) and {"mesh_seeds", "noise"} <= set(table):
         rule = "mesh_seeds and noise are two error terms, with different questions"
         faults.add("replicates", rule, "give one of them, and the other in a study of its own")
     elif isinstance(table, Mapping) and not table:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
-    return Replicates(found.mesh_seeds or 0, found.noise or 0)
+    return found
 
 
-def read_report(table: Any, faults: Faults) -> ReportSpec:
+def read_report(table: Any, faults: Faults) -> Report:
     """Read ``[report]``."""
-    found = read_table(Report, {} if table is None else table, "report", faults)
-    return ReportSpec(found.format or ("html",))
+    return read_table(Report, {} if table is None else table, "report", faults)

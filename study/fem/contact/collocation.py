@@ -25,6 +25,7 @@ from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.size_field import contact_radius, sharp_edge
 from study.setup.geometry import Flat, Indenter, Surface
 from study.setup.setup import Problem
+from study.surface.surface import height_of
 
 #: allowance of a corner over the size of its facets
 CORNER_ALLOWANCE = 0.2
@@ -35,7 +36,7 @@ def touch_radius(problem: Problem) -> float:
     pressed = problem.test.indenter
     if problem.test.kind == "compression" or pressed is None or problem.test.holds_face:
         return 0.0
-    height = problem.specimen.height_mm
+    height = height_of(problem.specimen)
     return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
 
 

@@ -27,6 +27,7 @@ from study.fem.mesh.structured import (
 )
 from study.setup.geometry import Flat, Surface
 from study.setup.setup import Problem, mesh_level
+from study.surface.surface import height_of
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
@@ -106,7 +107,7 @@ def compressed_mesh(problem: Problem) -> Mesh:
     """Mesh of a compressed specimen; the half above the middle plane where that is a symmetry."""
     h = mesh_size(problem)
     half = problem.test.interface == problem.test.base
-    height = problem.specimen.height_mm
+    height = height_of(problem.specimen)
     bonded_top = problem.test.interface == "bonded"
     bonded_base = problem.test.base == "bonded"
     z = layers(height, h, half=half, top=bonded_top, base=bonded_base)

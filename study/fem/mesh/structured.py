@@ -13,6 +13,7 @@ import numpy as np
 from study.arrays import Array, Ints
 from study.errors import InputError
 from study.setup.geometry import Block, Cylinder, Specimen
+from study.surface.surface import height_of
 
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
@@ -141,7 +142,7 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 def equivalent_radius(specimen: Specimen) -> float:
     """Radius of the circle with the specimen's cross-section area."""
-    return float(np.sqrt(volume_mm3(specimen) / specimen.height_mm / np.pi))
+    return float(np.sqrt(volume_mm3(specimen) / height_of(specimen) / np.pi))
 
 
 def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:

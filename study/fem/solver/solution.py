@@ -22,6 +22,7 @@ from study.fem.solver.sensitivity import Rate, StepGradients
 from study.fem.solver.system import Assembly, State, System
 from study.setup.geometry import Surface
 from study.setup.setup import Problem
+from study.surface.surface import body
 
 
 @dataclass(frozen=True)
@@ -305,7 +306,7 @@ class Logbook:
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
         if isinstance(self.problem.specimen, Surface):
-            said += self.problem.specimen.notes
+            said += body(self.problem.specimen).notes
         return "; ".join(said)
 
 

@@ -19,7 +19,6 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.stability import check, stability
 from study.measurement.conditioning import SORTED
-from study.runner import build
 from study.runner.calibration.measured_tests import (
     FitCurve,
     in_order,
@@ -42,6 +41,8 @@ from study.runner.fitting.staged_fit import (
 )
 from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
+from study.setup.material_section import MaterialSection
+from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -279,7 +280,7 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
     if found.converged:
-        material = build.material(section, found.constants())
+        material = MaterialSection.of(section).material(found.constants())
         status, message, cautions = _plausible(material, message)
         stable, stability = _stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
@@ -330,7 +331,7 @@ def _stability(
         float(c.measured.curve.displacement_mm.max()) / height
         for c in curves
         if tests[c.test]["test"]["kind"] == "compression"
-        and (height := build.height_mm(tests[c.test]["specimen"])) is not None
+        and (height := known_height_mm(tests[c.test]["specimen"])) is not None
     ]
     range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
     judged = stability(material, *range_of)

@@ -16,9 +16,9 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements
 from study.measurement.reading import read_measurements
-from study.runner import build
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
+from study.setup.setup import known_height_mm
 
 Config = Mapping[str, Any]
 Role = Literal["fit", "held-out"]
@@ -94,7 +94,7 @@ def read_tests(tests: Sequence[Config], root: Path) -> tuple[list[FitCurve], tup
 
 
 def _read(test: Config, root: Path) -> Measurements:
-    height = build.height_mm(test["specimen"])
+    height = known_height_mm(test["specimen"])
     depth = test["test"].get("displacement_mm")
     return read_measurements(test["measurements"], root, height, depth)
 

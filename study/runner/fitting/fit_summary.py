@@ -10,7 +10,8 @@ import numpy as np
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.stability import stability
-from study.runner import build
+from study.setup.material_section import MaterialSection
+from study.setup.setup import known_height_mm
 
 Config = Mapping[str, Any]
 
@@ -48,9 +49,9 @@ def _stability(
     config: Config, constants: Mapping[str, float], measured: Sequence[Curve]
 ) -> dict[str, Any]:
     """Mu0 and whether the material is stable over the range that was measured."""
-    material = build.material(config["material"], constants)
+    material = MaterialSection.of(config["material"]).material(constants)
     outcome: dict[str, Any] = {"mu0": float(material.mu0)}
-    height = build.height_mm(config["specimen"])
+    height = known_height_mm(config["specimen"])
     depth = max(float(curve.displacement_mm.max()) for curve in measured)
     if height is None or config["test"]["kind"] != "compression" or depth >= height:
         judged = stability(material)

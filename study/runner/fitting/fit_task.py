@@ -21,10 +21,11 @@ from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.forward import closed_form, finite_element
-from study.runner import build
 from study.runner.fitting.fit_summary import described
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup, problem_of, specimen_of
 
 Config = Mapping[str, Any]
 METHODS = ("auto", "analytic", "inverse-fem", "none")
@@ -105,7 +106,7 @@ def _written(material: Config) -> dict[str, Any]:
 def _method(asked: str, config: Config) -> str:
     if asked == "none":
         return "none"
-    homogeneous = build.is_homogeneous(config)
+    homogeneous = Setup.of(config).is_homogeneous
     if asked == "analytic" and not homogeneous:
         rule = "method = 'analytic' needs compression with both faces frictionless"
         raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
@@ -217,7 +218,7 @@ def start_values(
     specimen cannot be solved with them.
     """
     section = config["material"]
-    names = build.calibrated_names(section)
+    names = MaterialSection.of(section).calibrated_names
     given = section.get("constants")
     if given:
         return names, np.array([float(given[n]) for n in names])
@@ -242,16 +243,16 @@ def model(method: str, config: Config, measured: Sequence[Curve], names: Sequenc
 
 def closed_form_model(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of compression between frictionless plates, for the optimizer."""
+    specimen, section = specimen_of(config["specimen"]), MaterialSection.of(config["material"])
 
     def predict(values: Array) -> list[Curve]:
         constants = dict(zip(names, values.tolist(), strict=True))
         try:
-            material = build.material(config["material"], constants)
+            material = section.material(constants)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
         curves = [
-            closed_form.compression(config["specimen"], material, curve.displacement_mm)
-            for curve in measured
+            closed_form.compression(specimen, material, curve.displacement_mm) for curve in measured
         ]
         if not all(np.all(np.isfinite(curve.force_N)) for curve in curves):
             raise EvaluationFailed("the material has no equilibrium state at these constants")
@@ -292,7 +293,7 @@ class InverseFem:
     def _solved(self, values: Array) -> Curve:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
-            problem = build.problem(self._config, constants, self._depth)
+            problem = problem_of(self._config, constants, self._depth)
             solution = self._simulated(problem, self._last)
             if solution.status == "not-converged" and self._last is not None:
                 # the way from the solution before was too long: that says nothing of the constants

@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any
 from study.design.spec import Case
 from study.fem.mesh.size_field import sharp_edge
 from study.material.material import Material
-from study.runner import build
 from study.setup.geometry import Cylinder, Flat, Surface
-from study.setup.setup import Problem
+from study.setup.setup import Problem, problem_of
 
 if TYPE_CHECKING:
     from study.runner.job import CaseJob
@@ -64,7 +63,7 @@ def formal_of_case(job: CaseJob) -> FormalOrder:
     config = job.case.config
     section = {**config["material"], "model": "neo-hookean", "order": None}
     depth = job.depth_mm if job.directions else 1.0
-    return formal_order(build.problem({**config, "material": section}, {"C10": 1.0}, depth))
+    return formal_order(problem_of({**config, "material": section}, {"C10": 1.0}, depth))
 
 
 def _limits(problem: Problem) -> list[tuple[float, str]]:
@@ -183,4 +182,4 @@ def base_size_mm(case: Case) -> float:
 
     section = {**case.config["material"], "model": "neo-hookean", "order": None}
     config = {**case.config, "material": section}
-    return float(mesh_size(build.problem(config, {"C10": 1.0})))
+    return float(mesh_size(problem_of(config, {"C10": 1.0})))

@@ -17,10 +17,10 @@ from study.analysis.convergence.grid_convergence import grid_convergence
 from study.arrays import Array
 from study.curve import Curve
 from study.design.cases import case_id
-from study.design.spec import Case, MeasurementSpec, Range
+from study.design.spec import Case
 from study.errors import Fault, InputError
+from study.measurement.section import MeasurementSpec, Range
 from study.record.record import Record
-from study.runner import build
 from study.runner.cost import Costs
 from study.runner.expansion import case_job
 from study.runner.job import CaseJob, FitJob, Work
@@ -36,6 +36,7 @@ from study.runner.numerical.study_refinement import (
     series_uncertainty,
     two_mesh_uncertainty,
 )
+from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.runner.numerical.refinement import Series
@@ -143,7 +144,7 @@ def _shifted(
 
 def _fixed_range(config: Mapping[str, Any]) -> dict[str, Any]:
     """Say the measured range in mm, so that another height does not move it."""
-    spec, height = config.get("measurements"), build.height_mm(config.get("specimen") or {})
+    spec, height = config.get("measurements"), known_height_mm(config.get("specimen") or {})
     if spec is None or height is None:
         return dict(config)
     made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)

@@ -13,11 +13,11 @@ from study.canonical import digest
 from study.curve import Curve
 from study.forward import finite_element
 from study.forward.finite_element import load_compiled
-from study.runner import build
 from study.runner.provenance import code_version
+from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
-    from study.design.spec import ConvergeSpec
+    from study.design.study_file import Converge
 
 
 def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
@@ -110,7 +110,7 @@ class Series:
     ----------
     config : mapping
         Resolved problem.
-    spec : ConvergeSpec
+    spec : Converge
         Ratio, number of meshes, wanted accuracy.
     first_mm : float
         Element size of the problem, the coarsest of the series.
@@ -119,7 +119,7 @@ class Series:
     """
 
     config: Mapping[str, Any]
-    spec: ConvergeSpec
+    spec: Converge
     first_mm: float
     levels_of: Mapping[str, str] = field(default_factory=dict)
     levels: list[Level] = field(default_factory=list)
@@ -258,11 +258,11 @@ def _round(due: Sequence[tuple[Series, float]]) -> str:
     return f"mesh size {sizes} mm: {len(due)} solution{'s' if len(due) > 1 else ''}{cost}"
 
 
-def series_of(config: Mapping[str, Any], spec: ConvergeSpec, **options: Any) -> Series:
+def series_of(config: Mapping[str, Any], spec: Converge, **options: Any) -> Series:
     """Series of a problem from its own mesh size."""
     from study.fem.mesh.mesher import mesh_size
 
-    return Series(config, spec, float(mesh_size(build.problem(config))), **options)
+    return Series(config, spec, float(mesh_size(problem_of(config))), **options)
 
 
 __all__ = ["Budget", "Level", "Series", "refine", "series_of", "task_key"]
@@ -308,7 +308,7 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
         ``seconds`` (of the solution, compilation excluded), ``memory_MB`` (peak) and
         ``base_MB`` (before).
     """
-    problem = build.problem(task["config"])
+    problem = problem_of(task["config"])
     load_compiled(problem)
     reset_peak()
     before = peak_MB()

@@ -13,11 +13,12 @@ from typing import Any
 
 from study.curve import Curve
 from study.record.record import Record
-from study.runner import build
 from study.runner.job import CaseJob, Work
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.refinement import solve_task
 from study.runner.numerical.study_refinement import meshed_cells
+from study.setup.material_section import MaterialSection
+from study.setup.setup import specimen_of
 
 Config = Mapping[str, Any]
 SPACES = ("axisymmetric", "3d")
@@ -104,7 +105,7 @@ def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:
     material = job.case.config["material"]
-    names = build.calibrated_names(material)
+    names = MaterialSection.of(material).calibrated_names
     return len(names), str(material["model"]), base_size_mm(job.case)
 
 
@@ -133,7 +134,7 @@ def _equivalent_cylinder(block: Config) -> dict[str, Any]:
     """Cylinder of the same cross-section and height."""
     from study.fem.mesh.structured import equivalent_radius
 
-    radius = equivalent_radius(build.specimen(block))
+    radius = equivalent_radius(specimen_of(block))
     return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
 
 

@@ -17,7 +17,6 @@ from study.canonical import digest
 from study.design.cases import case_id, plain
 from study.design.spec import Case, Design
 from study.record.record import Record
-from study.runner import build
 from study.runner.cost import Costs
 from study.runner.expansion import case_job
 from study.runner.job import CaseJob, FitJob, Work
@@ -83,7 +82,7 @@ def every_cell(work: Work) -> list[CaseJob]:
 
 def meshed_cells(work: Work) -> list[CaseJob]:
     """List those whose answer depends on a mesh: their deformation is not homogeneous."""
-    return [job for job in every_cell(work) if not build.is_homogeneous(job.case.config)]
+    return [job for job in every_cell(work) if not job.case.setup.is_homogeneous]
 
 
 def numerical(
@@ -238,7 +237,7 @@ def _discretization_levels(design: Design, case: Case) -> dict[str, str]:
 
 
 def _constants(job: CaseJob) -> int:
-    return len(build.calibrated_names(job.case.config["material"]))
+    return len(job.case.material.calibrated_names)
 
 
 #: keys of a model that choose its mesh

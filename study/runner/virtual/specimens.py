@@ -33,15 +33,17 @@ import numpy as np
 from study.arrays import Array
 from study.curve import Curve
 from study.design.cases import treatments
-from study.design.spec import Design, MeasurementSpec
+from study.design.spec import Design
 from study.errors import Fault, InputError
 from study.execution.loky import Loky
 from study.execution.task import Task
 from study.forward import finite_element
+from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
-from study.runner import build, provenance
+from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
 from study.runner.virtual.truth import TRUTHS, truth
+from study.setup.setup import Setup, problem_of
 from study.units import parse
 
 #: steps of a reference curve; between them it is interpolated with its tangent
@@ -219,7 +221,7 @@ def reference_curve(
                          "poisson_ratio": generator.poisson_ratio},
             "model": _reference_model(config, as_designed),
         },
-        "finer": as_designed and not build.is_homogeneous(config),
+        "finer": as_designed and not Setup.of(config).is_homogeneous,
     }  # fmt: skip
     (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
     if outcome.result["status"] != "converged":
@@ -244,7 +246,7 @@ def _reference_model(config: Mapping[str, Any], as_designed: bool) -> dict[str, 
 
 def perform(task: Mapping[str, Any]) -> dict[str, Any]:
     """Solve the reference problem (in a worker)."""
-    problem = build.problem(task["config"])
+    problem = problem_of(task["config"])
     if task.get("finer"):
         # no cell of the design generates its own data
         from study.fem.mesh.mesher import mesh_size
@@ -271,7 +273,9 @@ def generate(
     --------
     >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 7.0]),
     ...               force_gradient={"C20": np.array([1.0, 2.0])})
-    >>> spec = MeasurementSpec(file="a.csv", block="batch", average=("repeat",))
+    >>> from study.measurement.section import Columns, Units
+    >>> spec = MeasurementSpec(columns=Columns("d", "F"), units=Units("mm", "N"),
+    ...                        file="a.csv", block="batch", average=("repeat",))
     >>> tests = list(generate(curve, Generator(batches=2, repeats=2), spec))
     >>> [t.groups for t in tests][:2]
     [{'batch': '1', 'repeat': '1'}, {'batch': '1', 'repeat': '2'}]
@@ -357,12 +361,12 @@ def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str
 
 def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
     columns, units = spec.columns, spec.units
-    length = parse(f"1 {units['displacement']}", "length")
-    newton = parse(f"1 {units['force']}", "force")
+    length = parse(f"1 {units.displacement}", "length")
+    newton = parse(f"1 {units.force}", "force")
     sign = -1.0 if spec.sign == "negative" else 1.0
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*groups, columns["displacement"], columns["force"]])
+    writer.writerow([*groups, columns.displacement, columns.force])
     for test in tests:
         labels = [test.groups[name] for name in groups]
         for d, f in zip(test.displacement_mm, test.force_N, strict=True):

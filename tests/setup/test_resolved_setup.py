@@ -7,8 +7,10 @@ from typing import Any
 import pytest
 
 from study.errors import InputError
-from study.runner import build
+from study.forward.closed_form import height_and_area
 from study.setup.geometry import Block, Cone, Cylinder, Flat
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup, indenter_of, loading_of, model_of, problem_of, specimen_of
 
 CONFIG: dict[str, Any] = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
@@ -19,7 +21,7 @@ CONFIG: dict[str, Any] = {
 
 
 def test_every_section_arrives() -> None:
-    made = build.problem(CONFIG)
+    made = problem_of(CONFIG)
     assert made.specimen == Cylinder(25.0, 30.0)
     assert (made.test.interface, made.test.base, made.test.steps) == ("bonded", "bonded", 10)
     assert made.material.constants == {"C10": 5e-3}
@@ -31,31 +33,31 @@ def test_every_section_arrives() -> None:
 def test_base_follows_interface_in_compression_and_holds_in_indentation() -> None:
     test = {"kind": "indentation", "displacement_mm": 2.0, "indenter": {"shape": "flat",
             "radius_mm": 3.0}}  # fmt: skip
-    made = build.loading(test)
+    made = loading_of(test).to_depth()
     assert made.base == "bonded"
     assert made.interface == "frictionless"
     assert made.indenter == Flat(3.0)
-    assert build.loading(CONFIG["test"]).base == "bonded"
-    assert build.loading({"kind": "compression"}, 1.0).base == "frictionless"
+    assert loading_of(CONFIG["test"]).to_depth().base == "bonded"
+    assert loading_of({"kind": "compression"}).to_depth(1.0).base == "frictionless"
 
 
 def test_shapes_and_synonyms() -> None:
     block = {"shape": "block", "width_mm": 1.0, "depth_mm": 2.0, "height_mm": 3.0}
-    assert build.specimen(block) == Block(1.0, 2.0, 3.0)
-    assert build.area_mm2(block) == 2.0
+    assert specimen_of(block) == Block(1.0, 2.0, 3.0)
+    assert height_and_area(specimen_of(block)) == (3.0, 2.0)
     cone = {"shape": "cone", "half_angle_deg": 30.0, "tip_radius_mm": 1.0, "shaft_radius_mm": None}
-    assert build.indenter(cone) == Cone(30.0, 1.0)
-    assert build.model({"element_shape": "hexahedron"}).element_shape == "tensor"
-    assert build.model({"mesh": None, "mesh_size_mm": 2.0}).mesh_size_mm == 2.0
+    assert indenter_of(cone) == Cone(30.0, 1.0)
+    assert model_of({"element_shape": "hexahedron"}).element_shape == "tensor"
+    assert model_of({"mesh": None, "mesh_size_mm": 2.0}).mesh_size_mm == 2.0
 
 
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(InputError, match="displacement"):
-        build.loading({"kind": "compression"})
+        loading_of({"kind": "compression"}).to_depth()
     with pytest.raises(InputError, match="constants"):
-        build.material({"model": "neo-hookean", "poisson_ratio": 0.49})
+        MaterialSection.of({"model": "neo-hookean", "poisson_ratio": 0.49}).material()
     with pytest.raises(InputError, match="height_mm"):
-        build.specimen({"shape": "cylinder", "radius_mm": 1.0})
+        specimen_of({"shape": "cylinder", "radius_mm": 1.0})
 
 
 @pytest.mark.parametrize(
@@ -71,4 +73,4 @@ def test_homogeneous_is_compression_with_both_faces_free(
     changes: dict[str, Any], expected: bool
 ) -> None:
     test = {"kind": "compression", "displacement_mm": 1.0, **changes}
-    assert build.is_homogeneous({**CONFIG, "test": test}) is expected
+    assert Setup.of({**CONFIG, "test": test}).is_homogeneous is expected

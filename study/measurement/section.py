@@ -1,0 +1,233 @@
+"""The table ``[measurements]``: where measured curves are and how rows become curves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from study import units
+from study.errors import Fault, InputError, UnitError
+from study.setup.quantity import Force, integer, shown
+from study.setup.section import Bad, Read, Reads, keys_of, section
+from study.setup.text import choice, flag, name, names, relative_path, text
+
+MAX_POINTS = 100_000
+_FIELD = re.compile(r"\{([^{}]*)\}")
+
+#: label of a row, or several
+Labels = str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Range:
+    """Range of displacement: percent of the specimen's height, or mm.
+
+    Parameters
+    ----------
+    kind : {"percent", "mm"}
+        What ``low`` and ``high`` count.
+    low, high : float
+        Ends of the range, 0 <= low < high.
+    """
+
+    kind: Literal["percent", "mm"]
+    low: float
+    high: float
+
+    def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
+        """Both ends in mm.
+
+        Parameters
+        ----------
+        height_mm : float, optional
+            Height of the specimen; needed for a range in percent.
+
+        Raises
+        ------
+        InputError
+            If the range is in percent and the specimen has no height.
+
+        Examples
+        --------
+        >>> Range("percent", 1.0, 20.0).in_mm(30.0)
+        (0.3, 6.0)
+        """
+        if self.kind == "mm":
+            return self.low, self.high
+        if height_mm is None:
+            rule = "in percent needs a specimen with a height"
+            raise InputError(Fault("measurements.range", rule, 'give it in mm: ["0.3 mm", "6 mm"]'))
+        return self.low * height_mm / 100, self.high * height_mm / 100
+
+
+def csv_path(value: Any) -> str:
+    """Read the path of a table."""
+    path = relative_path(value)
+    if not path.lower().endswith((".csv", ".csv.gz")):
+        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    if "{" in path or "}" in path:
+        raise Bad(f"is one file, got a pattern {shown(value)}", "write files = ...")
+    return path
+
+
+def csv_pattern(value: Any) -> str:
+    """Read a pattern such as ``"indentation-{specimen}.csv"``."""
+    pattern = relative_path(value)
+    if not pattern.lower().endswith((".csv", ".csv.gz")):
+        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    groups = _FIELD.findall(pattern)
+    odd = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
+    if odd or not groups or any(not re.fullmatch(r"[A-Za-z]\w{0,79}", g, re.A) for g in groups):
+        raise Bad(f"needs groups such as {{specimen}}, got {shown(value)}", "or write file = ...")
+    if len(set(groups)) < len(groups):
+        raise Bad(f"names a group twice, got {shown(value)}")
+    return pattern
+
+
+def read_range(value: Any) -> Range:
+    """Read ``["1 %", "20 %"]`` or ``["0.3 mm", "6 mm"]``."""
+    mend = 'write, for example, ["1 %", "20 %"] or ["0.3 mm", "6 mm"]'
+    if not isinstance(value, list) or len(value) != 2:
+        raise Bad(f"must be two values, got {shown(value)}", mend)
+    if not all(isinstance(v, str) for v in value):
+        raise Bad(f"needs units, got {shown(value)}", mend)
+    percent = [v.rstrip().endswith("%") for v in value]
+    if percent[0] != percent[1]:
+        raise Bad(f"mixes percent and length, got {shown(value)}", mend)
+    try:
+        low, high = (
+            units.parse_percent(v) if percent[0] else units.parse(v, "length") for v in value
+        )
+    except UnitError as error:
+        raise Bad(error.faults[0].rule, mend) from error
+    if not 0 <= low < high:
+        raise Bad(f"must rise from 0 or more, got {shown(value)}", mend)
+    if percent[0] and high >= 100:
+        raise Bad(f"must stay below 100 % of the height, got {shown(value)}", mend)
+    return Range("percent" if percent[0] else "mm", low, high)
+
+
+def rows(value: Any) -> dict[str, Labels]:
+    """Read a choice of rows: column -> label, or labels."""
+    if not isinstance(value, Mapping) or not value:
+        raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
+    return {name(column): _labels(wanted) for column, wanted in value.items()}
+
+
+def _labels(value: Any) -> Labels:
+    if isinstance(value, list):
+        if not value:
+            raise Bad("chooses no label at all")
+        return tuple(_label(v) for v in value)
+    return _label(value)
+
+
+def _label(value: Any) -> str:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise Bad(f"must be a label, got {shown(value)}")
+    return text(str(value))
+
+
+def _unit(dimension: str) -> Read:
+    def read(value: Any) -> str:
+        unit = text(value)
+        units.unit_factor(unit, dimension)
+        return unit
+
+    return read
+
+
+def groups_of(pattern: str) -> list[str]:
+    """Names of the groups in a pattern such as ``"indentation-{specimen}.csv"``."""
+    return _FIELD.findall(pattern)
+
+
+@section
+class Columns:
+    """Columns of a measured file."""
+
+    displacement: Annotated[str, Reads(name, mend="displacement and force")]
+    force: Annotated[str, Reads(name, mend="displacement and force")]
+
+
+@section
+class Units:
+    """Units of the columns of a measured file."""
+
+    displacement: Annotated[str, Reads(_unit("length"))]
+    force: Annotated[str, Reads(_unit("force"))]
+
+
+@section
+class MeasurementSpec:
+    """Where measured curves are and how their rows become curves.
+
+    Parameters
+    ----------
+    file, files : str, optional
+        One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
+    columns, units : Columns, Units
+        Column and unit of displacement and force.
+    block : str, optional
+        Column of the unit that was replicated.
+    average : tuple of str
+        Columns whose rows are repeats, nested in a specimen.
+    range : Range, optional
+        Displacements that are used.
+    points : int
+        Number of displacements, even over the range.
+    fit, score : mapping of str to str or tuple of str, optional
+        Which rows give constants, which give responses.
+    swap : bool
+        Whether fit and score also change places.
+    zero, sign, decimal : str
+        Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    toe : float, optional
+        Force in N at which contact counts as made.
+    citation : str
+        Printed in the report.
+    """
+
+    columns: Columns = Field(
+        description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
+    )
+    units: Units = Field(description='for example units = { displacement = "mm", force = "N" }')
+    file: Annotated[str | None, Reads(csv_path)] = None
+    files: Annotated[str | None, Reads(csv_pattern)] = None
+    block: Annotated[str | None, Reads(name)] = None
+    average: Annotated[tuple[str, ...], Reads(names)] = ()
+    range: Annotated[Range | None, Reads(read_range)] = None
+    points: Annotated[int, Reads(integer(2, MAX_POINTS))] = 200
+    fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
+    score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
+    swap: Annotated[bool, Reads(flag)] = False
+    zero: Annotated[str, Reads(choice("none", "first", "fit"))] = "none"
+    toe: Force | None = None
+    sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
+    decimal: Annotated[str, Reads(choice(".", ","))] = "."
+    citation: Annotated[str, Reads(text)] = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
+        """Inverse of :meth:`as_dict`, also after a way through JSON."""
+        names = {key.name for key in keys_of(cls)}
+        values = {k: v for k, v in data.items() if k in names}
+        values["average"] = tuple(values.get("average") or ())
+        if values.get("range") is not None:
+            values["range"] = Range(**values["range"])
+        for key in ("fit", "score"):
+            if values.get(key) is not None:
+                values[key] = {
+                    k: tuple(v) if isinstance(v, list) else v for k, v in values[key].items()
+                }
+        return cls(**values)

@@ -1,0 +1,121 @@
+"""Quantities of a study file: numbers with a unit, and plain numbers, each with its range."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from study import units
+from study.errors import UnitError
+from study.setup.section import Bad, Read, Reads
+
+
+def shown(value: Any) -> str:
+    """Value as a message shows it, cut short."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def quantity(
+    dimension: str, low: float = 0.0, high: float = math.inf, *, closed: bool = False
+) -> Read:
+    """Reader of a value with its unit, between ``low`` (excluded unless closed) and ``high``."""
+
+    def read(value: Any) -> float:
+        number = units.parse(value, dimension)
+        unit = units.INTERNAL[dimension]
+        if number < low or (number == low and not closed):
+            bound = "at least" if closed else "above"
+            raise Bad(f"must be {bound} {low:g} {unit}, got {value!r}")
+        if number >= high:
+            raise Bad(f"must be below {high:g} {unit}, got {value!r}")
+        return number
+
+    return read
+
+
+def measured(
+    dimension: str,
+    low: float = 0.0,
+    high: float = math.inf,
+    *,
+    closed: bool = False,
+    mend: str = "",
+) -> Reads:
+    """Declare a quantity: with its unit in a file, a number in internal units in Python.
+
+    Parameters
+    ----------
+    dimension : str
+        One of :data:`study.units.INTERNAL`.
+    low, high : float
+        Range in internal units; ``high`` is excluded, and ``low`` unless ``closed``.
+    closed : bool
+        Whether ``low`` itself is allowed.
+    mend : str
+        What to write where the key is missing.
+    """
+    return Reads(quantity(dimension, low, high, closed=closed), dimension, mend, finite)
+
+
+def finite(value: Any) -> float:
+    """Take a number given in Python; a problem checks the range that it needs."""
+    if isinstance(value, (bool, str)) or not math.isfinite(value):
+        raise Bad(f"must be a finite number, got {shown(value)}")
+    return float(value)
+
+
+def number(
+    low: float = -math.inf, high: float = math.inf, *, closed: bool = False, mend: str = ""
+) -> Read:
+    """Reader of a finite plain number between ``low`` and ``high``."""
+
+    def read(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            hint = "it has no unit and no quotes" if isinstance(value, str) else ""
+            raise Bad(f"must be a plain number, got {shown(value)}", mend or hint)
+        if abs(value) > 1e300 or not math.isfinite(value):
+            raise Bad(f"must be a finite number, got {shown(value)}")
+        inside = low <= value <= high if closed else low < value < high
+        if not inside:
+            ends = "from {:g} to {:g}" if closed else "between {:g} and {:g} (excluded)"
+            raise Bad(f"must be {ends.format(low, high)}, got {value!r}", mend)
+        return float(value)
+
+    return read
+
+
+def integer(low: int, high: int) -> Read:
+    """Reader of a whole number from ``low`` to ``high``."""
+
+    def read(value: Any) -> int:
+        whole = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not whole or not math.isfinite(value) or value != int(value):
+            raise Bad(f"must be a whole number, got {shown(value)}")
+        if not low <= value <= high:
+            raise Bad(f"must be a whole number from {low} to {high}, got {shown(value)}")
+        return int(value)
+
+    return read
+
+
+def unit_of_length(value: Any) -> str:
+    """Read the name of a unit of length."""
+    if not isinstance(value, str):
+        raise Bad(f"must be a text, got {shown(value)}", 'for example unit = "mm"')
+    try:
+        units.parse(f"1 {value}", "length")
+    except UnitError:
+        raise Bad(f"is no unit of length: {shown(value)}", 'for example unit = "mm"') from None
+    return value.strip()
+
+
+#: a length above 0
+Length = Annotated[float, measured("length")]
+#: a length that may be 0, as that of a rounding
+LengthOrZero = Annotated[float, measured("length", closed=True)]
+#: a coordinate, of either sign
+Coordinate = Annotated[float, measured("length", -math.inf)]
+Pressure = Annotated[float, measured("pressure")]
+Duration = Annotated[float, measured("time")]
+Force = Annotated[float, measured("force")]

@@ -1,0 +1,116 @@
+"""Texts of a study file: words to choose from, names, paths; each refused with its rule."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Any
+
+from study.errors import nearest
+from study.setup.quantity import shown
+from study.setup.section import Bad, Read, Reads
+
+MAX_NAME = 80
+MAX_TEXT = 4000
+
+#: categories of Unicode that a reader cannot see, or that steer a terminal
+INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+
+
+def quoted(key: str) -> str:
+    """Key, quoted and cut where it is not a plain word."""
+    plain = key.isascii() and len(key) <= MAX_NAME and key.replace("-", "_").isidentifier()
+    return key if plain else ascii(key[:MAX_NAME])
+
+
+def choice(*names: str, synonyms: Mapping[str, str] | None = None) -> Read:
+    """Reader of one of several words; a synonym becomes the word it stands for."""
+    words = {name: name for name in names} | dict(synonyms or {})
+
+    def read(value: Any) -> str:
+        if not isinstance(value, str):
+            raise Bad(f"must be a text, got {shown(value)}", nearest("", words))
+        if value not in words:
+            raise Bad(f"unknown value {shown(value)}", nearest(value[:MAX_NAME], words))
+        return words[value]
+
+    return read
+
+
+def word(*names: str, synonyms: Mapping[str, str] | None = None, mend: str = "") -> Reads:
+    """Declare one of several words, the same in a file and in Python; see :func:`choice`."""
+    read = choice(*names, synonyms=synonyms)
+    return Reads(read, mend=mend, given=read)
+
+
+def flag(value: Any) -> bool:
+    """Read true or false."""
+    if not isinstance(value, bool):
+        raise Bad(f"must be true or false, got {shown(value)}")
+    return value
+
+
+def text(value: Any) -> str:
+    """Read a text without control characters."""
+    if not isinstance(value, str):
+        raise Bad(f"must be a text, got {shown(value)}", "put it in quotes")
+    if len(value) > MAX_TEXT:
+        raise Bad(f"has {len(value)} characters, the limit is {MAX_TEXT}")
+    if any(unicodedata.category(c) in INVISIBLE and c not in "\n\t" for c in value):
+        raise Bad("holds control characters")
+    return value.strip()
+
+
+def name(value: Any) -> str:
+    """Read a name that may stand in a table, a page or a CSV file.
+
+    A leading ``=``, ``+``, ``-`` or ``@`` is a formula for a spreadsheet (CWE-1236), and no
+    quoting survives its next save.
+    """
+    if not isinstance(value, str):
+        raise Bad(f"must be a text, got {shown(value)}", "put it in quotes")
+    stripped = value.strip()
+    if not stripped:
+        raise Bad("is empty")
+    if len(stripped) > MAX_NAME:
+        raise Bad(f"has {len(stripped)} characters, the limit is {MAX_NAME}")
+    if any(unicodedata.category(c) in INVISIBLE for c in value):
+        raise Bad(f"holds characters that cannot be seen: {ascii(value)}")
+    if stripped[0] in "=+-@":
+        rule = f"must not begin with {stripped[0]!r}, which a spreadsheet takes for a formula"
+        raise Bad(f"{rule}, got {shown(value)}")
+    return stripped
+
+
+def slug(value: Any) -> str:
+    """Read a name that is also a folder's: letters, digits, dash, underscore, dot."""
+    plain = name(value)
+    if not re.fullmatch(r"[A-Za-z0-9._-]*[A-Za-z0-9_-]", plain):
+        raise Bad(f"may have letters, digits, - _ and . (not last) only, got {shown(value)}")
+    if plain[0] == ".":
+        raise Bad(f"must not begin with a dot, got {shown(value)}")
+    return plain
+
+
+def names(value: Any) -> tuple[str, ...]:
+    """Read a list of names; one name may stand alone."""
+    items = value if isinstance(value, list) else [value]
+    if len(items) > 100:
+        raise Bad(f"lists {len(items)} names, the limit is 100")
+    return tuple(dict.fromkeys(name(item) for item in items))
+
+
+def relative_path(value: Any) -> str:
+    """Read a path below the data root."""
+    if not isinstance(value, str) or not value.strip():
+        raise Bad(f"must be a path, got {shown(value)}")
+    mend = "write it relative to the data root (--data DIR)"
+    if any(unicodedata.category(c) in INVISIBLE for c in value) or len(value) > 500:
+        raise Bad("is too long or holds characters that cannot be seen", mend)
+    if value.startswith(("/", "\\", "~")) or PureWindowsPath(value).drive:
+        raise Bad(f"must be relative, got {shown(value)}", mend)
+    if ".." in PurePosixPath(value.replace("\\", "/")).parts:
+        raise Bad(f"must not climb with '..', got {shown(value)}", mend)
+    return value
