@@ -185,7 +185,7 @@ def anchored(jobs: Sequence[CaseJob]) -> tuple[CaseJob, ...]:
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.
     """
-    groups = [_group(job) if _is_simulated(job) else "" for job in jobs]
+    groups = [_group(job) if _may_share_a_start(job) else "" for job in jobs]
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
@@ -204,6 +204,11 @@ def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
 
 def _group(job: CaseJob) -> str:
     return digest([plain(job.case.config), job.depth_mm], 32)
+
+
+def _may_share_a_start(job: CaseJob) -> bool:
+    """Whether a prediction may start from the load steps of another specimen's."""
+    return _is_simulated(job) and not Setup.of(job.case.config).has_close_equilibria
 
 
 def _is_simulated(job: CaseJob) -> bool:
