@@ -161,7 +161,7 @@ def foreign_names(root: Path) -> list[str]:
         if any(
             word not in known
             for part in path.with_suffix("").parts[1:]
-            if part != "__init__"
+            if part not in ("__init__", "__main__")
             for word in part.split("_")
         )
     ]
