@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from study.analysis.anova_table import Effect
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, Options, prepare, threshold
-from study.analysis.effects.estimates import Scale
+from study.analysis.effects.numerical_bound import NumericalBound
+from study.analysis.effects.sizes import MOST_LEVELS, Scale
 from study.analysis.error import ledger
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
@@ -59,7 +61,8 @@ def analyze(
     tolerance: float | None = None,
     practical: Any = None,
     transform: str = "none",
-    u_num: float | Mapping[str, float] | None = None,
+    u_num: float | Mapping[str, float] | NumericalBound | None = None,
+    specimens: int | None = None,
     alpha: float = 0.05,
     seed: int = 2011,
     exact: bool = True,
@@ -102,11 +105,14 @@ def analyze(
         Smallest difference that matters; see :func:`study.analysis.data.threshold`.
     transform : {"none", "log"}
         ``log`` reports effects as ratios.
-    u_num : float or mapping to float, optional
-        Numerical uncertainty in the unit of the response: one for all effects, or one a term
-        (``"A"``, ``"A:B"``); a term that is absent has none. Cells are one computation where
-        they agree within it in every block, within the smallest of a mapping: a larger one is
-        that of a contrast in which the two cells need not differ.
+    u_num : float, mapping to float or NumericalBound, optional
+        Bound of the numerical error of a difference: one for all effects, or one a term
+        (``"A"``, ``"A:B"``; a term that is absent has none) in the unit of the response, or what
+        bounds any difference on the scale of the analysis. Cells are one computation where
+        they agree within the smallest of them in every block.
+    specimens : int, optional
+        Specimens that were measured, where the response is a score of theirs: one makes no
+        claim, and a claim from two says so. By default the blocks are counted.
     alpha : float
         Size of the tests; intervals have the level 1 - alpha.
     seed : int
@@ -139,6 +145,7 @@ def analyze(
         practical,
         transform,
         u_num,
+        specimens,
         alpha,
         seed,
         exact,
@@ -231,9 +238,10 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     data = out.data
     y = _transformed(data, response, out.transform)
     limit = threshold(options.practical)
-    by_term = options.u_num_of_terms(map(term_name, out.terms))
-    scale = _scale(out, y, limit, by_term)
-    out = replace(out, y=y, scale=scale, warnings=(*data.warnings, *notes))
+    scale = _scale(out, y, limit, options)
+    low, high = _range_of_bounds(out, scale)
+    out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
+    out = replace(out, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
     copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
     how = ledger.method(options.error, data.block, out.records, copies=copied)
@@ -270,9 +278,8 @@ def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
         options.seed,
         options.exact,
         tol,
-        options.largest_u_num,
+        None,
         options.records,
-        options.smallest_u_num,
         replicates=_replicates(table, data, options),
     )
 
@@ -351,20 +358,39 @@ def _transformed(data: Data, response: str, transform: str) -> Array:
     return np.asarray(np.log(data.y))
 
 
-def _scale(out: Outcome, y: Array, limit: Any, by_term: Mapping[str, float] | None) -> Scale:
-    log, u = out.transform == "log", out.u_raw
+def _scale(out: Outcome, y: Array, limit: Any, options: Options) -> Scale:
+    log = out.transform == "log"
     mean = float(np.exp(y.mean())) if log else float(y.mean())
     practical = None if limit is None else limit.on_scale(mean, out.transform)
     unit = 1 / mean if log else 1.0
+    bound = options.bound(map(term_name, out.terms), unit)
+    specimens = options.specimens
+    if specimens is None and out.data.block is not None:
+        specimens = len(out.data.layout.levels[out.data.block])
     return Scale(
         out.transform,
         practical,
-        None if u is None else u * unit,
-        u,
+        bound,
         out.records and out.data.block is None,
-        by_term,
         unit,
+        specimens,
+        getattr(bound, "only", {}),
     )
+
+
+def _range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
+    """Smallest and largest bound of a difference of two levels, in the unit of the response."""
+    if scale.bound is None:
+        return None, None
+    pairs = (
+        ({name: first}, {name: second})
+        for (name,) in (term for term in out.terms if len(term) == 1)
+        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
+    )
+    known = [u for pair in pairs if (u := scale.bound.of(*pair)) is not None]
+    if not known:
+        return None, None
+    return min(known) / scale.unit, max(known) / scale.unit
 
 
 def _copies(out: Outcome) -> CopyGroups:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -124,13 +125,46 @@ class PairDifference:
 
 
 @dataclass(frozen=True)
+class SimpleEffect:
+    """Difference of two levels of a factor at one setting of the others.
+
+    Parameters
+    ----------
+    first, second : str
+        Levels; the difference is first - second.
+    at : tuple of (str, str)
+        Factors that interact with this one, and their levels.
+    difference : float
+        On the scale of the analysis, as everything here.
+    ci, ci_simultaneous : tuple of float or None
+        Interval of this difference alone, and of all simple effects of the factor together.
+    u : float or None
+        Bound of the numerical error; None where it is not known.
+    verdict : str
+        By the simultaneous interval for *matters*, by its own for *no practical difference*.
+    """
+
+    first: str
+    second: str
+    at: tuple[tuple[str, str], ...]
+    difference: float
+    ci: tuple[float, float] | None
+    ci_simultaneous: tuple[float, float] | None
+    u: float | None
+    verdict: str
+
+
+@dataclass(frozen=True)
 class Effect:
     """Size of one term in response units (or as a ratio, for a log response).
 
     ``range`` is the largest difference between level means of a factor, or between the pure
     interaction components of an interaction (in a two-level design both equal the classical
     effect); ``ci95`` is its simultaneous interval over all pairs. Levels of a factor that share
-    one of the ``letters`` are not told apart.
+    one of the ``letters`` are not told apart. ``u_num`` bounds the numerical error of the largest
+    difference, ``u_needed`` is what a claim would need. The verdict of a factor is that of its
+    ``simple_effects``; ``always`` lists the pairs of levels (larger, smaller) whose difference
+    is beyond the practical one at every setting of the other factors.
     """
 
     term: str
@@ -150,6 +184,19 @@ class Effect:
     why: str = ""
     pairs: tuple[PairDifference, ...] = ()
     letters: tuple[str, ...] = ()
+    p_holm: float | None = None
+    u_needed: float | None = None
+    simple_effects: tuple[SimpleEffect, ...] = ()
+    always: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def largest_simple(self) -> SimpleEffect | None:
+        """Simple effect that is farthest from no difference."""
+        if not self.simple_effects:
+            return None
+        if self.scale == "ratio":
+            return max(self.simple_effects, key=lambda e: abs(math.log(e.difference)))
+        return max(self.simple_effects, key=lambda e: abs(e.difference))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from study.analysis.effects.numerical_bound import NumericalBound, bound_of
 from study.analysis.linear_model.design_matrix import Layout
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
@@ -41,7 +42,8 @@ class Options:
     tolerance: float | None = None
     practical: Any = None
     transform: str = "none"
-    u_num: float | Mapping[str, float] | None = None
+    u_num: float | Mapping[str, float] | NumericalBound | None = None
+    specimens: int | None = None
     alpha: float = 0.05
     seed: int = 2011
     exact: bool = True
@@ -70,26 +72,15 @@ class Options:
             faults.append(Fault("error", "'own' needs one block; several that cross are pooled"))
         if self.whole_plot and len(self.block) != 1:
             faults.append(Fault("whole plot", "needs the block in which the plots lie, one column"))
+        if isinstance(self.u_num, Mapping):
+            faults += [f for name, u in self.u_num.items() for f in _unusable(f"u_num {name}", u)]
+        elif isinstance(self.u_num, int | float):
+            faults += _unusable("u_num", self.u_num)
         if faults:
             raise InputError(faults)
 
-    @property
-    def largest_u_num(self) -> float | None:
-        """Numerical uncertainty in the unit of the response: the largest of a mapping."""
-        return max(self._u_nums(), default=None)
-
-    @property
-    def smallest_u_num(self) -> float | None:
-        """Numerical uncertainty in the unit of the response: the smallest of a mapping."""
-        return min(self._u_nums(), default=None)
-
-    def _u_nums(self) -> list[float]:
-        if isinstance(self.u_num, Mapping):
-            return [float(v) for v in self.u_num.values() if v is not None and np.isfinite(v)]
-        return [] if self.u_num is None else [float(self.u_num)]
-
-    def u_num_of_terms(self, terms: Iterable[str]) -> dict[str, float] | None:
-        """Numerical uncertainty of each term; None where one holds for all.
+    def bound(self, terms: Iterable[str], unit: float) -> NumericalBound | None:
+        """Numerical uncertainty of every difference, on the working scale.
 
         Raises
         ------
@@ -97,15 +88,21 @@ class Options:
             If one is given for what is no term.
         """
         if not isinstance(self.u_num, Mapping):
-            return None
+            return bound_of(self.u_num, unit)
         known = list(terms)
         strange = [name for name in self.u_num if name not in known]
         if strange:
             raise InputError(
                 [Fault("u_num", f"{n!r} is no term", nearest(n, known)) for n in strange]
             )
-        found = {name: float(u) for name, u in self.u_num.items() if u is not None}
-        return {name: u for name, u in found.items() if np.isfinite(u)}
+        return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
+
+
+def _unusable(where: str, u: float | None) -> list[Fault]:
+    if u is None or (math.isfinite(u) and u >= 0):
+        return []
+    mend = "leave it out where it is not known; 0 means that there is none"
+    return [Fault(where, f"must be zero or a positive number, got {u!r}", mend)]
 
 
 @dataclass(frozen=True)

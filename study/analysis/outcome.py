@@ -16,7 +16,7 @@ from study.analysis.anova_table import (
     Sensitivity,
 )
 from study.analysis.data import Data
-from study.analysis.effects.estimates import Scale
+from study.analysis.effects.sizes import Scale
 from study.analysis.linear_model.design_matrix import Term
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
@@ -47,7 +47,7 @@ class Outcome:
     records: bool
     u_cells: float | None = None
     y: Array = field(default_factory=lambda: np.zeros(0))
-    scale: Scale = field(default_factory=lambda: Scale("none", None, None, None, False))
+    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
     warnings: tuple[str, ...] = ()
     copies: CopyGroups = field(default_factory=lambda: CopyGroups(()))
     error: ErrorTerm = _NO_ERROR

@@ -25,7 +25,9 @@ from study.analysis.assumption.variance import (
     bartlett,
     levene,
 )
+from study.analysis.effects.numerical_bound import OneBound
 from study.analysis.effects.power import PowerRow, planned
+from study.analysis.effects.sizes import holm
 from study.analysis.linear_model.design_matrix import terms_of
 from study.analysis.linear_model.influence import influence, influential
 from study.analysis.outcome import _NO_ERROR, Outcome
@@ -67,7 +69,7 @@ def assemble(out: Outcome) -> AnalysisResult:
         normality,
         equal,
         spread,
-        out.effects,
+        holm(out.effects),
         tuple(dict.fromkeys(out.warnings)),
         _cell_means(out),
         _residual_frame(out),
@@ -90,7 +92,7 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.robustness,
         out.box_cox,
         power=_power(out),
-        u_num_by_term=out.scale.by_term is not None,
+        u_num_by_term=out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
     )
 
 
@@ -390,6 +392,10 @@ class AnalysisResult:
                 "effect_over_u_num": plain(effect.effect_over_u_num),
                 "resolved": effect.resolved,
                 "why": effect.why,
+                "U": plain(effect.u_num),
+                "U_needed": plain(effect.u_needed),
+                "p_holm": plain(effect.p_holm),
+                "simple_effects": plain(effect.simple_effects),
             }
             for effect in self.effects
         ]

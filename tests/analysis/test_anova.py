@@ -253,7 +253,10 @@ def test_log_reports_ratios() -> None:
         (1.0, None, "matters"),
         (0.0, None, "no practical difference"),
         (0.3, None, "cannot tell"),
-        (1.0, 0.4, "cannot tell"),
+        (1.0, 0.4, "matters"),
+        (1.0, 0.7, "not resolved by the mesh"),
+        (0.3, 0.4, "cannot tell"),
+        (0.0, 100.0, "not resolved by the mesh"),
     ],
 )
 def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:

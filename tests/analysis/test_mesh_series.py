@@ -121,9 +121,9 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
     assert (result.u_num, result.u_num_by_term) == (2.0, True)
     rows = {row["factor"]: row["u_num"] for row in result.verdicts()}
     assert rows == {"material": 0.5, "space": 2.0, "mesh": None}
-    worse = analyze(table, "y", FACTORS, u_num={"material": 2.0}, **options)  # type: ignore[arg-type]
-    assert worse.effect("material").verdict == "cannot tell"
-    assert "3 u_num" in worse.effect("material").why
+    worse = analyze(table, "y", FACTORS, u_num={"material": 9.0}, **options)  # type: ignore[arg-type]
+    assert worse.effect("material").verdict == "not resolved by the mesh"
+    assert "numerical uncertainty would have to be below" in worse.effect("material").why
     one = analyze(table, "y", FACTORS, u_num=2.0, **options)  # type: ignore[arg-type]
     assert {e.u_num for e in one.effects} == {2.0}
     assert not one.u_num_by_term

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.analysis.anova_table import Effect, FailureBound
-from study.analysis.effects.estimates import CANNOT_TELL
+from study.analysis.effects.verdict import CANNOT_TELL
 from study.errors import StudyError
 
 if TYPE_CHECKING:

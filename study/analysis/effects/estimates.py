@@ -1,30 +1,17 @@
-"""Sizes of effects: level means, simultaneous interval of the largest difference, verdict.
-
-The verdict rests on the interval against the practical band and on the numerical uncertainty;
-p never decides alone.
-"""
+"""Estimates of the terms of a model: components, level means and their standard errors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from study.analysis.anova_table import Effect, PairDifference
-from study.analysis.effects.comparisons import letters, studentized_range_quantile
-from study.analysis.linear_model.design_matrix import Layout, Term, grid, model_matrix, term_name
+from study.analysis.effects.comparisons import studentized_range_quantile
+from study.analysis.linear_model.design_matrix import Layout, Term, grid, model_matrix
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array
-
-MATTERS = "matters"
-NO_DIFFERENCE = "no practical difference"
-CANNOT_TELL = "cannot tell"
-
-# beyond this nobody reads all pairs
-_MOST_LEVELS = 20
 
 
 @dataclass(frozen=True)
@@ -45,6 +32,8 @@ class TermEstimate:
         Half-width of the interval of each mean.
     p : float or None
         The deciding p.
+    settings : tuple of tuple of str
+        Level of each factor of the term in every combination.
     """
 
     term: Term
@@ -55,38 +44,7 @@ class TermEstimate:
     critical: float | None
     mean_half: Array | None
     p: float | None
-
-
-@dataclass(frozen=True)
-class Scale:
-    """What turns an estimate into a verdict, on the working scale.
-
-    Parameters
-    ----------
-    u_num, u_num_raw : float or None
-        Numerical uncertainty on the working scale and in the unit of the response.
-    by_term : mapping of str to float, optional
-        Uncertainty of each term in the unit of the response, in place of one for all; a term
-        that is absent has none.
-    unit : float
-        Unit of the response on the working scale.
-    """
-
-    transform: str
-    practical: float | None
-    u_num: float | None
-    u_num_raw: float | None
-    deterministic: bool
-    by_term: Mapping[str, float] | None = None
-    unit: float = 1.0
-
-    def of(self, term: Term) -> Scale:
-        """Scale of one term, with its own numerical uncertainty."""
-        if self.by_term is None:
-            return self
-        raw = self.by_term.get(term_name(term))
-        u = None if raw is None else raw * self.unit
-        return replace(self, u_num=u, u_num_raw=raw, by_term=None)
+    settings: tuple[tuple[str, ...], ...] = ()
 
 
 def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
@@ -136,6 +94,7 @@ def pooled_estimate(
 ) -> TermEstimate:
     """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
+    settings = settings_of(layout, term)
     beta = fit.coefficients()
     mean = fit.shift + mean_rows @ beta
     mean[np.logical_not(fit.estimable(mean_rows))] = np.nan
@@ -143,7 +102,7 @@ def pooled_estimate(
     if not fit.estimable(component_rows).all():
         component = np.full_like(component, np.nan)
     if df <= 0 or rss <= 0:
-        return TermEstimate(term, levels, component, mean, None, None, None, p)
+        return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
     covariance = fit.unscaled_covariance() * rss / df
     spread = np.einsum("ij,jk,ik->i", mean_rows, covariance, mean_rows)
     return TermEstimate(
@@ -155,7 +114,13 @@ def pooled_estimate(
         pooled_critical(len(levels), _df_of(layout, term), df, len(term) == 1, alpha),
         t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
         p,
+        settings,
     )
+
+
+def settings_of(layout: Layout, term: Term) -> tuple[tuple[str, ...], ...]:
+    """Levels of the factors of a term in every combination, in the order of its components."""
+    return tuple(product(*(layout.levels[name] for name in term)))
 
 
 def _df_of(layout: Layout, term: Term) -> int:
@@ -200,131 +165,3 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
         f = float(fdtri(df_term, rest, 1 - alpha))
         options.append(math.sqrt(df_term * (blocks - 1) / rest * f))
     return min(options)
-
-
-def size(estimate: TermEstimate, scale: Scale) -> Effect:
-    """Turn an estimate into the reported effect with its verdict."""
-    scale = scale.of(estimate.term)
-    back: Callable[[float], float] = math.exp if scale.transform == "log" else float
-    mean = tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean)
-    kind = "ratio" if scale.transform == "log" else "difference"
-    practical = None if scale.practical is None else back(scale.practical)
-    if np.isnan(estimate.component).any():
-        return Effect(
-            term_name(estimate.term),
-            estimate.levels,
-            mean,
-            None,
-            None,
-            CANNOT_TELL,
-            kind,
-            practical=practical,
-            u_num=scale.u_num_raw,
-            p=estimate.p,
-            why="not estimable",
-        )
-    top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
-    largest = float(estimate.component[top] - estimate.component[bottom])
-    half = _half_widths(estimate)
-    interval = None
-    if half is not None:
-        interval = (largest - half[top, bottom], largest + half[top, bottom])
-    verdict, why = decide(estimate, largest, interval, half, scale)
-    pairs, tags = _pairs(estimate, half, back)
-    resolved = None if not scale.u_num else _resolved(largest / scale.u_num)
-    return Effect(
-        term_name(estimate.term),
-        estimate.levels,
-        mean,
-        None if interval is None else (back(interval[0]), back(interval[1])),
-        back(largest),
-        verdict,
-        kind,
-        (estimate.levels[top], estimate.levels[bottom]),
-        _mean_intervals(estimate, back),
-        practical,
-        scale.u_num_raw,
-        largest / scale.u_num if scale.u_num else None,
-        resolved,
-        estimate.p,
-        why,
-        pairs,
-        tags,
-    )
-
-
-def _mean_intervals(
-    estimate: TermEstimate, back: Callable[[float], float]
-) -> tuple[tuple[float, float], ...] | None:
-    if estimate.mean_half is None or np.isnan(estimate.mean).any():
-        return None
-    pairs = zip(estimate.mean, estimate.mean_half, strict=True)
-    return tuple((back(float(m - h)), back(float(m + h))) for m, h in pairs)
-
-
-def _half_widths(estimate: TermEstimate) -> Array | None:
-    if estimate.covariance is None or estimate.critical is None:
-        return None
-    v = estimate.covariance
-    d = np.diag(v)
-    return np.asarray(estimate.critical * np.sqrt(np.maximum(d[:, None] + d - 2 * v, 0.0)))
-
-
-def _resolved(ratio: float) -> str:
-    if ratio >= 3:
-        return "resolved"
-    return "marginal" if ratio >= 1 else "not resolved"
-
-
-def decide(
-    estimate: TermEstimate,
-    largest: float,
-    interval: tuple[float, float] | None,
-    half: Array | None,
-    scale: Scale,
-) -> tuple[str, str]:
-    """Verdict of one effect, and why."""
-    if scale.practical is None:
-        return CANNOT_TELL, "no practical threshold was given"
-    unresolved = scale.u_num is not None and largest <= 3 * scale.u_num
-    if interval is None or half is None:
-        return _decide_without_error(largest, unresolved, scale)
-    if interval[0] > scale.practical:
-        if unresolved:
-            return CANNOT_TELL, "not resolved by the mesh: the difference is within 3 u_num"
-        return MATTERS, "the interval of the largest difference lies beyond the practical band"
-    differences = np.abs(estimate.component[:, None] - estimate.component)
-    if float((differences + half).max()) < scale.practical:
-        return NO_DIFFERENCE, "every interval lies inside the practical band"
-    return CANNOT_TELL, "the interval of the largest difference crosses the practical threshold"
-
-
-def _decide_without_error(largest: float, unresolved: bool, scale: Scale) -> tuple[str, str]:
-    if not scale.deterministic or scale.practical is None:
-        return CANNOT_TELL, "there is no error to judge the effect against"
-    u = scale.u_num or 0.0
-    if largest - u > scale.practical:
-        if unresolved:
-            return CANNOT_TELL, "not resolved by the mesh: the difference is within 3 u_num"
-        return MATTERS, "the computed difference exceeds the practical threshold (no p)"
-    if largest + u < scale.practical:
-        return NO_DIFFERENCE, "the computed difference is below the practical threshold (no p)"
-    return CANNOT_TELL, "the difference and the threshold are within the numerical uncertainty"
-
-
-def _pairs(
-    estimate: TermEstimate, half: Array | None, back: Callable[[float], float]
-) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
-    """Differences of all pairs of levels of a factor, and the letters of the levels."""
-    k = len(estimate.levels)
-    if half is None or len(estimate.term) != 1 or k > _MOST_LEVELS:
-        return (), ()
-    found = []
-    for i, j in combinations(range(k), 2):
-        d, h = float(estimate.component[i] - estimate.component[j]), float(half[i, j])
-        names = estimate.levels[i], estimate.levels[j]
-        found.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
-    apart = {frozenset((pair.first, pair.second)) for pair in found if pair.different}
-    order = np.argsort(-estimate.component, kind="stable")
-    by_level = letters([estimate.levels[i] for i in order], apart)
-    return tuple(found), tuple(by_level[level] for level in estimate.levels)

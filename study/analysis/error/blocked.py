@@ -15,7 +15,15 @@ import numpy as np
 from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
-from study.analysis.effects.estimates import TermEstimate, own_critical, size, t_quantile, term_rows
+from study.analysis.effects.estimates import (
+    TermEstimate,
+    own_critical,
+    settings_of,
+    t_quantile,
+    term_rows,
+)
+from study.analysis.effects.samples import every_simple_effect, over_blocks
+from study.analysis.effects.sizes import size
 from study.analysis.error import ledger
 from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix, term_name
 from study.analysis.linear_model.sums_of_squares import (
@@ -188,9 +196,7 @@ def own_estimate(
     """Estimate of a term; each difference carries its own variance over the blocks."""
     levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
     blocks = table.y.shape[1]
-    inverse = np.linalg.pinv(fit.r, rcond=1e-9) / fit.scale[:, None]
-    shift = float(table.y[0, 0])
-    beta = inverse @ (fit.q.T @ (table.y - shift))
+    shift, beta = block_coefficients(table, fit)
     component, mean = component_rows @ beta, shift + mean_rows @ beta
     estimable = bool(fit.estimable(component_rows).all())
     mean_half = t_quantile(alpha / 2, blocks - 1) * mean.std(axis=1, ddof=1) / np.sqrt(blocks)
@@ -205,7 +211,15 @@ def own_estimate(
         own_critical(len(levels), max(df, 1), blocks, alpha),
         mean_half,
         p,
+        settings_of(table.layout, term),
     )
+
+
+def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
+    """Shift of the response, and coefficients of every block, shape (p, b)."""
+    inverse = np.linalg.pinv(fit.r, rcond=1e-9) / fit.scale[:, None]
+    shift = float(table.y[0, 0])
+    return shift, inverse @ (fit.q.T @ (table.y - shift))
 
 
 def own(out: Outcome, kind: str, error: str) -> Outcome | None:
@@ -245,11 +259,13 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     estimates = [
         own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
     ]
+    sample = over_blocks(fit, block_coefficients(table, fit)[1], out.alpha, out.seed)
+    simple = every_simple_effect(out.terms, table.layout, fit, sample, out.scale)
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),
         anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
-        effects=tuple(size(e, out.scale) for e in estimates),
+        effects=tuple(size(e, out.scale, simple) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
         fit=residuals.additive_fit(data, out.y),
         crossed=table,

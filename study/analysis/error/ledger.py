@@ -9,7 +9,9 @@ import numpy as np
 
 from study.analysis import unreplicated
 from study.analysis.anova_table import Anova, ErrorTerm, Row
-from study.analysis.effects.estimates import TermEstimate, pooled_estimate, size
+from study.analysis.effects.estimates import TermEstimate, pooled_estimate
+from study.analysis.effects.samples import every_simple_effect, with_pooled_error
+from study.analysis.effects.sizes import size
 from study.analysis.linear_model.design_matrix import (
     Term,
     balanced,
@@ -268,11 +270,15 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     if lenth is not None and choice.source == "E6" and two_levels and not out.records:
         estimates = [_with_margin(e, lenth) for e in estimates]
+    simple = {}
+    if df or out.scale.deterministic:
+        sample = with_pooled_error(fit, error_rss, df, out.alpha, out.seed)
+        simple = every_simple_effect(out.terms, data.layout, fit, sample, out.scale)
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
         anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
-        effects=tuple(size(e, out.scale) for e in estimates),
+        effects=tuple(size(e, out.scale, simple) for e in estimates),
         fit=fit if df else None,
         lenth=lenth,
         summary=summary_of(fit) if df else None,

@@ -1,0 +1,75 @@
+"""What is known of combinations of coefficients: over blocks, with a pooled error, or exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from study.analysis.effects.estimates import t_quantile
+from study.analysis.effects.simple_effects import (
+    Estimates,
+    Sample,
+    SimpleEffects,
+    simple_effects,
+)
+from study.analysis.effects.simultaneous import block_multiplier, pooled_multiplier
+from study.analysis.effects.sizes import Scale
+from study.analysis.linear_model.design_matrix import Layout, Term
+from study.analysis.linear_model.sums_of_squares import ALIAS_TOLERANCE, Factored
+from study.arrays import Array
+
+
+def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> Sample:
+    """Estimate combinations by their own variance over the blocks.
+
+    Parameters
+    ----------
+    coefficients : ndarray, shape (p, b)
+        Of every block.
+    """
+
+    def estimate(rows: Array) -> Estimates:
+        value = np.where(fit.estimable(rows)[:, None], rows @ coefficients, np.nan)
+        known = value[np.isfinite(value).all(axis=1)]
+        b = value.shape[1]
+        return Estimates(
+            value.mean(axis=1),
+            value.std(axis=1, ddof=1) / np.sqrt(b),
+            t_quantile(alpha / 2, b - 1),
+            block_multiplier(known, alpha, seed) if len(known) else 0.0,
+        )
+
+    return estimate
+
+
+def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:
+    """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
+    coefficients = fit.coefficients()
+    inverse = np.linalg.pinv(fit.r, rcond=ALIAS_TOLERANCE) / fit.scale[:, None]
+
+    def estimate(rows: Array) -> Estimates:
+        value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
+        if df <= 0 or rss <= 0:
+            return Estimates(value, None)
+        known = np.isfinite(value)
+        error = np.sqrt(np.sum((rows @ inverse) ** 2, axis=1) * rss / df)
+        wide = pooled_multiplier(rows[known] @ inverse, df, alpha, seed) if known.any() else 0.0
+        return Estimates(value, error, t_quantile(alpha / 2, df), wide)
+
+    return estimate
+
+
+def every_simple_effect(
+    terms: Sequence[Term], layout: Layout, fit: Factored, sample: Sample, scale: Scale
+) -> dict[str, SimpleEffects]:
+    """Judge every factor of a model by its simple effects."""
+    found = {}
+    for term in terms:
+        if len(term) == 1:
+            judged = simple_effects(
+                term[0], layout, fit.matrix, sample, scale.practical, scale.bound, scale.only
+            )
+            if judged is not None:
+                found[term[0]] = judged
+    return found

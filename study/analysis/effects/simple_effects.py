@@ -1,0 +1,276 @@
+"""Simple effects: what a factor does at each setting of the factors that it interacts with.
+
+*No practical difference, whatever the other factors* is claimed where every simple effect lies
+inside the practical band. Claiming that all of several hypotheses hold is an intersection-union
+test (Berger 1982, Technometrics 24, 295): each interval keeps its own level, and the claim is
+false with at most half of alpha. *Matters at some setting* is a claim on one of many and needs
+simultaneous intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Protocol
+
+import numpy as np
+
+from study.analysis.anova_table import SimpleEffect
+from study.analysis.effects.numerical_bound import NumericalBound
+from study.analysis.effects.verdict import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    claim,
+    judge,
+    resolution,
+)
+from study.analysis.linear_model.design_matrix import Layout, ModelMatrix, Term, model_matrix
+from study.arrays import Array
+
+#: Simple effects beyond this number are not listed: nobody reads them and none could be tested.
+MOST = 20_000
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Contrasts with what their intervals need.
+
+    Parameters
+    ----------
+    value : ndarray, shape (m,)
+        On the scale of the analysis.
+    error : ndarray, shape (m,), or None
+        Standard errors; None where nothing scatters.
+    single, simultaneous : float or ndarray, shape (m,)
+        Multipliers of the standard error, for one interval alone and for all together.
+    """
+
+    value: Array
+    error: Array | None
+    single: float | Array = 0.0
+    simultaneous: float | Array = 0.0
+
+
+class Sample(Protocol):
+    """What is known of linear combinations of the coefficients of the model."""
+
+    def __call__(self, rows: Array) -> Estimates:
+        """Estimate the combinations ``rows``, shape (m, p)."""
+        ...
+
+
+@dataclass(frozen=True)
+class SimpleEffects:
+    """All simple effects of one factor and what they say together.
+
+    Parameters
+    ----------
+    verdict, why : str
+        *matters* at some setting, *no practical difference* at any, or a refusal.
+    effects : tuple of SimpleEffect
+        In the order of the settings.
+    u_needed : float or None
+        Numerical uncertainty that a claim would need.
+    always : tuple of (str, str)
+        Pairs (larger, smaller) whose difference is beyond the practical one at every setting.
+    """
+
+    factor: str
+    verdict: str
+    why: str
+    effects: tuple[SimpleEffect, ...]
+    u_needed: float | None = None
+    always: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def largest(self) -> SimpleEffect:
+        """The one with the largest difference."""
+        return max(self.effects, key=lambda effect: abs(effect.difference))
+
+
+def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
+    """Factors that a factor interacts with in a model.
+
+    Examples
+    --------
+    >>> partners("A", [("A",), ("B",), ("C",), ("A", "B")])
+    ('B',)
+    """
+    found = (name for term in terms if factor in term for name in term)
+    return tuple(dict.fromkeys(name for name in found if name != factor))
+
+
+def simple_effects(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    sample: Sample,
+    practical: float | None,
+    bound: NumericalBound | None,
+    only: Mapping[str, str] | None = None,
+) -> SimpleEffects | None:
+    """Judge a factor at every setting of the factors that it interacts with.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors.
+    matrix : ModelMatrix
+        Columns of the fitted model.
+    sample : Sample
+        Estimates of combinations of its coefficients.
+    practical : float or None
+        Smallest difference that matters, on the scale of the analysis.
+    bound : NumericalBound or None
+        None where there is no numerical error.
+    only : mapping of str to str, optional
+        The one level of a factor that counts: the finest mesh, for the limit is asked for.
+
+    Returns
+    -------
+    SimpleEffects or None
+        None where there are too many to be judged.
+    """
+    others = partners(factor, matrix.terms)
+    settings = list(_settings(layout, others, only or {}))
+    pairs = list(combinations(range(len(layout.levels[factor])), 2))
+    if not pairs or len(settings) * len(pairs) > MOST:
+        return None
+    rows = _rows(factor, layout, matrix, others, settings, pairs)
+    found = sample(rows)
+    effects = tuple(_effects(factor, layout, others, settings, pairs, found, bound, practical))
+    return _together(factor, effects, practical) if effects else None
+
+
+def _settings(
+    layout: Layout, others: Sequence[str], only: Mapping[str, str]
+) -> Iterator[tuple[int, ...]]:
+    choices = [
+        [layout.levels[name].index(only[name])]
+        if only.get(name) in layout.levels[name]
+        else range(len(layout.levels[name]))
+        for name in others
+    ]
+    yield from product(*choices)
+
+
+def _rows(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+    pairs: Sequence[tuple[int, int]],
+) -> Array:
+    """Combine the coefficients to every difference, shape (m, p)."""
+    k = len(layout.levels[factor])
+    codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
+    codes[factor] = np.tile(np.arange(k), len(settings))
+    for i, name in enumerate(others):
+        codes[name] = np.repeat([setting[i] for setting in settings], k)
+    cells = model_matrix(Layout(layout.levels, codes), [t for t in matrix.terms if t])
+    columns = np.zeros((len(settings) * k, matrix.columns.shape[1]))
+    for term in matrix.terms:
+        if factor in term:
+            columns[:, matrix.of(term)] = cells.columns[:, cells.of(term)]
+    by_setting = columns.reshape(len(settings), k, -1)
+    return np.concatenate([by_setting[:, i] - by_setting[:, j] for i, j in pairs])
+
+
+def _effects(
+    factor: str,
+    layout: Layout,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+    pairs: Sequence[tuple[int, int]],
+    found: Estimates,
+    bound: NumericalBound | None,
+    practical: float | None,
+) -> Iterator[SimpleEffect]:
+    levels = layout.levels[factor]
+    zero = np.zeros_like(found.value)
+    error = zero if found.error is None else found.error
+    one, every = error * found.single, error * found.simultaneous
+    for n, ((i, j), setting) in enumerate(product(pairs, settings)):
+        at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
+        u = 0.0
+        if bound is not None:
+            known = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
+            u = np.nan if known is None else known
+        d = float(found.value[n])
+        if np.isnan(d):  # cells are missing: this difference cannot be estimated
+            continue
+        ci, wide = ((d - h[n], d + h[n]) for h in (one, every))
+        yield SimpleEffect(
+            levels[i],
+            levels[j],
+            tuple(at.items()),
+            d,
+            None if found.error is None else (float(ci[0]), float(ci[1])),
+            None if found.error is None else (float(wide[0]), float(wide[1])),
+            None if np.isnan(u) else float(u),
+            _verdict(ci, wide, u, practical),
+        )
+
+
+def _verdict(
+    ci: tuple[float, float], wide: tuple[float, float], u: float, practical: float | None
+) -> str:
+    if practical is None or not np.isfinite(ci).all():
+        return CANNOT_TELL
+    bound = 0.0 if np.isnan(u) else u
+    if claim(wide[0] - bound, wide[1] + bound, practical) == MATTERS:
+        return MATTERS
+    if claim(ci[0] - bound, ci[1] + bound, practical) == NO_DIFFERENCE:
+        return NO_DIFFERENCE
+    resolvable = claim(*wide, practical) == MATTERS or claim(*ci, practical) == NO_DIFFERENCE
+    return NOT_RESOLVED if resolvable else CANNOT_TELL
+
+
+def _together(
+    factor: str, effects: tuple[SimpleEffect, ...], practical: float | None
+) -> SimpleEffects:
+    verdicts = {effect.verdict for effect in effects}
+    if practical is None:
+        return SimpleEffects(factor, CANNOT_TELL, "no practical threshold was given", effects)
+    if MATTERS in verdicts:
+        why = "the simultaneous interval of a simple effect lies beyond the practical band"
+        return SimpleEffects(factor, MATTERS, why, effects, always=_always(effects, practical))
+    if verdicts == {NO_DIFFERENCE}:
+        why = "the interval of every simple effect lies inside the practical band"
+        return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
+    needed = _needed(effects, practical)
+    if needed is not None:
+        return SimpleEffects(factor, NOT_RESOLVED, resolution(needed), effects, needed)
+    why = "the interval of a simple effect crosses the practical threshold"
+    return SimpleEffects(factor, CANNOT_TELL, why, effects)
+
+
+def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
+    """Numerical uncertainty that a claim needs; None where the scatter alone forbids it."""
+    if any(effect.ci is None and effect.u is None for effect in effects):
+        return None
+    intervals = [e.ci or (e.difference, e.difference) for e in effects]
+    wide = [e.ci_simultaneous or (e.difference, e.difference) for e in effects]
+    beyond = [judge(*ci, practical, 0.0 if e.u is None else e.u) for ci, e in
+              zip(wide, effects, strict=True) if claim(*ci, practical) == MATTERS]  # fmt: skip
+    if beyond:
+        return max(found.u_needed or 0.0 for found in beyond)
+    if all(claim(*ci, practical) == NO_DIFFERENCE for ci in intervals):
+        return min(practical - max(-low, high) for low, high in intervals)
+    return None
+
+
+def _always(effects: Sequence[SimpleEffect], practical: float) -> tuple[tuple[str, str], ...]:
+    """Pairs whose difference lies beyond the practical one, on the same side, at all settings."""
+    found: dict[tuple[str, str], set[int]] = {}
+    for e in effects:
+        low, high = e.ci or (e.difference, e.difference)
+        u = e.u or 0.0
+        sign = 1 if low - u > practical else -1 if high + u < -practical else 0
+        found.setdefault((e.first, e.second), set()).add(sign)
+    up = [pair for pair, signs in found.items() if signs == {1}]
+    return (*up, *((b, a) for (a, b), signs in found.items() if signs == {-1}))
