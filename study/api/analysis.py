@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 from study import api
 from study.analysis.anova import analyze as anova
 from study.api.statistics import rows_for
-from study.api.uncertainty.numerical import effect_u_num
+from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import read_csv
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.effects.numerical_bound import NumericalBound
     from study.analysis.result import AnalysisResult
 
 
@@ -76,18 +77,17 @@ def _study(
     } | {k: v for k, v in options.items() if v is not None}
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
 
-    def u_num(frame: pd.DataFrame, block: str | None) -> Any:
-        return effect_u_num(
-            study.design, study.numerical, study.records, frame, name, merged["transform"],
-            factors=names, block=block, model=merged["model"],
-        )  # fmt: skip
+    def u_num(frame: pd.DataFrame) -> NumericalBound | None:
+        return numerical_bound(
+            study.design, study.numerical, study.records, frame, name, merged["transform"]
+        )
 
     if not isinstance(blocked, (str, type(None))):
-        merged = {"u_num": u_num(study.table, None)} | merged
+        merged = {"u_num": u_num(study.table)} | merged
         return anova(study.table, name, names, block=blocked, records=True, **merged)
     every = [f.name for f in study.design.factors]
     rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
-    merged = {"u_num": u_num(rows.table, rows.block)} | rows.options | merged
+    merged = {"u_num": u_num(rows.table)} | rows.options | merged
     found = anova(rows.table, name, names, block=rows.block, records=True, **merged)
     return replace(found, warnings=(*found.warnings, *rows.notes))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.analysis.anova import analyze as anova
 from study.analysis.linear_model.design_matrix import terms_of
-from study.api.uncertainty.numerical import effect_u_num
+from study.api.uncertainty.numerical import numerical_bound
 from study.design.cases import treatments
 from study.design.checks import is_constant
 from study.errors import InputError
@@ -34,7 +34,7 @@ def analyze_records(
     Parameters
     ----------
     numerical : sequence of Numerical
-        What refinement found; see :func:`study.api.uncertainty.numerical.effect_u_num`.
+        What refinement found; see :func:`study.api.uncertainty.numerical.numerical_bound`.
 
     Raises
     ------
@@ -62,17 +62,15 @@ def analyze_records(
         records=True,
         practical=response.practical,
         transform=response.transform,
-        u_num=effect_u_num(
+        u_num=numerical_bound(
             design,
             numerical,
             records,
             whole,
             response.name,
             response.transform,
-            factors=factors,
-            block=rows.block,
-            model=model,
         ),
+        specimens=len(set(blocks)) or None,
         alpha=spec.alpha,
         seed=design.seed,
         **rows.options,

@@ -37,6 +37,9 @@ CAUTIOUS = 3.0
 FLOOR = 0.1
 #: Two meshes show no order: this share of the expected one is assumed.
 ASSUMED_SHARE = 0.7
+#: Growing changes below this share of the value are noise of the meshes, bounded by thrice the
+#: range; above it the quantity diverges and nothing bounds its error.
+NOISE_SHARE = 0.01
 #: Share of the refined cells' mean bound that a difference of other cells inherits.
 INHERITED_SHARE = 0.2
 
@@ -57,6 +60,9 @@ class CellSeries:
         Name of the element, order and formulation: errors cancel only within one.
     studied : float, optional
         Value on the mesh of the study, where that is not the finest.
+    reference : float, optional
+        Size that changes are compared with to tell noise from divergence: that of the finest
+        value, or 1 for a logarithm.
     """
 
     mesh_size: tuple[float, ...]
@@ -64,6 +70,12 @@ class CellSeries:
     formal_order: float | None = None
     discretization: str = ""
     studied: float | None = None
+    reference: float | None = None
+
+    @property
+    def noise(self) -> float:
+        """Change below which a growing one is noise of the meshes."""
+        return NOISE_SHARE * (abs(self.value[0]) if self.reference is None else self.reference)
 
     @property
     def on_the_studied_mesh(self) -> float:
@@ -129,13 +141,17 @@ def observed_orders(value: Array, mesh_size: Sequence[float]) -> Array:
     return np.where(monotone, (low + high) / 2, np.nan)
 
 
-def response_bounds(value: Array, mesh_size: Sequence[float], formal: float | None) -> Array:
+def response_bounds(
+    value: Array, mesh_size: Sequence[float], formal: float | None, noise: float | Array = 0.0
+) -> Array:
     """Grid convergence index of single responses, in their unit.
 
     Parameters
     ----------
     value : ndarray, shape (..., n)
         On two or more meshes from fine to coarse; the finest three count.
+    noise : float or ndarray, shape (...)
+        Growing changes up to this size are no divergence.
 
     Returns
     -------
@@ -153,13 +169,14 @@ def response_bounds(value: Array, mesh_size: Sequence[float], formal: float | No
     spread = np.ptp(value, axis=-1)
     bound = np.where(safe, SAFE_RESPONSE * error, np.maximum(CAUTIOUS * error, spread))
     bound = np.where(np.isnan(p), CAUTIOUS * spread, bound)
-    return np.where(_diverges(value), np.inf, bound)
+    return np.where(_diverges(value, noise), np.inf, bound)
 
 
-def _diverges(value: Array) -> Array:
-    """Whether the changes grow with refinement, by more than rounding."""
+def _diverges(value: Array, noise: float | Array) -> Array:
+    """Whether the changes grow with refinement, by more than noise and rounding."""
     e21, e32 = np.abs(value[..., 1] - value[..., 0]), np.abs(value[..., 2] - value[..., 1])
-    return np.asarray(e21 > e32 * (1 + 1e-9) + 4 * np.spacing(np.abs(value).max(axis=-1)))
+    floor = np.maximum(noise, 4 * np.spacing(np.abs(value).max(axis=-1)))
+    return np.asarray((e21 > e32 * (1 + 1e-9)) & (e21 > floor))
 
 
 def difference_bounds(
@@ -258,7 +275,8 @@ def _within(
     size = first.mesh_size[:meshes]
     orders = [series[cell].formal_order for cell in cells]
     formal = None if None in orders else min(o for o in orders if o is not None)
-    ceiling = float(np.abs(w) @ response_bounds(value, size, formal))
+    noise = np.array([series[cell].noise for cell in cells])
+    ceiling = float(np.abs(w) @ response_bounds(value, size, formal, noise))
     if not math.isfinite(ceiling):
         return None
     difference = w @ value
@@ -285,7 +303,7 @@ def limit_of(series: CellSeries) -> tuple[float, float] | None:
     value, size = np.array(series.value), series.mesh_size
     if len(value) < 2:
         return None
-    bound = float(response_bounds(value, size, series.formal_order))
+    bound = float(response_bounds(value, size, series.formal_order, series.noise))
     if not math.isfinite(bound):
         return None
     limit, order = series.value[0], math.nan

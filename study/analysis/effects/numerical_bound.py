@@ -6,7 +6,7 @@ A difference is named by the levels on its two sides; the factors that are not n
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
 
@@ -102,6 +102,8 @@ class SeriesBounds:
     mesh : str or None
         Factor whose levels are meshes: a difference between them has no bound, because it is
         itself an error of the discretization.
+    only : mapping of str to str
+        The finest mesh, on which the simple effects of the other factors are judged.
     """
 
     factors: tuple[str, ...]
@@ -110,6 +112,7 @@ class SeriesBounds:
     discretization: Mapping[tuple[str, ...], str]
     more: float = 0.0
     mesh: str | None = None
+    only: Mapping[str, str] = field(default_factory=dict)
     _known: dict[tuple[tuple[str, ...], ...], float | None] = field(default_factory=dict)
 
     def of(self, plus: Levels, minus: Levels) -> float | None:
@@ -117,10 +120,12 @@ class SeriesBounds:
         changed = [name for name in plus if plus[name] != minus[name]]
         if self.mesh in changed:
             return 0.0
-        key = (tuple(plus.get(f, "") for f in self.factors),
-               tuple(minus.get(f, "") for f in self.factors))  # fmt: skip
+        on_one_mesh = self.mesh is not None and self.mesh in plus
+        key = (*(tuple(side.get(f, "") for f in self.factors) for side in (plus, minus)),
+               (str(on_one_mesh),))  # fmt: skip
         if key not in self._known:
-            self._known[key] = self._bound(_difference(self._weights(plus), self._weights(minus)))
+            weights = _difference(self._weights(plus), self._weights(minus))
+            self._known[key] = self._bound(weights, on_one_mesh=on_one_mesh)
         return self._known[key]
 
     def of_component(self, first: Levels, second: Levels) -> float | None:
@@ -143,7 +148,10 @@ class SeriesBounds:
         chosen = [cell for cell in self.cells if all(cell[i] == level for i, level in at)]
         return {cell: 1 / len(chosen) for cell in chosen} if chosen else {}
 
-    def _bound(self, weights: Mapping[tuple[str, ...], float]) -> float | None:
+    def _bound(
+        self, weights: Mapping[tuple[str, ...], float], *, on_one_mesh: bool = False
+    ) -> float | None:
+        """Bound of a contrast; its distance to the finest mesh counts unless it is there."""
         if not weights:
             return None
         used = {c: w for c, w in weights.items() if abs(w) > 1e-12 and self.discretization[c]}
@@ -152,23 +160,27 @@ class SeriesBounds:
         by_element: dict[str, dict[tuple[str, ...], float]] = {}
         for cell, w in used.items():
             by_element.setdefault(self.discretization[cell], {})[cell] = w
-        parts = [self._part(name, part) for name, part in by_element.items()]
+        series = self.series
+        if on_one_mesh:
+            series = {cell: replace(own, studied=None) for cell, own in series.items()}
+        parts = [self._part(name, part, series) for name, part in by_element.items()]
         if any(part is None for part in parts):
             return None
         return sum(part.effective for part in parts if part is not None) + 2 * self.more
 
     def _part(
-        self, element: str, weights: Mapping[tuple[str, ...], float]
+        self,
+        element: str,
+        weights: Mapping[tuple[str, ...], float],
+        series: Mapping[tuple[str, ...], CellSeries],
     ) -> ContrastUncertainty | None:
         """Bound of the part that lies in one discretization."""
-        if all(cell in self.series for cell in weights):
-            found = contrast_uncertainty(
+        if all(cell in series for cell in weights):
+            return contrast_uncertainty(
                 {"/".join(c): w for c, w in weights.items()},
-                {"/".join(c): self.series[c] for c in weights},
+                {"/".join(c): series[c] for c in weights},
             )
-            if found is not None:
-                return found
-        refined = [s for c, s in self.series.items() if self.discretization.get(c) == element]
+        refined = [s for c, s in series.items() if self.discretization.get(c) == element]
         limits = [limit_of(s) for s in refined]
         known = [found for found in limits if found is not None]
         if not known or len(known) < len(limits):

@@ -221,10 +221,10 @@ def _verdict(
 ) -> str:
     if practical is None or not np.isfinite(ci).all():
         return CANNOT_TELL
-    bound = 0.0 if np.isnan(u) else u
-    if claim(wide[0] - bound, wide[1] + bound, practical) == MATTERS:
+    # nothing bounds the numerical error of a quantity that diverges, so nothing is claimed of it
+    if not np.isnan(u) and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
         return MATTERS
-    if claim(ci[0] - bound, ci[1] + bound, practical) == NO_DIFFERENCE:
+    if not np.isnan(u) and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
         return NO_DIFFERENCE
     resolvable = claim(*wide, practical) == MATTERS or claim(*ci, practical) == NO_DIFFERENCE
     return NOT_RESOLVED if resolvable else CANNOT_TELL
@@ -251,8 +251,6 @@ def _together(
 
 def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
     """Numerical uncertainty that a claim needs; None where the scatter alone forbids it."""
-    if any(effect.ci is None and effect.u is None for effect in effects):
-        return None
     intervals = [e.ci or (e.difference, e.difference) for e in effects]
     wide = [e.ci_simultaneous or (e.difference, e.difference) for e in effects]
     beyond = [judge(*ci, practical, 0.0 if e.u is None else e.u) for ci, e in

@@ -170,7 +170,8 @@ def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> 
         if k > MOST_LEVELS:
             pairs = [(int(np.argmax(estimate.component)), int(np.argmin(estimate.component)))]
         known = [scale.between(estimate, i, j) for i, j in pairs]
-        u = np.array([0.0 if v is None else v for v in known])
+        # nothing bounds the numerical error of a quantity that diverges
+        u = np.array([math.inf if v is None else v for v in known])
         u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
     w = wide[first, second]
     return judge_all(d - w, d + w, scale.practical or 0.0, u)

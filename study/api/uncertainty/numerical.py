@@ -7,17 +7,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.convergence.work_precision import mesh_series
-from study.analysis.linear_model.design_matrix import term_name, terms_of
+import numpy as np
+
+from study.analysis.effects.contrast_uncertainty import CellSeries
+from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
-from study.runner.numerical.study_refinement import fine_uncertainty
+from study.design.cases import treatments
+from study.design.plausibility import is_homogeneous
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from study.analysis.convergence.grid_convergence import Numerical
-    from study.analysis.convergence.work_precision import MeshSeries
-    from study.design.spec import Design
+    from study.design.spec import Design, Treatment
     from study.record.record import Record
     from study.record.store import Store
 
@@ -33,44 +35,137 @@ def stored_cells(store: Store, cases: Mapping[str, str]) -> list[dict[str, Any]]
 #: factors whose levels are meshes
 MESH_FACTORS = ("model.mesh", "model.mesh_size")
 
-#: factors whose levels discretize the same equations, and the level that does so best
-_BEST_ELEMENTS = {"model.element_order": "quadratic", "model.formulation": "mixed"}
-
 #: meshes that a series needs
 _NEEDED = 3
-Setting = tuple[tuple[float, ...], float | None]
+#: keys of a discretization whose errors share an order
+_ELEMENT = ("space", "element_order", "element_shape", "formulation")
+Cell = tuple[str, ...]
 
 
-def effect_u_num(
+def numerical_bound(
     design: Design,
     numerical: Sequence[Numerical],
     records: Sequence[Record],
     table: pd.DataFrame,
     response: str,
     transform: str,
-    *,
-    factors: Sequence[str],
-    block: str | None,
-    model: Any,
-) -> float | dict[str, float] | None:
-    """Numerical uncertainty of every effect of a response, in its unit.
+) -> NumericalBound | None:
+    """Bound of the numerical error of every difference of a response.
 
-    That of the mesh, see :func:`mesh_u_num`, and that of the load steps: the largest change of
+    Where the meshes are a factor, the study's own cells are the refinement series, averaged over
+    its blocks; elsewhere the cells that were refined are, in the first block. A cell whose
+    deformation is homogeneous has no mesh error. The load steps count by the largest change of
     the response in any case where every other load step is left out.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run, as it is analyzed.
+    transform : {"none", "log"}
+        The bounds are those of differences on this scale.
 
     Returns
     -------
-    float, dict or None
-        One for all, or one a term (those of the mesh absent); None where nothing is known.
+    NumericalBound or None
+        None where no cell was refined: then nothing is known.
     """
-    mesh = mesh_u_num(
-        design, numerical, records, table, response, transform,
-        factors=factors, block=block, model=model,
-    )  # fmt: skip
-    steps = u_of_steps(records, response, transform)
-    if isinstance(mesh, dict):
-        return {term: u + steps for term, u in mesh.items()}
-    return None if mesh is None else mesh + steps
+    rows = [row for row in numerical if row.response == response]
+    if not rows:
+        return None
+    cells = _cells(design)
+    mesh = mesh_factor(design)
+    meshes = None if mesh is None else _ordered(records, mesh)
+    names = [f.name for f in design.factors]
+    if mesh is not None and meshes is not None and set(meshes) <= set(table[mesh].astype(str)):
+        names.remove(mesh)
+        series = _own_series(rows, table, response, transform, names, mesh, meshes)
+        finest = {mesh: meshes[-1]}
+    else:
+        series, finest = _refined_series(rows, names, transform, [c for c, _ in cells]), {}
+    elements = {tuple(levels[n] for n in names): element for levels, element in cells}
+    more = u_of_steps(records, response, transform)
+    if transform == "log" and more:
+        more /= _geometric_mean(records, response)
+    known = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
+    named = {
+        cell: replace(s, discretization=elements[cell])
+        for cell, s in series.items()
+        if elements.get(cell)
+    }
+    return SeriesBounds(tuple(names), known, named, elements, more, mesh, finest)
+
+
+def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
+    """Levels of every treatment, and the name of its discretization; none where it is exact."""
+    return [
+        (dict(treatment.levels), "" if is_homogeneous(treatment.config) else _element(treatment))
+        for treatment in treatments(design)
+    ]
+
+
+def _element(treatment: Treatment) -> str:
+    model = treatment.config["model"]
+    return " ".join(str(model.get(key)) for key in _ELEMENT)
+
+
+def _own_series(
+    rows: Sequence[Numerical],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+    names: Sequence[str],
+    mesh: str,
+    meshes: Sequence[str],
+) -> dict[Cell, CellSeries]:
+    """Series of the columns of a study whose meshes are a factor, averaged over the blocks."""
+    y = table[response]
+    values = np.log(y.where(y > 0)) if transform == "log" else y
+    labels = [table[name].astype(str) for name in (*names, mesh)]
+    mean = values.groupby(labels, sort=False).mean()
+    found = {}
+    for row in rows:
+        if set(row.levels) != set(names) or len(row.series) < _NEEDED:
+            continue
+        cell = tuple(row.levels[name] for name in names)
+        by_mesh = [float(mean.get((*cell, level), math.nan)) for level in reversed(meshes)]
+        if np.isfinite(by_mesh).all() and len(row.mesh_size) == len(by_mesh):
+            found[cell] = CellSeries(
+                tuple(reversed(row.mesh_size)),
+                tuple(by_mesh),
+                row.formal_order,
+                studied=math.fsum(by_mesh) / len(by_mesh),
+                reference=1.0 if transform == "log" else None,
+            )
+    return found
+
+
+def _refined_series(
+    rows: Sequence[Numerical],
+    names: Sequence[str],
+    transform: str,
+    cells: Sequence[Mapping[str, str]],
+) -> dict[Cell, CellSeries]:
+    """Series of the cells that were refined beside the study."""
+    found = {}
+    for row in rows:
+        values = row.series
+        if transform == "log":
+            values = tuple(math.log(v) for v in values if v > 0)
+        if len(values) < 2 or len(values) != len(row.mesh_size) or min(row.mesh_size) <= 0:
+            continue
+        own = {name: level for name, level in row.levels.items() if name in names}
+        at = next((c for c in cells if own.items() <= c.items()), None)
+        if at is None:
+            continue
+        finest = np.argsort(row.mesh_size)
+        found[tuple(at[name] for name in names)] = CellSeries(
+            tuple(row.mesh_size[i] for i in finest),
+            tuple(values[i] for i in finest),
+            row.formal_order,
+            studied=values[0],
+            reference=1.0 if transform == "log" else None,
+        )
+    return found
 
 
 def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
@@ -89,130 +184,10 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
     return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
 
 
-def mesh_u_num(
-    design: Design,
-    numerical: Sequence[Numerical],
-    records: Sequence[Record],
-    table: pd.DataFrame,
-    response: str,
-    transform: str,
-    *,
-    factors: Sequence[str],
-    block: str | None,
-    model: Any,
-) -> float | dict[str, float] | None:
-    """Uncertainty of every effect of a response from the mesh, in its unit.
-
-    The uncertainty of an effect is that of the same contrast. Where the meshes are a factor and
-    the study's own cases are the refinement series, each difference between two levels of a term
-    is followed from mesh to mesh, over all blocks and all other factors; its uncertainty is that
-    of the value on the finest mesh (grid convergence index, or thrice the range where there is
-    no order) plus its distance to the difference as analyzed. The sum, since the analyzed one is
-    an average over all meshes: it is off the finest mesh's by exactly that distance, and the
-    finest mesh's is off the limit by its own uncertainty, to the same side where the series is
-    monotone. The largest over all pairs of levels counts, and over the mesh sizes and formal
-    orders of the columns where these differ, for which pair leads may itself be the mesh's doing.
-
-    Linear and quadratic elements have the same limit, and so have mixed and displacement
-    elements. An effect that is none of theirs is therefore followed to that limit by the better
-    ones alone, chosen before any number is seen; the distance to the effect as analyzed still
-    counts what the poorer ones do to it.
-
-    The mesh itself and its interactions have none: their effects *are* errors of the
-    discretization, differences between values of given meshes that no finer mesh could change.
-    Held against the uncertainty of the finest mesh, a mesh that plainly matters could never be
-    said to: a first-order series of ratio 2 spans but 2.4 times its index.
-
-    Everywhere else it is the largest uncertainty of a refined column, which errs to the safe
-    side as long as no error is larger in a column that was not refined.
-
-    Returns
-    -------
-    float, dict or None
-        One for all, or one a term (those of the mesh absent); None where nothing is known.
-    """
-    largest = largest_u_num(numerical, records, response, transform)
-    mesh = mesh_factor(design)
-    every = {f.name for f in design.factors if len(f.levels) > 1}
-    if largest is None or mesh is None or set(factors) != every:
-        return largest
-    settings = _settings(design, numerical, response, mesh, {})
-    meshes = _ordered(records, mesh)
-    if not settings or meshes is None or any(len(s) != len(meshes) for s, _ in settings):
-        return largest
-    if not set(meshes) <= set(table[mesh].astype(str)):  # a mesh was left out, for want of answers
-        return largest
-
-    def followed(rows: pd.DataFrame, of: Sequence[str], terms: Any) -> dict[str, MeshSeries]:
-        return mesh_series(
-            rows, response, of, mesh, meshes, block=block, model=terms, transform=transform
-        )
-
-    terms = terms_of(factors, model)
-    found = followed(table, factors, model)
-    own = {term: u_of_series(series, settings) for term, series in found.items()}
-    best = {f: level for f, level in _BEST_ELEMENTS.items() if f in factors}
-    rows, theirs = _at(table, best), _settings(design, numerical, response, mesh, best)
-    if best and theirs and len(rows):
-        inner = [term for term in terms if not best.keys() & set(term)]
-        for term, series in followed(rows, [f for f in factors if f not in best], inner).items():
-            if term in found and series.by_mesh.shape == found[term].by_mesh.shape:
-                own[term] = u_of_series(replace(series, analyzed=found[term].analyzed), theirs)
-    scale = _geometric_mean(records, response) if transform == "log" else 1.0
-    names = [term_name(term) for term in terms if mesh not in term]
-    return {name: own[name] * scale if name in own else largest for name in names}
-
-
-def _at(table: pd.DataFrame, levels: Mapping[str, str]) -> pd.DataFrame:
-    """Rows at these levels."""
-    kept = table
-    for factor, level in levels.items():
-        kept = kept[kept[factor].astype(str) == level]
-    return kept
-
-
 def mesh_factor(design: Design) -> str | None:
     """Name of the factor whose levels are meshes; None without, or with several."""
     found = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
     return found[0] if len(found) == 1 else None
-
-
-def u_of_series(series: MeshSeries, settings: Sequence[Setting]) -> float:
-    """Largest uncertainty over the pairs of levels of a term, on the working scale.
-
-    Parameters
-    ----------
-    settings : sequence of (tuple of float, float or None)
-        Mesh sizes from coarse to fine, and formal order, of every kind of column.
-    """
-    worst = 0.0
-    for analyzed, values in series.pairs():
-        numbers = [float(v) for v in values]
-        u = max(fine_uncertainty(numbers, sizes, formal)[1] for sizes, formal in settings)
-        worst = max(worst, u + abs(analyzed - numbers[-1]))
-    return worst
-
-
-def _settings(
-    design: Design,
-    numerical: Sequence[Numerical],
-    response: str,
-    mesh: str,
-    only: Mapping[str, str],
-) -> list[Setting]:
-    """Mesh sizes and formal order of the study's own columns at some levels, equal ones once.
-
-    Sizes count by their ratios alone, which three digits tell well enough.
-    """
-    others = {f.name for f in design.factors} - {mesh}
-    found: dict[Setting, None] = {}
-    for row in numerical:
-        own = row.response == response and set(row.levels) == others
-        own = own and only.items() <= dict(row.levels).items()
-        if own and len(row.series) >= _NEEDED and min(row.mesh_size, default=0.0) > 0:
-            ratios = tuple(float(f"{size / row.mesh_size[-1]:.3g}") for size in row.mesh_size)
-            found[ratios, row.formal_order] = None
-    return [setting for setting in found if len(set(setting[0])) == len(setting[0])]
 
 
 def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
