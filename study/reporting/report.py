@@ -6,6 +6,7 @@ geometric means, so everything downstream is in the response's own unit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,26 @@ def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
 
 MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
+NOT_RESOLVED = "not resolved by the mesh"
 CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True)
+class Simple:
+    """Difference (or ratio) of two levels at one setting of the other factors.
+
+    ``interval`` is that of this one alone, ``simultaneous`` that of all of its factor together,
+    ``u_num`` the bound of its numerical error.
+    """
+
+    first: str
+    second: str
+    at: tuple[tuple[str, str], ...]
+    difference: float
+    interval: tuple[float, float] | None
+    simultaneous: tuple[float, float] | None
+    u_num: float | None
+    verdict: str
 
 
 @dataclass(frozen=True)
@@ -53,6 +73,31 @@ class Effect:
     ratio: bool = False
     pair: tuple[str, str] | None = None
     mean_intervals: tuple[tuple[float, float], ...] = ()
+    p_holm: float | None = None
+    u_needed: float | None = None
+    simple: tuple[Simple, ...] = ()
+    always: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def largest_simple(self) -> Simple | None:
+        """Simple effect with the largest difference, among those that matter if some do."""
+        chosen = [e for e in self.simple if e.verdict == self.verdict] or list(self.simple)
+        if not chosen:
+            return None
+        return max(chosen, key=self._distance)
+
+    def _distance(self, one: Simple) -> float:
+        return abs(math.log(one.difference) if self.ratio else one.difference)
+
+    @property
+    def depends_on_settings(self) -> bool:
+        """Whether its simple effects are several, at settings of other factors."""
+        return len({e.at for e in self.simple}) > 1
+
+    @property
+    def matters_on_average(self) -> bool:
+        """Whether the interval of the average difference lies beyond what matters."""
+        return self.low is None or self.practical is None or self.low > self.practical
 
     @property
     def is_main(self) -> bool:
@@ -198,6 +243,27 @@ def _effect(item: Mapping[str, Any], factors: Mapping[str, Sequence[str]]) -> Ef
         ratio=item.get("scale") == "ratio",
         pair=None if not pair else (str(pair[0]), str(pair[1])),
         mean_intervals=ends,
+        p_holm=item.get("p_holm"),
+        u_needed=item.get("u_needed"),
+        simple=tuple(_simple(one) for one in item.get("simple_effects") or ()),
+        always=tuple((str(a), str(b)) for a, b in item.get("always") or ()),
+    )
+
+
+def _interval(ends: Sequence[float] | None) -> tuple[float, float] | None:
+    return None if ends is None else (float(ends[0]), float(ends[1]))
+
+
+def _simple(item: Mapping[str, Any]) -> Simple:
+    return Simple(
+        str(item["first"]),
+        str(item["second"]),
+        tuple((str(name), str(level)) for name, level in item["at"]),
+        float(item["difference"]),
+        _interval(item["ci"]),
+        _interval(item["ci_simultaneous"]),
+        item["u"],
+        str(item["verdict"]),
     )
 
 

@@ -29,6 +29,7 @@ from study.reporting.report import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
+    NOT_RESOLVED,
     Effect,
     Facts,
     cells,
@@ -78,7 +79,9 @@ def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
 
 
 def _which(data: ReportData, facts: Facts) -> str:
-    named: dict[str, list[Effect]] = {MATTERS: [], NO_DIFFERENCE: [], CANNOT_TELL: []}
+    named: dict[str, list[Effect]] = {
+        MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
+    }  # fmt: skip
     for effect in sorted(facts.effects, key=_magnitude, reverse=True):
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
@@ -90,9 +93,12 @@ def _which(data: ReportData, facts: Facts) -> str:
         names = listing([_label(e, data) for e in named[NO_DIFFERENCE]], "or")
         choice = "that of" if parts else "the choice of"
         parts.append(f"{choice} {names} makes no practical difference")
+    if named[NOT_RESOLVED]:
+        names = listing([_label(e, data) for e in named[NOT_RESOLVED]], "or")
+        parts.append(f"the meshes are too coarse to show whether {names} matters")
     if named[CANNOT_TELL]:
         names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
-        parts.append(f"whether {names} matters these data cannot tell")
+        parts.append(f"these data cannot show whether {names} matters")
     return sentence(f"for the {facts.title}, " + "; ".join(parts))
 
 
@@ -158,12 +164,32 @@ def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
     every = [effect for facts in found for effect in facts.interactions]
     if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
         return "Interactions are no part of this analysis, so it cannot rule them out."
-    open_ones = sum(effect.verdict == CANNOT_TELL for effect in every)
-    if not open_ones:
-        return "No interaction was found to matter: each factor may be chosen on its own."
-    return (
-        f"No interaction is shown to matter, but of {open_ones} of {len(every)} these data cannot "
-        "tell."
+    every_factor = [e for facts in found for e in facts.effects]
+    alone = [e for e in every_factor if _may_be_chosen_alone(e)]
+    if len(alone) == len(every_factor):
+        return (
+            "Each factor may be chosen on its own: at every setting of the others it makes no "
+            "practical difference, or the same level is best."
+        )
+    names = list(dict.fromkeys(_label(e, data) for e in alone))
+    if not names:
+        return "What one factor does may depend on the others, so they are chosen together."
+    own = "its own" if len(names) == 1 else "their own"
+    return sentence(
+        f"{listing(names)} may be chosen on {own}; what the others do may depend on the rest"
+    )
+
+
+def _may_be_chosen_alone(effect: Effect) -> bool:
+    """Whether a factor makes no difference anywhere, or one level is the best everywhere."""
+    if effect.verdict == NO_DIFFERENCE:
+        return True
+    if effect.verdict != MATTERS:
+        return False
+    return any(
+        all((level, other) in effect.always for other in effect.levels if other != level)
+        or all((other, level) in effect.always for other in effect.levels if other != level)
+        for level in effect.levels
     )
 
 
@@ -218,7 +244,8 @@ def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
 
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
     """Say what would change the answer."""
-    open_ones = [e for facts in found for e in facts.effects if e.verdict == CANNOT_TELL]
+    undecided = (CANNOT_TELL, NOT_RESOLVED)
+    open_ones = [e for facts in found for e in facts.effects if e.verdict in undecided]
     doubts = _names([e for e in open_ones if not _of_the_mesh(e)], data)
     coarse = _names([e for e in open_ones if _of_the_mesh(e)], data)
     parts = []
@@ -246,7 +273,7 @@ def would_change(data: ReportData, found: Sequence[Facts]) -> str:
 
 def _of_the_mesh(effect: Effect) -> bool:
     """Whether it is the numerical uncertainty that leaves an effect open."""
-    return "u_num" in effect.why or "numerical uncertainty" in effect.why
+    return effect.verdict == NOT_RESOLVED
 
 
 def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
@@ -280,18 +307,16 @@ def _question(facts: Facts, data: ReportData) -> str:
 
 
 _BY_TERM = (
-    "u_num is the numerical uncertainty of the difference itself: the same difference was taken "
-    "on each of the study's meshes alone, and counts the uncertainty of its value on the finest "
-    "(grid convergence index, or thrice the range without an order) plus the distance from there "
-    "to the mean over all meshes, at the worst pair of levels. Where kinds of elements are a "
-    "factor, any other effect is followed with the better kind alone, for both have one limit. "
-    "The mesh itself and its interactions have none, for their differences are the error of the "
+    "U bounds the numerical error of the difference itself. The difference is formed on every mesh "
+    "of a refinement and followed as one series within each kind of element, where errors partly "
+    "cancel; between kinds of elements nothing cancels and the bounds add. U is twice the error "
+    "that the series shows where it has the order of the element, three times that or the range "
+    "of the values where it has not, and never more than the bounds of the cells together. A "
+    "difference of cells that were not refined inherits the scatter of the error over those that "
+    "were. The mesh itself has no U, for a difference between meshes is the error of the "
     "discretization."
 )
-_BY_COLUMN = (
-    "u_num is the largest numerical uncertainty of the response in any cell that was refined, "
-    "the same for every factor."
-)
+_BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 
 
 def numerical(found: Sequence[Facts]) -> str:

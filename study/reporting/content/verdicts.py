@@ -17,6 +17,7 @@ from study.reporting.numbers import (
     TIMES,
     clean,
     decimals_that_count,
+    name_of,
     p_phrase,
     percent,
     quantity,
@@ -27,11 +28,19 @@ from study.reporting.numbers import (
     span,
     term_name,
 )
-from study.reporting.report import MATTERS, NO_DIFFERENCE, Effect, Facts
+from study.reporting.report import (
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    Effect,
+    Facts,
+    Simple,
+)
 from study.study_result.report_data import ReportData
 
 Labels = Mapping[str, str] | None
 
+PLUS_MINUS = "\u00b1"
 #: ratios effect / u_num beyond this are only said to be so
 _FAR = 100.0
 
@@ -116,17 +125,68 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     if effect.low is None:
         numbers = size(effect, facts)
     if effect.verdict == MATTERS:
-        return _matters(effect, facts, name, numbers)
+        return _matters(effect, facts, name, numbers, labels)
     if effect.verdict == NO_DIFFERENCE:
+        return _no_difference(effect, facts, name, numbers)
+    if effect.verdict == NOT_RESOLVED:
+        return sentence(
+            f"{name}: not resolved by the mesh; the largest difference in the {facts.title} is "
+            f"{numbers}, and {clean(effect.why)}"
+        )
+    limit = practical(effect, facts)
+    against = "" if limit == MISSING else f" against {limit} that matters"
+    worst = _open_setting(effect, facts, labels)
+    return sentence(
+        f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
+        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
+    )
+
+
+def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
+    """Name the setting that leaves a factor open although its average does not."""
+    one = effect.largest_simple
+    if one is None or not effect.depends_on_settings or one.interval is None:
+        return ""
+    return f"; the largest single one is {simple(one, effect, facts)}, {setting(one, labels)}"
+
+
+def simple(one: Simple, effect: Effect, facts: Facts) -> str:
+    """Return a simple effect with its interval and its numerical uncertainty."""
+    number = _shown(one.difference, effect, facts)
+    ends = one.simultaneous if one.verdict == MATTERS else one.interval
+    if ends is None:
+        return number
+    shown = span(*ends, decimals(effect), ratio_digits(one.difference) if effect.ratio else 3)
+    beside = ""
+    if one.u_num and not effect.ratio:
+        beside = f", numerics {PLUS_MINUS}{THIN}{rounded(one.u_num, decimals(effect), 2)}"
+    return f"{number} ({shown}{beside})"
+
+
+def _shown(difference: float, effect: Effect, facts: Facts) -> str:
+    number = rounded(difference, decimals(effect), ratio_digits(difference) if effect.ratio else 3)
+    if effect.ratio:
+        return f"{TIMES}{THIN}{number}"
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+
+
+def setting(one: Simple, labels: Labels = None) -> str:
+    """Name a setting: ``at element order linear, mesh fine``."""
+    listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in one.at)
+    return f"at {listed}" if listed else "whatever the other factors"
+
+
+def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
+    one = effect.largest_simple
+    if one is None or not effect.depends_on_settings:
         return sentence(
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
             f"within {practical(effect, facts)}{_repeatable(effect)}"
         )
-    limit = practical(effect, facts)
-    against = "" if limit == MISSING else f" against {limit} that matters"
     return sentence(
-        f"{name}: these data cannot tell whether it matters for the {facts.title}; the largest "
-        f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}"
+        f"{name}: no practical difference in the {facts.title}, whatever the other factors; the "
+        f"largest at any setting is {simple(one, effect, facts)}, within "
+        f"{practical(effect, facts)}{_repeatable(effect)}"
     )
 
 
@@ -141,9 +201,16 @@ def _repeatable(effect: Effect) -> str:
     return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
 
 
-def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
+def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
     if not effect.is_main or effect.pair is None:
         return sentence(f"{name}: matters for the {facts.title}, {numbers}")
+    one = effect.largest_simple
+    if one is not None and effect.depends_on_settings and not effect.matters_on_average:
+        return sentence(
+            f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
+            f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "
+            f"on average over the other factors the largest difference is {numbers}"
+        )
     low, high = clean(effect.lowest), clean(effect.highest)
     # "1.37 times the modulus", yet "1.20 pp more error"
     text = f"{high} gives " + (
@@ -153,7 +220,11 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
     )
     if effect.low is not None:
         text += f" ({_ninety_five(effect, facts)})"
-    return sentence(f"{name}: matters; {text}")
+    if not effect.depends_on_settings:
+        return sentence(f"{name}: matters; {text}")
+    if (effect.highest, effect.lowest) in effect.always:
+        return sentence(f"{name}: matters; {text}, and more than matters at every setting")
+    return sentence(f"{name}: matters; {text} on average, not at every setting")
 
 
 def change(effect: Effect, facts: Facts) -> str:

@@ -1,9 +1,10 @@
 """Refinement of the mesh under a study: the numerical uncertainty of its responses.
 
-One block of one cell of every kind of discretization is computed again, calibration and
+Cells of every kind of discretization are computed again in the first block, calibration and
 all, on finer meshes: a change of the constants and of the score is what a finer mesh would
-have changed in the study. The cells chosen are those where the mesh can matter most: a
-deformation that is not homogeneous, with the material of fewest constants.
+have changed in the study. Only cells whose deformation is not homogeneous have a mesh error.
+All of them are refined where that is cheap, and at least two elsewhere: a difference of cells
+is bounded by its own series, or by the scatter of the error over those that were refined.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from study.analysis.convergence.grid_convergence import Numerical, grid_convergence
 from study.canonical import digest
@@ -27,6 +30,12 @@ PURPOSE = "refinement"
 
 #: a third mesh is computed where the second is predicted to take less than this
 CHEAP_S = 20.0
+
+#: seconds for which all cells of one discretization may be refined; a few are beyond that
+ALL_CELLS_S = 60.0
+
+#: cells of one discretization that are refined where all of them would take too long
+FEW_CELLS = 2
 
 #: observed order where only two meshes exist: bonded corners limit it to one
 ASSUMED_ORDER = 1.0
@@ -65,14 +74,25 @@ def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
 
 
 def chosen(work: Work) -> list[CaseJob]:
-    """Choose one case for every kind of discretization, in the first block."""
-    groups: dict[str, CaseJob] = {}
+    """Choose cases of every kind of discretization, in the first block, before any result is seen.
+
+    All of a kind where that is cheap; else those of fewest and of most constants, which the mesh
+    can move most differently.
+    """
+    groups: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
-        key = discretization_key(job.case.config)
-        best = groups.get(key)
-        if best is None or _constants(job) < _constants(best):
-            groups[key] = job
-    return list(groups.values())
+        groups.setdefault(discretization_key(job.case.config), []).append(job)
+    costs, ratio = Costs(), work.design.converge.ratio
+    found = []
+    for jobs in groups.values():
+        twice = _refined(jobs[0].case, base_size_mm(jobs[0].case) / ratio**2)
+        if len(jobs) * costs.solve_seconds(twice.config) <= ALL_CELLS_S:
+            found += jobs
+            continue
+        ordered = sorted(jobs, key=_constants)
+        spread = np.linspace(0, len(ordered) - 1, min(FEW_CELLS, len(ordered)))
+        found += [ordered[round(i)] for i in spread]
+    return found
 
 
 def every_cell(work: Work) -> list[CaseJob]:
@@ -111,7 +131,7 @@ def numerical(
             for job in refinement.jobs
             if job.extra.get("of") == base.case.case_id
         ]
-        levels = dict(base.case.levels) if bases else _discretization_levels(work.design, base.case)
+        levels = dict(base.case.levels)
         found += [_one(work, base, series, name, levels) for name in responses if name != "seconds"]
     return found
 
@@ -225,15 +245,6 @@ def discretization_key(config: Mapping[str, Any]) -> str:
 
 def _discretization(config: Mapping[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in config["model"].items() if k not in ("mesh_ratio", "mesh_seed")}
-
-
-def _discretization_levels(design: Design, case: Case) -> dict[str, str]:
-    """Levels of those factors that are keys of the discretization."""
-    names = [f.name for f in design.factors if f.name.startswith("model.") or f.name == "model"]
-    if names:
-        return {name: case.levels[name] for name in names}
-    model = case.config["model"]
-    return {"model.space": model["space"], "model.element_order": model["element_order"]}
 
 
 def _constants(job: CaseJob) -> int:
