@@ -196,7 +196,7 @@ def test_u_num_is_a_letter_with_a_subscript(html: str):
     text = re.sub(r"<style>.*?</style>", "", html, flags=re.S)
     assert "u_num" not in text
     assert "u<sub>num</sub>" in text
-    assert "u<sub>num</sub> is the largest numerical uncertainty of the response" in text
+    assert "U, the bound of the numerical error, is the same for every factor" in text
 
 
 def test_a_huge_f_is_only_said_to_be_so(data: ReportData):

@@ -14,6 +14,7 @@ from study.reporting.report import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
+    NOT_RESOLVED,
     Effect,
     Facts,
     Group,
@@ -85,7 +86,7 @@ def test_no_difference_says_that_a_small_p_does_not_decide():
 def test_cannot_tell_is_said_whatever_p_is():
     one = effect(CANNOT_TELL, low=0.1, high=2.3, p=0.0001, why="the interval crosses")
     text = verdicts.verdict(one, error())
-    assert "cannot tell" in text
+    assert "these data cannot show whether it matters" in text
     assert "matters:" not in text
     assert "the interval crosses" in text
 
@@ -266,18 +267,18 @@ def test_a_tiny_threshold_is_printed(data: ReportData):
 def test_the_number_beside_an_effect_is_explained():
     known = replace(error(), terms=(effect(MATTERS, u_num=0.04),))
     own = replace(known, u_num_by_term=True)
-    assert "in any cell that was refined" in sentences.numerical([known])
+    assert "is the same for every factor" in sentences.numerical([known])
     assert "of the difference itself" in sentences.numerical([own, own])
     mixed = sentences.numerical([own, known])
-    assert mixed.startswith("For the relative RMS force error, u_num is")
-    assert "Elsewhere u_num is the largest" in mixed
+    assert mixed.startswith("For the relative RMS force error, U bounds")
+    assert "Elsewhere U, the bound" in mixed
     assert sentences.numerical([replace(error(), terms=(effect(MATTERS),))]) == ""
 
 
 def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData):
-    why = "not resolved by the mesh: the difference is within 3 u_num"
+    why = "the numerical uncertainty would have to be below 0.2"
     few = replace(error(), terms=(effect(CANNOT_TELL, why="the interval crosses the threshold"),))
-    coarse = replace(error(), terms=(effect(CANNOT_TELL, term="order", why=why),))
+    coarse = replace(error(), terms=(effect(NOT_RESOLVED, term="order", why=why),))
     text = sentences.would_change(data, [few, coarse])
     assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
     assert "narrow" not in sentences.would_change(data, [coarse])

@@ -125,17 +125,22 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
         for effect in facts.effects:
             by_factor.setdefault(effect.term, {})[facts.name] = effect
     titles = {facts.name: facts for facts in found}
-    for term, effects in by_factor.items():
-        yes = [n for n, e in effects.items() if e.verdict == MATTERS]
-        no = [n for n, e in effects.items() if e.verdict != MATTERS]
-        if yes and no:
-            changed = titles[yes[0]]
-            return sentence(
-                f"the choice of {name_of(term, data.labels)} "
-                f"{_cannot_be_seen(effects[no[0]])} the {titles[no[0]].title}, yet it changes the "
-                f"{changed.title} by {change(effects[yes[0]], changed)}"
-            )
-    return _interactions(data, found)
+    contrasts = [
+        (unseen, seen)
+        for effects in by_factor.values()
+        for unseen in effects.items()
+        for seen in effects.items()
+        if seen[1].verdict == MATTERS and unseen[1].verdict != MATTERS
+    ]
+    if not contrasts:
+        return _interactions(data, found)
+    # two claims say more than a claim and a doubt
+    (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
+    return sentence(
+        f"the choice of {name_of(seen.term, data.labels)} {_cannot_be_seen(unseen)} the "
+        f"{titles[where].title}, yet it changes the {titles[name].title} by "
+        f"{change(seen, titles[name])}"
+    )
 
 
 def _cannot_be_seen(effect: Effect) -> str:

@@ -71,8 +71,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         "largest difference",
         "95 % interval",
         "matters from",
-        "u_num",
-        "effect / u_num",
+        "U",
+        "effect / U",
         "p",
     )
     return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(found), tuple(raw))
