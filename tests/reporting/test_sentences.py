@@ -143,9 +143,10 @@ def test_answer_is_three_sentences_of_the_example(data: ReportData):
     which, contrast, best = (flat(line) for line in sentences.answer(data, found))
     assert "material (1.76 pp between extremes) matters" in which
     assert "plates (\N{MULTIPLICATION SIGN} 1.37)" in which
+    # on average plates make .18 pp, yet one simple effect reaches to .81 pp and .5 pp matter
     assert contrast == (
-        "The choice of plates makes no practical difference to the relative RMS force error, yet "
-        "it changes the initial shear modulus by 37.3 % (ratio 1.37)."
+        "The choice of material changes the relative RMS force error by 1.76 pp; whether it "
+        "changes the initial shear modulus is not shown."
     )
     assert best.startswith("The lowest relative RMS force error is 4.83 %, with mooney-rivlin")
 

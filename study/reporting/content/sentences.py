@@ -136,17 +136,13 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
         return _interactions(data, found)
     # two claims say more than a claim and a doubt
     (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
-    return sentence(
-        f"the choice of {name_of(seen.term, data.labels)} {_cannot_be_seen(unseen)} the "
-        f"{titles[where].title}, yet it changes the {titles[name].title} by "
-        f"{change(seen, titles[name])}"
-    )
-
-
-def _cannot_be_seen(effect: Effect) -> str:
-    if effect.verdict == NO_DIFFERENCE:
-        return "makes no practical difference to"
-    return "cannot be told from"
+    changed = f"the {titles[name].title} by {change(seen, titles[name])}"
+    choice, other = f"the choice of {name_of(seen.term, data.labels)}", titles[where].title
+    if unseen.verdict == NO_DIFFERENCE:
+        return sentence(
+            f"{choice} makes no practical difference to the {other}, yet it changes {changed}"
+        )
+    return sentence(f"{choice} changes {changed}; whether it changes the {other} is not shown")
 
 
 def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
