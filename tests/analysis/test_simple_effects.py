@@ -200,7 +200,10 @@ def held(case: Case, found: dict[str, float], error: float) -> None:
         assert found["claimed at 0"] >= 0.70 - error
 
 
-@pytest.mark.parametrize("errors", ["spherical", "graded", "near copies", "t4"])
+ERRORS = ("spherical", "graded", "near copies", "t4")
+
+
+@pytest.mark.parametrize("errors", ERRORS)
 def test_simple_effects_hold_their_rates(errors: str) -> None:
     case = Case(2, 5, errors)
     held(case, outcomes(case, 200, 31), error=0.04)  # 3 standard errors of a rate of .95 or .03
@@ -210,7 +213,7 @@ def test_simple_effects_hold_their_rates(errors: str) -> None:
 @pytest.mark.verify
 @pytest.mark.parametrize(
     ("levels", "blocks", "errors"),
-    list(product([2, 4], [5, 6, 9], ["spherical", "graded", "near copies", "t4"])),
+    [(k, b, e) for (k, b), e in product([(2, 5), (2, 9), (4, 6)], ERRORS)],
 )
 def test_simple_effects_hold_their_rates_everywhere(levels: int, blocks: int, errors: str) -> None:
     """Bar 5 at 1,000 data sets."""
