@@ -165,14 +165,9 @@ def test_errors_that_cells_share_leave_the_claim() -> None:
     assert rates("three", at, 5000, 3, truth=2.0).matters >= 0.95
 
 
-@pytest.mark.slow
-@pytest.mark.verify
-@pytest.mark.xfail(
-    reason="growing changes taken for noise: .053 where .050 is the bar, .125 for .12"
-)
 def test_claims_are_rare_where_growing_changes_count_as_noise() -> None:
-    """Bar 1 for responses a hundred times practical: 1 % of them is taken for noise."""
+    """The setting closest to the bar, for responses a hundred times practical: 1 % is noise."""
     at = Setting("0.7 said to be 1", correlation=0.0, error=1.0, ratio=1.5, se=0.02)
     found = rates("three", at, 100_000, 5, noise=1.0)
-    print(f"three meshes, with noise: {found}")
     assert found.matters <= 0.05
+    assert found.beyond <= 0.12
