@@ -115,3 +115,49 @@ def test_bad_input(sizes, values, match: str) -> None:
 def test_small_ratios_are_said() -> None:
     result = grid_convergence([1, 1.1, 1.2], [1.0, 1.1, 1.25])
     assert any("below 1.3" in w for w in result.warnings)
+
+
+@given(st.floats(0.3, 9.0), st.floats(1.3, 3.0), st.integers(3, 5))
+def test_without_a_formal_order_nothing_is_asymptotic(p, r, meshes) -> None:
+    h = r ** np.arange(meshes)
+    result = grid_convergence(h, 3 + 0.01 * h**p)
+    assert "asymptotic" not in result.verdict
+    if meshes == 3:
+        assert result.factor_of_safety == 3
+        assert result.order_used <= 1
+    if result.factor_of_safety == 1.25:
+        assert result.order_used <= 4
+        assert "consistent" in result.verdict
+
+
+def test_an_order_of_seven_is_limited() -> None:
+    h = np.array([1.0, 2, 4])
+    result = grid_convergence(h, 3 + 0.01 * h**7.09)
+    assert "order limited" in result.verdict
+    assert (result.factor_of_safety, result.order_used) == (3, 1)
+    low = grid_convergence(h, 3 + 0.01 * h**1.5)
+    assert "no formal order given: the order cannot be judged" in low.verdict
+
+
+def test_agreeing_triples_far_from_the_formal_order_are_not_asymptotic() -> None:
+    h = np.array([1.0, 2, 4, 8])
+    result = grid_convergence(h, 3 + 0.01 * h**1.2, formal_order=2)
+    assert "asymptotic" not in result.verdict
+
+
+@pytest.mark.parametrize(
+    ("values", "formal", "ratio"),
+    [
+        ([1.01, 1.04, 1.16], 2.0, 1 / 1.15),
+        ([1.01, 1.04, 1.16], None, 1 / 2),
+        ([1.0, 1.1, 0.9, 1.2], None, 1 / np.sqrt(3)),
+        ([1.0, 1.1, 0.9], None, None),
+    ],
+)
+def test_standard_uncertainty(values, formal, ratio) -> None:
+    h = 2.0 ** np.arange(len(values))
+    result = grid_convergence(h, values, formal_order=formal)
+    if ratio is None:
+        assert result.standard_uncertainty is None
+    else:
+        assert result.standard_uncertainty == pytest.approx(ratio * result.u_num)

@@ -93,6 +93,9 @@ def test_the_interval_holds_the_limit_of_a_bent_series(r1, r2, p, bend, more) ->
     assert abs(f[0] - 10) <= result.u_num * (1 + 1e-9)
 
 
+#: the published procedures take factor 1.25 at the observed order; here that needs a formal
+#: order within 0.5 of it (NASA's tutorial names 2 as the theoretical one)
+AGREEING = {"nasa": 2.0, "celik-1": 2.0, "celik-2": 1.0}
 PUBLISHED = Path(__file__).resolve().parents[2] / "validation" / "convergence.csv"
 
 
@@ -112,7 +115,7 @@ def test_published_examples_to_every_printed_digit(row: dict[str, str]) -> None:
     sizes, values = ([float(v) for v in row[key].split(";")] for key in ("sizes", "values"))
     if row["id"].startswith("celik"):  # cells of a plane grid
         sizes = [n**-0.5 for n in sizes]
-    result = grid_convergence(sizes, values)
+    result = grid_convergence(sizes, values, formal_order=AGREEING[row["id"]])
     assert result.behaviour == "monotone"
     found = {
         "order": result.observed_order,

@@ -20,10 +20,23 @@ from study.canonical import plain
 from study.errors import Fault, InputError
 
 __all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
-_SAFE = 1.25
-_CAUTIOUS = 3.0
-_MIN_ORDER = 0.5
 _MIN_RATIO = 1.3
+#: factor of the GCI where observed and formal order agree (Roache 1994)
+SAFE = 1.25
+#: factor of the GCI otherwise
+CAUTIOUS = 3.0
+#: lower orders would let the bound grow without limit
+LEAST_ORDER = 0.5
+#: observed and formal order agree where they differ by no more
+AGREEMENT = 0.5
+#: without a formal order, the order that three meshes are trusted with at most
+_UNJUDGED_ORDER = 1.0
+#: and the order that four or more agreeing meshes are trusted with
+_HIGHEST_ORDER = 4.0
+#: half-width over standard uncertainty where factor 1.25 applies: the error is a bias there, the
+#: shifted Gaussian of ASME V&V 20-2009. Simulated rms(error / U) is 0.70 to 0.79, so U/2 would
+#: be too small
+_BIAS_COVERAGE = 1.15
 
 
 @dataclass(frozen=True)
@@ -55,6 +68,19 @@ class ConvergenceResult:
     order_interval: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
+    @property
+    def standard_uncertainty(self) -> float | None:
+        """Standard uncertainty for a comparison with measurements, in the unit of the value.
+
+        U/1.15 with factor 1.25, U/2 with factor 3; half a range and a tolerance are limits of
+        a uniform distribution, over sqrt(3).
+        """
+        if self.u_num is None:
+            return None
+        if self.factor_of_safety is None:
+            return self.u_num / math.sqrt(3)
+        return self.u_num / (_BIAS_COVERAGE if self.factor_of_safety == SAFE else 2)
+
     def to_json(self) -> dict[str, Any]:
         """JSON document."""
         return dict(plain(self))
@@ -78,7 +104,9 @@ def grid_convergence(
     values : array_like, shape (n,)
         Value of the quantity on each mesh.
     formal_order : float, optional
-        Order that the element promises for this quantity.
+        Order that the element promises for this quantity. Without one the observed order
+        cannot be judged: factor 3 at an order of 1 at most; four or more meshes whose triples
+        agree take factor 1.25 at the fitted order, up to 4.
     tolerance : float
         Algebraic error of a value (solver tolerance), in its unit.
     qoi, unit : str
@@ -97,8 +125,11 @@ def grid_convergence(
     Examples
     --------
     >>> result = grid_convergence([1, 2, 4], [0.97050, 0.96854, 0.96178])
-    >>> result.behaviour, round(result.observed_order, 7), round(result.gci_fine, 8)
-    ('monotone', 1.7861696, 0.00103083)
+    >>> result.behaviour, round(result.observed_order, 7), result.factor_of_safety
+    ('monotone', 1.7861696, 3.0)
+    >>> values = [0.97050, 0.96854, 0.96178]
+    >>> round(grid_convergence([1, 2, 4], values, formal_order=2).gci_fine, 8)
+    0.00103083
     """
     h, f = _checked(sizes, values, formal_order, tolerance)
     warnings = _ratio_warnings(h)
@@ -158,7 +189,7 @@ def _ratio_warnings(h: Array) -> list[str]:
 
 def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dict[str, Any]:
     fit = fitted_order(h, f, tolerance)
-    used, limited = _limited(fit, formal)
+    used, limited = _limited(fit, formal, h.size)
     factor = _factor(fit, formal, limited, h.size)
     a21, a32 = (h[1] / h[0]) ** used - 1, (h[2] / h[1]) ** used - 1
     by_pair = float(f[0] + (f[0] - f[1]) / a21)
@@ -167,8 +198,8 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
     u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
     if not fit.carried:  # the finest change may be small by accident: what else changed counts
         u = max(u, float(np.ptp(f[:3])))
-    u32 = _SAFE * abs(f[2] - f[1]) / a32
-    u21 = _SAFE * abs(f[1] - f[0]) / a21
+    u32 = SAFE * abs(f[2] - f[1]) / a32
+    u21 = SAFE * abs(f[1] - f[0]) / a21
     ratio = None
     if f[0] != 0 and f[1] != 0:
         ratio = float((u32 / abs(f[1])) / ((h[1] / h[0]) ** used * u21 / abs(f[0])))
@@ -179,7 +210,7 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
         "order_used": used,
         "extrapolated": extrapolated,
         "gci_fine": u / abs(float(f[0])) if f[0] != 0 else None,
-        "gci_coarse": factor / _SAFE * float(u32) / abs(float(f[1])) if f[1] != 0 else None,
+        "gci_coarse": factor / SAFE * float(u32) / abs(float(f[1])) if f[1] != 0 else None,
         "factor_of_safety": factor,
         "u_num": u,
         "asymptotic_ratio": ratio,
@@ -187,25 +218,36 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
     }
 
 
-def _limited(fit: OrderFit, formal: float | None) -> tuple[float, bool]:
+def _limited(fit: OrderFit, formal: float | None, meshes: int) -> tuple[float, bool]:
     """Order for the GCI, and whether it had to be limited."""
     order = fit.order if fit.carried else min(fit.order, fit.interval[0])
-    if order < _MIN_ORDER:
-        return _MIN_ORDER, True
-    if formal is not None and order > formal + 0.5:
+    if order < LEAST_ORDER:
+        return LEAST_ORDER, True
+    if formal is None:
+        most = _HIGHEST_ORDER if _agreed(fit, meshes) else _UNJUDGED_ORDER
+        return min(order, most), order > _HIGHEST_ORDER or not fit.carried
+    if order > formal + AGREEMENT:
         return formal, True
     # an order a little above the formal one is believed for the limit, not for the interval
     # (Roache 1998, Verification and Validation in Computational Science and Engineering)
-    used = order if formal is None else min(order, formal)
-    return used, not fit.carried
+    return min(order, formal), not fit.carried
+
+
+def _agreed(fit: OrderFit, meshes: int) -> bool:
+    """Whether four or more meshes vouch for the order."""
+    return meshes >= 4 and fit.consistent and fit.carried
+
+
+def _near(fit: OrderFit, formal: float | None) -> bool:
+    return formal is not None and abs(fit.order - formal) <= AGREEMENT
 
 
 def _factor(fit: OrderFit, formal: float | None, limited: bool, meshes: int) -> float:
     if limited:
-        return _CAUTIOUS
+        return CAUTIOUS
     if meshes >= 4:
-        return _SAFE if fit.consistent else _CAUTIOUS
-    return _SAFE if formal is None or abs(fit.order - formal) <= 0.5 else _CAUTIOUS
+        return SAFE if fit.consistent else CAUTIOUS
+    return SAFE if _near(fit, formal) else CAUTIOUS
 
 
 def _monotone_verdict(fit: OrderFit, formal: float | None, factor: float, limited: bool) -> str:
@@ -220,9 +262,12 @@ def _monotone_verdict(fit: OrderFit, formal: float | None, factor: float, limite
     order = f"monotone with observed order {fit.order:.3g}"
     if limited:
         return f"{order}{beside}: order limited, uncertainty indicative (factor {factor:g})"
-    if factor == _SAFE:
-        return f"{order}{beside}: in the asymptotic range, factor {factor:g}"
+    if factor == SAFE:
+        where = "in the asymptotic range" if _near(fit, formal) else "consistent over the meshes"
+        return f"{order}{beside}: {where}, factor {factor:g}"
     why = "the triples disagree" if not fit.consistent else "far from the formal order"
+    if formal is None and fit.consistent:
+        why = "no formal order given: the order cannot be judged"
     return f"{order}{beside}: {why}, factor {factor:g}"
 
 

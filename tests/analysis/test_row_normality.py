@@ -1,0 +1,188 @@
+"""Normality of contrasts over blocks, shares of blocks, Levene by Monte Carlo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import rankdata
+
+from study.analysis.assumption.normality import ryan_joiner, statistic
+from study.analysis.assumption.row_normality import (
+    block_share,
+    helmert,
+    helmert_contrasts,
+    row_normality,
+)
+from study.analysis.assumption.variance import _levene_statistic, _normal_draws, levene
+from study.analysis.linear_model.design_matrix import Layout, grid, terms_of
+from study.arrays import Array
+from study.errors import InputError
+
+NAMES = ("A", "B", "C")
+LAYOUT = grid(
+    Layout(
+        {"A": tuple("1234"), "B": tuple("12"), "C": tuple("12")},
+        {f: np.zeros(1, dtype=np.int64) for f in NAMES},
+    ),
+    NAMES,
+)
+TERMS = terms_of(NAMES)
+
+
+@pytest.fixture(autouse=True)
+def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
+    monkeypatch.setattr("gc.collect", lambda *_: 0)
+
+
+def draw(kind: str, rng: np.random.Generator, n: int, blocks: int) -> Array:
+    """Responses of 16 cells, shape (n, 16, blocks)."""
+    z = rng.standard_normal((n, 16, blocks))
+    if kind == "non-spherical":
+        return z * np.geomspace(0.1, 3, 16)[:, None]
+    if kind == "block-wide t3":
+        return np.asarray(z / np.sqrt(rng.chisquare(3, (n, 1, blocks)) / 3))
+    return z
+
+
+def rejections(kind: str, blocks: int, n: int, seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    found = [
+        row_normality(helmert_contrasts(LAYOUT, TERMS, y)).rejected
+        for y in draw(kind, rng, n, blocks)
+    ]
+    return float(np.mean(found))
+
+
+@pytest.mark.parametrize("k", [2, 3, 5])
+def test_helmert_contrasts_are_orthonormal(k: int) -> None:
+    code = helmert(k)
+    assert code.T @ code == pytest.approx(np.eye(k - 1), abs=1e-12)
+    assert code.sum(axis=0) == pytest.approx(np.zeros(k - 1), abs=1e-12)
+
+
+def test_contrasts_of_all_terms_are_one_rotation() -> None:
+    y = draw("spherical", np.random.default_rng(1), 1, 5)[0]
+    rows = np.vstack(list(helmert_contrasts(LAYOUT, TERMS, y).values()))
+    centred = y - y.mean(axis=0)
+    assert rows.shape == (15, 5)
+    assert np.sum(rows**2) == pytest.approx(np.sum(centred**2))
+
+
+def test_an_incomplete_table_is_refused() -> None:
+    with pytest.raises(InputError, match="every combination"):
+        helmert_contrasts(LAYOUT.take(np.arange(15)), TERMS, np.zeros((15, 4)))
+
+
+def test_a_row_has_the_statistic_and_p_of_its_values() -> None:
+    rows = np.random.default_rng(2).standard_exponential((2, 12)) ** 2
+    found = row_normality({"A": rows})
+    for test, row in zip(found.rows, rows, strict=True):
+        assert test.rj == pytest.approx(statistic(row))
+        # two simulations of 100,000: four standard errors of their difference
+        alone = ryan_joiner(row, seed=7).p_exact
+        assert test.p == pytest.approx(alone, abs=6 * np.sqrt(alone / 1e5) + 2e-5)
+    assert found.p == pytest.approx(min(1.0, 2 * min(t.p for t in found.rows)))
+    assert found.rejected
+    assert found.warning == ""
+
+
+def test_groups_are_taken_about_their_own_means() -> None:
+    rng = np.random.default_rng(3)
+    rows = rng.standard_normal((1, 12))
+    groups = np.repeat([0, 1], 6)
+    moved = rows + 50.0 * groups
+    assert row_normality({"A": moved}).rejected
+    same, plain = (row_normality({"A": r}, groups=groups) for r in (moved, rows))
+    assert same.rows[0].rj == pytest.approx(plain.rows[0].rj)
+    assert same.rows[0].p == plain.rows[0].p
+    assert not same.rejected
+
+
+def test_rows_that_say_nothing_are_left_out() -> None:
+    row = np.random.default_rng(4).standard_normal(9)
+    found = row_normality(
+        {"A": np.array([row, -2 * row + 3]), "B": np.array([1e-9 * row, np.ones(9)])},
+        tolerance=1e-8,
+    )
+    assert [(t.term, t.contrast) for t in found.rows] == [("A", 0)]
+    none = row_normality({"B": np.ones((1, 9))})
+    assert none.p is None
+    assert "no contrast" in none.warning
+
+
+def test_few_blocks_are_said() -> None:
+    rows = np.random.default_rng(5).standard_normal((2, 5))
+    assert "power is small" in row_normality({"A": rows}).warning
+    assert "more blocks" in row_normality({"A": rows[:, :3]}).warning
+
+
+def test_the_block_that_carries_the_interaction_is_named() -> None:
+    rng = np.random.default_rng(6)
+    y = draw("spherical", rng, 1, 9)[0]
+    y[:, 6] *= 12
+    found = block_share(helmert_contrasts(LAYOUT, TERMS, y))
+    assert found is not None
+    assert found.block == 6
+    assert found.share > 0.5
+    assert found.p < 0.01
+    assert block_share({"A": np.ones((1, 9))}) is None
+
+
+def test_the_share_of_a_block_by_hand() -> None:
+    found = block_share({"A": np.array([[3.0, -1.0, -1.0, -1.0]])})
+    assert found is not None
+    assert (found.block, found.share) == (0, pytest.approx(0.75))
+
+
+@pytest.mark.parametrize("kind", ["spherical", "non-spherical"])
+def test_row_normality_holds_its_size(kind: str) -> None:
+    assert rejections(kind, 6, 600, 71) <= 0.07 + 0.012
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("blocks", [5, 6, 9, 15])
+def test_row_normality_holds_its_size_and_has_power(blocks: int) -> None:
+    """Bar 7 at 2,000 data sets."""
+    size = {k: rejections(k, blocks, 2000, 73) for k in ("spherical", "non-spherical")}
+    power = rejections("block-wide t3", blocks, 2000, 75)
+    print(f"b = {blocks}: size {size}, power {power:.3f}")
+    assert max(size.values()) <= 0.07
+    if blocks == 9:
+        assert power >= 0.30
+
+
+def levene_size(each: int, n: int, seed: int) -> float:
+    """Rejections of the median's Levene test by Monte Carlo, four normal groups."""
+    sizes = np.full(4, each)
+    simulated = [_levene_statistic(g, "median") for g in _normal_draws(sizes, 20_000, 2011)]
+    null = np.sort(np.concatenate(simulated))
+    rng = np.random.default_rng(seed)
+    w = _levene_statistic([rng.standard_normal((n, each)) for _ in range(4)], "median")
+    beyond = null.size - np.searchsorted(null, w, side="left")
+    return float(np.mean((1 + beyond) / (null.size + 1) < 0.05))
+
+
+def test_levene_by_monte_carlo_is_the_tools_own() -> None:
+    groups = [np.random.default_rng(80 + i).standard_normal(5) for i in range(4)]
+    found = levene(groups, center="median", simulations=20_000)
+    sizes = np.full(4, 5)
+    simulated = [_levene_statistic(g, "median") for g in _normal_draws(sizes, 20_000, 2011)]
+    null = np.concatenate(simulated)
+    count = np.count_nonzero(null >= found.statistic)
+    assert found.p_monte_carlo == pytest.approx((1 + count) / (null.size + 1))
+
+
+@pytest.mark.parametrize("each", [5, 6, 10])
+def test_levene_by_monte_carlo_has_the_size_it_claims(each: int) -> None:
+    """Bar 7: 20,000 data sets."""
+    size = levene_size(each, 20_000, 81)
+    print(f"Levene, {each} a group: {size:.4f}")
+    assert 0.043 <= size <= 0.057
+
+
+def test_scores_of_rows_need_no_ranks_without_ties() -> None:
+    row = np.random.default_rng(9).standard_normal(8)
+    assert np.unique(rankdata(row)).size == 8
+    assert row_normality({"A": row[None]}).rows[0].rj == pytest.approx(statistic(row))

@@ -1,0 +1,101 @@
+"""Probabilities of verdicts before a study: published distributions, simulation, the rules."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import nct
+from scipy.stats import t as student
+
+from study.analysis.effects.verdict import CANNOT_TELL, judge
+from study.analysis.effects.verdict_power import (
+    contrast_sd,
+    fewest_blocks,
+    planned_verdicts,
+    verdict_probabilities,
+)
+from study.errors import InputError
+
+
+def claims(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """1 matters, -1 no practical difference, 0 neither; practical 1."""
+    return ((low > 1) | (high < -1)) * 1 - ((low > -1) & (high < 1))
+
+
+def simulated(blocks: int, sd: float, truth: float, u: float, n: int, seed: int) -> np.ndarray:
+    """Rates of matters, no practical difference, not resolved, cannot tell; practical 1."""
+    rng = np.random.default_rng(seed)
+    d = truth + sd / math.sqrt(blocks) * rng.standard_normal(n)
+    s = sd * np.sqrt(rng.chisquare(blocks - 1, n) / (blocks - 1))
+    half = student.ppf(0.975, blocks - 1) * s / math.sqrt(blocks)
+    claim = claims(d - half - u, d + half + u)
+    able = claims(d - half, d + half)
+    lost = (claim == 0) & (able != 0)
+    return np.array([np.mean(claim == 1), np.mean(claim == -1), np.mean(lost), np.mean(able == 0)])
+
+
+@pytest.mark.parametrize("blocks", [2, 5, 9])
+@pytest.mark.parametrize("truth", [0.0, 1.0, 1.6])
+def test_matters_is_the_noncentral_t(blocks: int, truth: float) -> None:
+    root = math.sqrt(blocks) / 0.3
+    t = student.ppf(0.975, blocks - 1)
+    upper = nct.sf(t, blocks - 1, (truth - 1.2) * root)
+    lower = nct.sf(t, blocks - 1, (-truth - 1.2) * root)
+    found = verdict_probabilities(blocks, 0.3, 1.0, truth, u=0.2)
+    assert found.matters == pytest.approx(upper + lower, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "sd", "truth", "u"),
+    [(2, 0.1, 0.0, 0.0), (3, 0.3, 0.0, 0.2), (5, 0.3, 2.0, 0.5), (9, 0.5, 0.5, 0.1)],
+)
+def test_probabilities_are_those_of_simulated_studies(blocks, sd, truth, u) -> None:
+    found = verdict_probabilities(blocks, sd, 1.0, truth, u=u)
+    p = np.array(
+        [found.matters, found.no_practical_difference, found.not_resolved, found.cannot_tell]
+    )
+    assert p.sum() == pytest.approx(1, abs=1e-9)
+    assert simulated(blocks, sd, truth, u, 200_000, 91) == pytest.approx(p, abs=0.005)
+
+
+def test_two_specimens_may_claim_and_are_rarely_wrong() -> None:
+    """Bar 12: at a true difference equal to practical each of the two claims is false."""
+    for sd in (0.1, 0.3, 1.0):
+        rates = simulated(2, sd, 1.0, 0.0, 20_000, 93)
+        assert rates[:2].max() <= 0.03
+        exact = verdict_probabilities(2, sd, 1.0, 1.0)
+        assert max(exact.matters, exact.no_practical_difference) <= 0.03
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, 5.0])
+def test_one_specimen_never_claims(value: float) -> None:
+    """Bar 12: there is no interval, whatever the number."""
+    assert judge(math.nan, math.nan, 1.0, 0.05).verdict == CANNOT_TELL
+    assert verdict_probabilities(1, 0.3, 1.0, value).cannot_tell == 1
+
+
+def test_the_fewest_blocks_reach_what_was_wanted_and_one_less_does_not() -> None:
+    for sd in (0.2, 0.5, 1.0):
+        for level, blocks in zip((0.8, 0.9), fewest_blocks(sd, 1.0), strict=True):
+            assert blocks is not None
+            assert planned_verdicts([blocks], sd, 1.0)[0].right >= level
+            assert planned_verdicts([blocks - 1], sd, 1.0)[0].right < level
+    assert fewest_blocks(0.2, 1.0, u=1.0) == (None, None)
+
+
+def test_cost_counts_every_solve() -> None:
+    plan = planned_verdicts([3, 5], 0.3, 1.0, seeds=4, sd_seed=0.2, cells=6, seconds=10.0)
+    assert [(row.cases, row.seconds) for row in plan] == [(72, 720.0), (120, 1200.0)]
+    same = verdict_probabilities(5, contrast_sd(0.3, 4, 0.2), 1.0, 0.0)
+    assert plan[1].equal == same
+
+
+@pytest.mark.parametrize(
+    ("blocks", "sd", "practical", "u"),
+    [(0, 1, 1, 0), (3, 0, 1, 0), (3, 1, -1, 0), (3, 1, 1, math.inf)],
+)
+def test_bad_plans(blocks, sd, practical, u) -> None:
+    with pytest.raises(InputError):
+        verdict_probabilities(blocks, sd, practical, 0.0, u=u)

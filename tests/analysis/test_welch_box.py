@@ -1,0 +1,238 @@
+"""Groups of blocks, seeds as blocks, and the own-interaction test with Holm over a table."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.stats import f as fisher
+from scipy.stats import ttest_1samp, ttest_ind
+
+from study.analysis.assumption.row_normality import helmert, helmert_contrasts
+from study.analysis.effects.comparisons import holm
+from study.analysis.effects.multiplicity import response_family
+from study.analysis.error.seed_blocks import SeedRole, seed_design
+from study.analysis.error.welch_box import welch_box, welch_interval
+from study.analysis.linear_model.design_matrix import Layout, grid, terms_of
+from study.analysis.sphericity import epsilon_gg
+from study.arrays import Array
+from study.errors import InputError
+
+DIFFERENCE = np.array([1.0, -1.0])
+
+
+@pytest.fixture(autouse=True)
+def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
+    monkeypatch.setattr("gc.collect", lambda *_: 0)
+
+
+def test_one_group_is_greenhouse_geisser() -> None:
+    z = np.random.default_rng(1).standard_normal((3, 7)) * [[1], [2], [3]] + 0.5
+    found = welch_box([z])
+    s = np.cov(z)
+    epsilon = epsilon_gg(s)
+    f = 7 * np.sum(z.mean(axis=1) ** 2) / np.trace(s)
+    expected = (f, 3 * epsilon, 18 * epsilon, fisher.sf(f, 3 * epsilon, 18 * epsilon))
+    assert (found.f, found.df1, found.df2, found.p) == pytest.approx(expected)
+
+
+def test_one_contrast_of_two_groups_is_welchs_t() -> None:
+    rng = np.random.default_rng(2)
+    a, b = rng.standard_normal((1, 5)), 3 * rng.standard_normal((1, 9)) + 1
+    found = welch_box([a, b], DIFFERENCE)
+    welch = ttest_ind(a[0], b[0], equal_var=False)
+    assert (found.f, found.df2, found.p) == pytest.approx(
+        (welch.statistic**2, welch.df, welch.pvalue)
+    )
+    interval = welch_interval([a[0], b[0]], DIFFERENCE)
+    limits = welch.confidence_interval()
+    assert (interval.low, interval.high) == pytest.approx((limits.low, limits.high))
+
+
+def test_the_interval_of_one_group_is_students() -> None:
+    values = np.array([1.0, 2.0, 4.0, 3.0])
+    limits = ttest_1samp(values, 0).confidence_interval()
+    found = welch_interval([values])
+    assert (found.low, found.high) == pytest.approx((limits.low, limits.high))
+
+
+def test_several_weight_vectors_by_their_definition() -> None:
+    """Three groups, two orthonormal differences; M written out block by block."""
+    rng = np.random.default_rng(3)
+    groups = [rng.standard_normal((2, n)) * s for n, s in ((4, 1.0), (5, 2.0), (6, 0.5))]
+    w = helmert(3).T
+    m = np.zeros((4, 4))
+    for i, j in product(range(2), repeat=2):
+        block = sum(w[i, g] * w[j, g] * np.cov(z) / z.shape[1] for g, z in enumerate(groups))
+        m[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = block
+    below = sum(
+        ((w[:, g] ** 2).sum() * np.trace(np.cov(z)) / z.shape[1]) ** 2 / (z.shape[1] - 1)
+        for g, z in enumerate(groups)
+    )
+    df1 = np.trace(m) ** 2 / np.trace(m @ m)
+    found = welch_box(groups, w)
+    assert found.df1 == pytest.approx(df1)
+    assert found.df2 == pytest.approx(df1 * np.trace(m) ** 2 / below)
+    theta = w @ np.array([z.mean(axis=1) for z in groups])
+    assert found.f == pytest.approx(np.sum(theta**2) / np.trace(m))
+
+
+def test_groups_of_two_are_pooled_and_say_so() -> None:
+    rng = np.random.default_rng(4)
+    a, b = rng.standard_normal((1, 2)), rng.standard_normal((1, 6))
+    found = welch_box([a, b], DIFFERENCE)
+    pooled = ttest_ind(a[0], b[0])
+    assert found.pooled
+    assert (found.f, found.df2, found.p) == pytest.approx((pooled.statistic**2, 6, pooled.pvalue))
+
+
+def test_nothing_varies() -> None:
+    assert welch_box([np.ones((2, 4))]).p is None
+    found = welch_interval([np.ones(4)])
+    assert (found.low, found.high) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("groups", "match"),
+    [
+        ([], "no group"),
+        ([np.ones((2, 1))], "at least two blocks"),
+        ([np.ones((2, 3)), np.ones((1, 3))], "same contrasts"),
+        ([np.array([[1.0, np.nan]])], "missing"),
+    ],
+)
+def test_bad_groups(groups: list[Array], match: str) -> None:
+    with pytest.raises(InputError, match=match):
+        welch_box(groups)
+
+
+@pytest.mark.parametrize(
+    ("cells", "seeds", "role", "left"),
+    [
+        ("aaabbb", "123123", SeedRole.BLOCKS, ()),
+        ("aaabb", "12312", SeedRole.BLOCKS, ("3",)),
+        ("aaabbb", "123456", SeedRole.WITHIN_CELLS, ()),
+        ("aaabbb", "123345", SeedRole.WITHIN_CELLS, ()),
+        ("ab", "11", SeedRole.NONE, ()),
+    ],
+)
+def test_seeds_that_all_cells_share_are_blocks(cells, seeds, role, left) -> None:
+    found = seed_design(cells, seeds)
+    assert (found.role, found.left_out) == (role, left)
+    for seed in left:
+        assert seed in found.reason
+
+
+def test_seeds_within_real_blocks_are_averaged() -> None:
+    assert seed_design("aabb", "1212", blocks=True).role is SeedRole.AVERAGED
+    with pytest.raises(InputError, match="one seed for each"):
+        seed_design("ab", "1")
+
+
+def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> tuple[float, float]:
+    """Worst size of average and difference, and worst coverage of two differences of cells."""
+    rng = np.random.default_rng(seed)
+    sd = np.array([3.0, 1.0, 0.3, 0.1])[:, None]
+    basis = helmert(4).T
+    rejected, covered = np.zeros(2), np.zeros(4)
+    for _ in range(n):
+        cells = [
+            s * sd * rng.standard_normal((4, m)) for s, m in zip((1.0, ratio), sizes, strict=True)
+        ]
+        rows = [basis @ y for y in cells]
+        for i, weights in enumerate((None, DIFFERENCE)):
+            p = welch_box(rows, weights).p
+            rejected[i] += p is not None and p < 0.05
+            for j, (one, other) in enumerate(((0, 1), (2, 3))):
+                found = welch_interval([y[one] - y[other] for y in cells], weights)
+                covered[2 * i + j] += found.low <= 0 <= found.high
+    return float(rejected.max() / n), float(covered.min() / n)
+
+
+@pytest.mark.parametrize(("sizes", "ratio"), [((3, 3), 3.0), ((4, 5), 1.0), ((6, 12), 3.0)])
+def test_groups_with_their_own_covariance_hold_the_size(sizes, ratio) -> None:
+    size, coverage = group_rates(sizes, ratio, 800, 41)
+    assert size <= 0.07 + 0.025  # 3 standard errors at 800 data sets
+    assert coverage >= 0.92 - 0.025
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("sizes", [(3, 3), (4, 5), (3, 6), (6, 12)])
+@pytest.mark.parametrize("ratio", [1.0, 3.0, 1 / 3])
+def test_groups_hold_the_size_everywhere(sizes, ratio) -> None:
+    """Bar 9 at 10,000 data sets."""
+    size, coverage = group_rates(sizes, ratio, 10_000, 43)
+    print(f"groups {sizes}, sd ratio {ratio:.2g}: size {size:.4f}, coverage {coverage:.4f}")
+    assert size <= 0.07
+    assert coverage >= (0.935 if min(sizes) >= 4 else 0.92)
+
+
+def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:
+    """Rejections of a factor whose third level differs by the effect, crossed with two levels."""
+    rng = np.random.default_rng(seed)
+    factor = np.kron(helmert(3), np.full((2, 1), 2**-0.5)).T
+    mean = np.repeat([0.0, 0.0, effect], 2)[:, None]
+    count = 0
+    for _ in range(n):
+        shared, own = rng.standard_normal((1, seeds)), rng.standard_normal((6, seeds))
+        y = mean + np.sqrt(rho) * shared + np.sqrt(1 - rho) * own
+        p = welch_box([factor @ y]).p
+        count += p is not None and p < 0.05
+    return count / n
+
+
+def test_seeds_as_blocks_find_what_they_should() -> None:
+    """Bar 8: 3 x 2 cells, 5 seeds, correlation .8, effect .6."""
+    assert seed_rates(0.8, 0.6, 2000, 51) >= 0.55
+    for rho in (0.0, 0.5, 0.8, 0.95):
+        assert seed_rates(rho, 0.0, 2000, 53) <= 0.06
+
+
+def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
+    """Worst size of a term, and chance that Holm rejects anything, 4 x 2 x 2 cells, 6 blocks."""
+    names = ("A", "B", "C")
+    layout = grid(
+        Layout(
+            {"A": tuple("1234"), "B": tuple("12"), "C": tuple("12")},
+            {f: np.zeros(1, dtype=np.int64) for f in names},
+        ),
+        names,
+    )
+    rng = np.random.default_rng(seed)
+    sd = np.ones((16, 1)) if spherical else np.geomspace(0.1, 3, 16)[:, None]
+    terms = terms_of(names)
+    raw, familywise = np.zeros(len(terms)), 0
+    for _ in range(n):
+        contrasts = helmert_contrasts(layout, terms, sd * rng.standard_normal((16, 6)))
+        p = {term: welch_box([rows]).p for term, rows in contrasts.items()}
+        raw += np.array([value is not None and value < 0.05 for value in p.values()])
+        family = response_family("y", p)
+        familywise += any(t.p_holm is not None and t.p_holm < 0.05 for t in family)
+    return float(raw.max() / n), familywise / n
+
+
+def test_holm_is_its_definition() -> None:
+    p = np.random.default_rng(61).uniform(size=7) ** 3
+    order = np.argsort(p)
+    steps = np.minimum(1, np.maximum.accumulate((7 - np.arange(7)) * p[order]))
+    assert holm(p)[order] == pytest.approx(steps, abs=1e-12)
+
+
+def test_a_table_holds_its_familywise_error() -> None:
+    size, familywise = table_rates(False, 600, 63)
+    assert size <= 0.065 + 0.03  # 3 standard errors at 600 data sets
+    assert familywise <= 0.057 + 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("spherical", [True, False])
+def test_a_table_holds_its_familywise_error_at_full_size(spherical: bool) -> None:
+    """Bar 6, the test of own interactions and Holm, 10,000 data sets."""
+    size, familywise = table_rates(spherical, 10_000, 65)
+    print(f"spherical {spherical}: worst size {size:.4f}, familywise {familywise:.4f}")
+    assert size <= 0.065
+    assert familywise <= 0.057
