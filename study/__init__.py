@@ -15,6 +15,7 @@ _LAZY = {
     "analyze": "study.api",
     "converge": "study.api",
     "report": "study.api",
+    "power": "study.api",
     "anova": "study.api",
     "ryan_joiner": "study.api",
     "bartlett": "study.api",

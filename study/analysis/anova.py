@@ -243,8 +243,7 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
-    copied = len(out.copies.groups) < sum(len(group) for group in out.copies.groups)
-    how = ledger.method(options.error, data.block, out.records, copies=copied)
+    how = ledger.method(options.error, None if data.also else data.block)
     if how == ledger.OWN:
         tested = _own(out, options, plots)
         if tested is not None:

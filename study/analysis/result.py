@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.analysis import residuals
 from study.analysis.anova_table import (
     Anova,
     Effect,
@@ -17,14 +16,8 @@ from study.analysis.anova_table import (
     Influential,
     ModelSummary,
 )
-from study.analysis.assumption.normality import anderson_darling, ryan_joiner, shapiro_wilk
-from study.analysis.assumption.variance import (
-    BartlettResult,
-    LeveneResult,
-    ResidualDesign,
-    bartlett,
-    levene,
-)
+from study.analysis.assumption.normality import anderson_darling, shapiro_wilk
+from study.analysis.diagnostics import diagnose, is_representative
 from study.analysis.effects.numerical_bound import OneBound
 from study.analysis.effects.power import PowerRow, planned
 from study.analysis.effects.sizes import holm
@@ -39,19 +32,18 @@ if TYPE_CHECKING:
 
     from study.analysis.anova_table import BoxCoxResult, NestedUnits, Sensitivity
     from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
+    from study.analysis.assumption.row_normality import RowTest
+    from study.analysis.assumption.variance import BartlettResult, LeveneResult
     from study.analysis.sphericity import SphericityResult
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
     from study.arrays import Array
-
-_MONTE_CARLO = 10_000
 
 
 def assemble(out: Outcome) -> AnalysisResult:
     """Check assumptions and freeze the result."""
     names = out.data.cell_names()
-    out, normality, groups = _checks(out)
-    equal, spread = _spread_tests(out, groups)
-    out = out.warn(*_inapplicable(bartlett=equal, levene=spread), *_inestimable(out.effects))
+    found = diagnose(out)
+    out = out.warn(*found.warnings, *_inestimable(out.effects))
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     residual = None if fit is None else fit.residual
     groups_of = out.copies.groups
@@ -66,9 +58,9 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.seed,
         out.error,
         out.anova,
-        normality,
-        equal,
-        spread,
+        found.normality,
+        found.bartlett,
+        found.levene,
         holm(out.effects),
         tuple(dict.fromkeys(out.warnings)),
         _cell_means(out),
@@ -92,16 +84,9 @@ def assemble(out: Outcome) -> AnalysisResult:
         out.robustness,
         out.box_cox,
         power=_power(out),
+        normality_rows=found.rows,
         u_num_by_term=out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
     )
-
-
-def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
-    return [
-        f"{name}: not applicable: {test.reason}"
-        for name, test in tests.items()
-        if test is not None and test.reason
-    ]
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
@@ -115,25 +100,6 @@ def _inestimable(effects: Sequence[Effect]) -> list[str]:
             more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
             found.append(f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}")
     return found
-
-
-def _spread_tests(
-    out: Outcome, groups: residuals.CellGroups | None
-) -> tuple[BartlettResult | None, LeveneResult | None]:
-    if groups is None:
-        return None, None
-    # residuals of a blocked fit are correlated: their own design is simulated
-    design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
-    count = _MONTE_CARLO if out.exact else 0
-    options: dict[str, Any] = {
-        "approximate": groups.approximate,
-        "seed": out.seed,
-        "design": design,
-    }
-    return (
-        bartlett(groups.groups, simulations=count, **options),
-        levene(groups.groups, simulations=count if design else 0, **options),
-    )
 
 
 def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
@@ -163,41 +129,6 @@ def _copies_sentence(out: Outcome) -> str:
 
 def _representative(out: Outcome) -> Any:
     return np.isin(out.data.cell, out.copies.representatives)
-
-
-def _checks(out: Outcome) -> tuple[Outcome, Any, residuals.CellGroups | None]:
-    """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
-    rows = np.flatnonzero(_representative(out))
-    if out.fit is None or out.fit.df_residual == 0:
-        reason = "there are no residuals"
-        return (
-            out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),
-            None,
-            None,
-        )
-    if out.data.block is not None:
-        fit = residuals.additive_fit(out.data, out.y, rows, plots=out.plots)
-    elif rows.size == out.y.size:
-        fit = out.fit
-    else:
-        fit = residuals.reduced_fit(out.data, out.y, out.terms, rows)
-    result = ryan_joiner(
-        fit.residual,
-        model_matrix=fit.matrix.columns,
-        seed=out.seed,
-        exact=out.exact,
-        alpha=out.alpha,
-    )
-    if not result.applicable:
-        out = out.warn(f"normality: not applicable: {result.reason}")
-    if result.warning:
-        out = out.warn(result.warning)
-    values = out.y[rows] if out.data.block is None else fit.residual
-    cells, names = out.data.cell[rows], out.data.cell_names()
-    present, index = np.unique(cells, return_inverse=True)
-    groups = {names[c]: values[index == i] for i, c in enumerate(present)}
-    basis = None if out.data.block is None else fit.q
-    return out, result, residuals.CellGroups(groups, basis is not None, basis, index)
 
 
 def _back(out: Outcome, value: float | None) -> float | None:
@@ -262,7 +193,7 @@ def _residual_frame(out: Outcome) -> pd.DataFrame:
     frame = {
         "row": data.rows,
         "cell": [names[c] for c in data.cell],
-        "representative": _representative(out),
+        "representative": is_representative(out),
         "response": data.y,
     }
     if data.block is not None:
@@ -323,6 +254,7 @@ class AnalysisResult:
     nested: NestedUnits | None = None
     power: dict[str, tuple[PowerRow, ...]] = field(default_factory=dict)
     u_num_by_term: bool = False
+    normality_rows: tuple[RowTest, ...] = ()
 
     @property
     def variance(self) -> dict[str, Any]:
@@ -356,6 +288,7 @@ class AnalysisResult:
             "error_term": plain(self.error_term),
             "anova": plain(self.anova),
             "normality": normality,
+            "normality_rows": plain(self.normality_rows),
             "variance": {
                 "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
                 "levene": None if self.levene is None else self.levene.to_json(),

@@ -14,6 +14,7 @@ _HOME = {
     "run": "study.api.study",
     "demo": "study.api.study",
     "plan": "study.api.planning",
+    "power": "study.api.detection",
     "status": "study.api.planning",
     "why": "study.api.planning",
     "report": "study.api.study",

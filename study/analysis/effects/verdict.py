@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.arrays import Array
+from study.errors import Fault, InputError
 
 MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
@@ -75,6 +76,11 @@ def judge(low: float, high: float, practical: float, u: float = 0.0) -> Judgemen
     -------
     Judgement
 
+    Raises
+    ------
+    InputError
+        If ``u`` is negative, infinite or no number.
+
     Examples
     --------
     >>> judge(0.2, 0.4, 1.0, u=100.0).verdict
@@ -82,6 +88,9 @@ def judge(low: float, high: float, practical: float, u: float = 0.0) -> Judgemen
     >>> judge(1.15, 1.25, 1.0, u=0.5).u_needed
     0.15
     """
+    if not (math.isfinite(u) and u >= 0):
+        mend = "leave it out where it is not known; 0 means that there is none"
+        raise InputError(Fault("u_num", f"must be zero or a positive number, got {u!r}", mend))
     found = claim(low - u, high + u, practical)
     if found == MATTERS:
         return Judgement(MATTERS, "the interval lies beyond the practical band")

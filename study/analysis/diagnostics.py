@@ -1,0 +1,172 @@
+"""Checks of normality and equal spread: on the residuals, or contrast by contrast over blocks.
+
+Where every effect is tested against its own interaction with the blocks, no residual is pooled
+and none may be tested as if it were: the contrasts differ in spread, which looks like heavy
+tails. Each contrast is then a sample of its own over the blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from study.analysis import residuals
+from study.analysis.assumption.normality import RyanJoinerResult, ryan_joiner
+from study.analysis.assumption.row_normality import (
+    RowTest,
+    block_share,
+    helmert_contrasts,
+    row_normality,
+)
+from study.analysis.assumption.variance import (
+    BartlettResult,
+    LeveneResult,
+    ResidualDesign,
+    bartlett,
+    levene,
+)
+from study.analysis.outcome import Outcome
+from study.arrays import Array
+from study.errors import InputError
+
+_MONTE_CARLO = 10_000
+#: A block that carries more than this share of the interaction, with this p, is named.
+SHARE_P = 0.05
+_OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """Tests of the assumptions; ``rows`` holds those of single contrasts over blocks."""
+
+    normality: RyanJoinerResult | None
+    bartlett: BartlettResult | None
+    levene: LeveneResult | None
+    warnings: tuple[str, ...]
+    rows: tuple[RowTest, ...] = ()
+
+
+def diagnose(out: Outcome) -> Diagnostics:
+    """Check the assumptions that the tests of an analysis rest on."""
+    if out.crossed is not None and out.replicates != "noise":
+        return _by_contrast(out)
+    out, normality, groups = _of_residuals(out)
+    equal, spread = _spread_tests(out, groups)
+    warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
+    return Diagnostics(normality, equal, spread, warnings)
+
+
+def _by_contrast(out: Outcome) -> Diagnostics:
+    """Test each contrast over the blocks, and find the block that carries most of them."""
+    table = out.crossed
+    unequal = (
+        BartlettResult(None, None, None, False, _OWN),
+        LeveneResult(None, None, None, False, _OWN),
+    )
+    warnings = _inapplicable(bartlett=unequal[0], levene=unequal[1])
+    try:
+        contrasts = helmert_contrasts(table.layout, out.terms, table.y)
+    except InputError:
+        why = "normality: not applicable: a combination of levels is missing"
+        return Diagnostics(None, *unequal, (*warnings, why))
+    tolerance = out.working_tolerance() / 10
+    found = row_normality(contrasts, tolerance=tolerance, alpha=out.alpha, seed=out.seed)
+    if found.p is None:
+        return Diagnostics(
+            None, *unequal, (*warnings, f"normality: not applicable: {found.warning}")
+        )
+    if found.warning:
+        warnings.append(f"Ryan-Joiner over blocks: {found.warning}")
+    warnings += _heavy_block(contrasts, tolerance, table.blocks, out)
+    worst = min(found.rows, key=lambda row: row.p)
+    values = contrasts[worst.term][worst.contrast]
+    one = ryan_joiner(values, seed=out.seed, exact=False, alpha=out.alpha)
+    decision = "rejected" if found.rejected else "not rejected"
+    summary = replace(
+        one,
+        p_exact=found.p,
+        decision=f"normality {decision} at {out.alpha:g}: the smallest of {len(found.rows)} "
+        f"contrasts over {found.blocks} blocks, {worst.term}, p times their number {found.p:.3g}",
+    )
+    return Diagnostics(summary, *unequal, tuple(warnings), found.rows)
+
+
+def _heavy_block(
+    contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: Outcome
+) -> list[str]:
+    share = block_share(contrasts, tolerance=tolerance, seed=out.seed)
+    if share is None or share.p >= SHARE_P:
+        return []
+    return [
+        f"{out.data.block} {blocks[share.block]} carries {100 * share.share:.0f} % of the "
+        "interactions with the blocks: see what is special about it"
+    ]
+
+
+def is_representative(out: Outcome) -> Any:
+    """Whether each row belongs to the cell that stands for its copies."""
+    return np.isin(out.data.cell, out.copies.representatives)
+
+
+def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
+    return [
+        f"{name}: not applicable: {test.reason}"
+        for name, test in tests.items()
+        if test is not None and test.reason
+    ]
+
+
+def _spread_tests(
+    out: Outcome, groups: residuals.CellGroups | None
+) -> tuple[BartlettResult | None, LeveneResult | None]:
+    if groups is None:
+        return None, None
+    # residuals of a blocked fit are correlated: their own design is simulated
+    design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
+    count = _MONTE_CARLO if out.exact else 0
+    options: dict[str, Any] = {
+        "approximate": groups.approximate,
+        "seed": out.seed,
+        "design": design,
+    }
+    return (
+        bartlett(groups.groups, simulations=count, **options),
+        levene(groups.groups, simulations=count if design else 0, **options),
+    )
+
+
+def _of_residuals(out: Outcome) -> tuple[Outcome, Any, residuals.CellGroups | None]:
+    """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
+    rows = np.flatnonzero(is_representative(out))
+    if out.fit is None or out.fit.df_residual == 0:
+        reason = "there are no residuals"
+        return (
+            out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),
+            None,
+            None,
+        )
+    if out.data.block is not None:
+        fit = residuals.additive_fit(out.data, out.y, rows, plots=out.plots)
+    elif rows.size == out.y.size:
+        fit = out.fit
+    else:
+        fit = residuals.reduced_fit(out.data, out.y, out.terms, rows)
+    result = ryan_joiner(
+        fit.residual,
+        model_matrix=fit.matrix.columns,
+        seed=out.seed,
+        exact=out.exact,
+        alpha=out.alpha,
+    )
+    if not result.applicable:
+        out = out.warn(f"normality: not applicable: {result.reason}")
+    if result.warning:
+        out = out.warn(result.warning)
+    values = out.y[rows] if out.data.block is None else fit.residual
+    cells, names = out.data.cell[rows], out.data.cell_names()
+    present, index = np.unique(cells, return_inverse=True)
+    groups = {names[c]: values[index == i] for i, c in enumerate(present)}
+    basis = None if out.data.block is None else fit.q
+    return out, result, residuals.CellGroups(groups, basis is not None, basis, index)

@@ -1,0 +1,218 @@
+"""What a number of specimens can show, before they are tested: probability of a claim, and cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.analysis.data import threshold
+from study.analysis.effects.verdict_power import PlannedVerdicts, fewest_blocks, planned_verdicts
+from study.api.folders import RESULTS, data_root
+from study.canonical import plain
+from study.design.cases import treatments
+from study.design.load import load
+from study.design.spec import Design, Response
+from study.errors import Fault, InputError, MissingDataError, StudyError
+from study.runner.batch import default_jobs
+from study.runner.cost import Costs
+from study.runner.expansion import expand
+
+if TYPE_CHECKING:
+    from study.analysis.result import AnalysisResult
+
+#: Numbers of specimens that are compared.
+COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
+#: Scatter between specimens over the difference that matters, where nothing is known of it.
+ASSUMED = (0.1, 0.3, 1.0)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What specimens can show of one response.
+
+    Parameters
+    ----------
+    response, unit : str
+        Of the response and of its differences.
+    ratio : bool
+        Whether differences are ratios; ``practical``, ``sd`` and ``u`` are then logarithms.
+    practical : float
+        Smallest difference that matters.
+    sd : float
+        Standard deviation over specimens of a difference between two cells.
+    source : str
+        Where ``sd`` comes from.
+    u : float
+        Bound of the numerical error that is reckoned with.
+    rows : tuple of PlannedVerdicts
+        One for each number of specimens.
+    enough : tuple of (float, int or None)
+        Fewest specimens for a probability of the right claim.
+    """
+
+    response: str
+    unit: str
+    ratio: bool
+    practical: float
+    sd: float
+    source: str
+    u: float
+    rows: tuple[PlannedVerdicts, ...]
+    enough: tuple[tuple[float, int | None], ...]
+
+
+@dataclass(frozen=True)
+class Power:
+    """What a design can detect, response by response, and what could not be said."""
+
+    study: str
+    blocks: int
+    detections: tuple[Detection, ...]
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study power --json``."""
+        return dict(plain(self))
+
+
+def power(
+    design: Design | str | Path,
+    *,
+    sd: float | None = None,
+    data: str | Path | None = None,
+    results: Path = RESULTS,
+    overrides: Sequence[str] = (),
+    counts: Sequence[int] = COUNTS,
+) -> Power:
+    """Say what numbers of specimens can detect, and at which cost.
+
+    Parameters
+    ----------
+    design : Design, str or Path
+        The study.
+    sd : float, optional
+        Standard deviation over specimens of a difference between two cells, in the unit of the
+        response. By default that of the study's own results; without them three are assumed.
+    counts : sequence of int
+        Numbers of specimens to compare.
+
+    Raises
+    ------
+    InputError
+        For a faulty design, or a design none of whose responses says what matters.
+    """
+    loaded = design if isinstance(design, Design) else load(design, overrides)
+    if sd is not None and not (math.isfinite(sd) and sd > 0):
+        raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
+    warnings: list[str] = []
+    blocks, seconds = _planned(loaded, data_root(loaded.source, data), warnings)
+    found: list[Detection] = []
+    for response in loaded.responses:
+        if response.practical is None:
+            warnings.append(f"{response.name}: nothing says which difference matters")
+            continue
+        found += _detections(loaded, response, sd, results, seconds, counts, warnings)
+    if not found and all(r.practical is None for r in loaded.responses):
+        mend = 'write, for example, practical = "2 pp" in its [[response]]'
+        raise InputError(Fault("response", "none says which difference matters", mend))
+    return Power(loaded.name, blocks, tuple(found), tuple(warnings))
+
+
+def _planned(design: Design, root: Path, warnings: list[str]) -> tuple[int, float | None]:
+    """Blocks of the measurements, and seconds of one case on all workers."""
+    try:
+        work = expand(design, root)
+    except MissingDataError as error:
+        warnings.append(f"no cost, for the measurements are missing: {error}")
+        return 0, None
+    costs = Costs()
+    seconds = costs.total_seconds(list(work.fits.values()), work.jobs, default_jobs())
+    return max(len(work.blocks), 1), seconds / max(len(work.jobs), 1)
+
+
+def _detections(
+    design: Design,
+    response: Response,
+    sd: float | None,
+    results: Path,
+    seconds: float | None,
+    counts: Sequence[int],
+    warnings: list[str],
+) -> list[Detection]:
+    known = _known(design, response, results)
+    practical = _practical(response, known)
+    if practical is None:
+        warnings.append(
+            f"{response.name}: its practical difference is a share of a mean that no result gives "
+            "yet; run the design once, or state it in the unit of the response"
+        )
+        return []
+    u = 0.0 if known is None else known[1]
+    choices = [(sd, "as given")] if sd else [] if known is None else [(known[0], "of the results")]
+    choices = choices or [(share * practical, f"assumed: {share:g} of what matters")
+                          for share in ASSUMED]  # fmt: skip
+    cells = len(treatments(design))
+    wanted = (0.8, 0.9)
+    return [
+        Detection(
+            response.name,
+            "pp" if response.unit == "%" else response.unit,
+            response.transform == "log",
+            practical,
+            spread,
+            source,
+            u,
+            planned_verdicts(counts, spread, practical, u=u, cells=cells, seconds=seconds),
+            tuple(zip(wanted, fewest_blocks(spread, practical, u=u, wanted=wanted), strict=True)),
+        )
+        for spread, source in choices
+        if spread
+    ]
+
+
+def _practical(response: Response, known: tuple[float, float, float] | None) -> float | None:
+    limit = threshold(response.practical)
+    if limit is None or (known is None and limit.relative and response.transform != "log"):
+        return None
+    if known is None and response.transform == "log" and not limit.relative:
+        return None
+    return limit.on_scale(1.0 if known is None else known[2], response.transform)
+
+
+def _known(design: Design, response: Response, results: Path) -> tuple[float, float, float] | None:
+    """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
+    from study.api.analysis import analyze
+
+    if not (results / design.name).is_dir():
+        return None
+    try:
+        found = analyze(str(results / design.name), response.name)
+    except StudyError:
+        return None
+    spread = _scatter(found)
+    if spread is None or found.grand_mean is None:
+        return None
+    u = max((e.u_num for e in found.effects if e.u_num is not None), default=0.0)
+    log = found.transform == "log"
+    return spread, u / found.grand_mean if log else u, found.grand_mean
+
+
+def _scatter(found: AnalysisResult) -> float | None:
+    """Largest standard deviation over blocks of a simple effect, on the working scale."""
+    from scipy.special import stdtrit
+
+    if found.error_term.source != "E1":
+        return None
+    blocks = found.residuals["block"].nunique()
+    t = float(stdtrit(blocks - 1, 1 - found.alpha / 2))
+    change = math.log if found.transform == "log" else float
+    halves = [
+        (change(e.ci[1]) - change(e.ci[0])) / 2
+        for effect in found.effects
+        for e in effect.simple_effects
+        if e.ci is not None
+    ]
+    return max(halves) * math.sqrt(blocks) / t if halves else None
