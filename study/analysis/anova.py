@@ -364,7 +364,8 @@ def _scale(out: Outcome, y: Array, limit: Any, options: Options) -> Scale:
     unit = 1 / mean if log else 1.0
     bound = options.bound(map(term_name, out.terms), unit)
     specimens = options.specimens
-    if specimens is None and out.data.block is not None:
+    measured = out.replicates not in ("mesh-seeds", "noise")
+    if specimens is None and out.data.block is not None and measured:
         specimens = len(out.data.layout.levels[out.data.block])
     return Scale(
         out.transform,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.anova import analyze as anova
+from study.analysis.error.seed_blocks import SeedRole, seed_design
 from study.analysis.linear_model.design_matrix import terms_of
 from study.api.uncertainty.numerical import numerical_bound
 from study.design.cases import treatments
@@ -70,7 +71,7 @@ def analyze_records(
             response.name,
             response.transform,
         ),
-        specimens=len(set(blocks)) or None,
+        specimens=max(len(set(blocks)), 1),
         alpha=spec.alpha,
         seed=design.seed,
         **rows.options,
@@ -135,8 +136,20 @@ def rows_for(
         note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
         return Rows(first, block, options, (note,))
     if block and asked:
-        return Rows(_over(table, response, [*factors, _MESH]), None, options)
-    return Rows(table, block, options)
+        table, block = _over(table, response, [*factors, _MESH]), None
+    if block:
+        return Rows(table, block, options)
+    return _seed_rows(table, factors, options)
+
+
+def _seed_rows(table: pd.DataFrame, factors: Sequence[str], options: dict[str, Any]) -> Rows:
+    """Rows whose mesh seeds are blocks where every cell has the same ones."""
+    labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
+    found = seed_design(list(labels), table[_MESH].tolist())
+    if found.role is not SeedRole.BLOCKS or options["error"] == "pooled":
+        return Rows(table, None, options)
+    kept = table[table[_MESH].astype(str).isin(found.common)]
+    return Rows(kept, _MESH, {**options, "replicates": "mesh-seeds"}, (found.reason,))
 
 
 def _noise_rows(

@@ -205,7 +205,7 @@ def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(
     result = study.analyses[0].result
     assert result is not None, study.analyses[0].refused
     assert result.error_term.source == "E3"
-    assert "larger than the mesh noise at this mesh size" in result.error_term.question
+    assert "would another mesh of this size change the effect?" in result.error_term.question
     assert any("bias of this mesh size is common to all seeds" in w for w in result.warnings)
     # E4 beside it: every effect says how far it is above the numerical uncertainty
     assert all(effect.u_num is not None for effect in result.effects)

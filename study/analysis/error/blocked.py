@@ -252,8 +252,8 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
     choice = ledger.own_choice(block, b, error)
-    if out.replicates == "noise":
-        choice = ledger.noise_choice(b)
+    if out.replicates in ("noise", "mesh-seeds"):
+        choice = ledger.noise_choice(b) if out.replicates == "noise" else ledger.seed_choice(b)
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     estimates = [
