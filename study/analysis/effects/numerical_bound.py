@@ -69,10 +69,8 @@ class TermBounds:
     u: Mapping[str, float]
 
     def of(self, plus: Levels, minus: Levels) -> float | None:
-        """Sum over the terms that the difference is made of; None without that of its factor."""
+        """Sum over the terms that the difference is made of."""
         changed = {name for name in plus if plus[name] != minus[name]}
-        if not all(name in self.u for name in changed):
-            return None
         parts = {name: set(name.split(":")) for name in self.u}
         return sum(
             self.u[name] for name, inside in parts.items() if inside & changed and inside <= {*plus}
@@ -80,7 +78,7 @@ class TermBounds:
 
     def of_component(self, first: Levels, second: Levels) -> float | None:
         """Return the bound of the interaction."""
-        return self.u.get(":".join(first))
+        return self.u.get(":".join(first), 0.0)
 
 
 @dataclass(frozen=True)
