@@ -380,7 +380,10 @@ def _scale(out: Outcome, y: Array, limit: Any, options: Options) -> Scale:
 
 
 def _range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
-    """Smallest and largest bound of a difference of two levels, in the unit of the response."""
+    """Smallest and largest bound of a difference of two levels, in the unit of the response.
+
+    A difference without a numerical error, such as one between meshes, does not count.
+    """
     if scale.bound is None:
         return None, None
     pairs = (
@@ -388,7 +391,7 @@ def _range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | 
         for (name,) in (term for term in out.terms if len(term) == 1)
         for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
     )
-    known = [u for pair in pairs if (u := scale.bound.of(*pair)) is not None]
+    known = [u for pair in pairs if (u := scale.bound.of(*pair))]
     if not known:
         return None, None
     return min(known) / scale.unit, max(known) / scale.unit
