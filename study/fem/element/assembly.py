@@ -26,8 +26,6 @@ from study.compilation import kernel, part
 from study.fem.element.element_forms import (
     add_compressibility,
     add_coupling,
-    add_dyads,
-    add_stiffness,
     add_volume,
     along_nodes,
     deformation_gradient,
@@ -35,6 +33,7 @@ from study.fem.element.element_forms import (
     held_pressure,
     place_coupling,
 )
+from study.fem.element.element_stiffness import add_first_invariant_stiffness, add_stiffness
 from study.fem.element.point_law import (
     LINEAR,
     POLYNOMIAL,
@@ -165,7 +164,7 @@ def assemble(
             if want_tangent:
                 bend, stiff = pressure * growth if curved else 0.0, bulk * growth * growth
                 if first_alone:
-                    add_dyads(dN, H, f, bend, stiff, work, w, m, nodal, K)
+                    add_first_invariant_stiffness(dN, H, f, bend, stiff, work, w, m, nodal, K)
                 else:
                     full_tangent(family, f, constants, dim == 2, bend, stiff, work, tangent)
                     add_stiffness(dN, H, tangent, w, m, K)

@@ -176,7 +176,7 @@ def polynomial_tangent(
 
     What an invariant owes to each dyad, and what its slope does. The pressure's part is that
     of :func:`add_pressure_tangent` and costs nothing here. An energy of the first invariant
-    has a shorter way, see :mod:`study.fem.element.element_forms`.
+    has a shorter way, see :func:`first_invariant_coefficients`.
 
     Parameters
     ----------
@@ -208,6 +208,33 @@ def polynomial_tangent(
     for n in range(1, 9):
         for o in range(n):
             tangent[n, o] = tangent[o, n]
+
+
+@part(fastmath=FAST)
+def first_invariant_coefficients(
+    work: Array, bend: float, stiff: float, w: float
+) -> tuple[float, float, float, float, float]:
+    """Coefficients of w dP/dF where W depends on the first invariant alone.
+
+    With G = F^-T, and :func:`polynomial_stress` called before,
+
+        w dP_ij/dF_kl = c_1 d_ik d_jl + c_x G_il G_kj
+                        + c_FF F_ij F_kl + c_FG (F_ij G_kl + G_ij F_kl) + c_GG G_ij G_kl
+
+    Returns
+    -------
+    c_1, c_x, c_FF, c_FG, c_GG : float
+        ``bend`` and ``stiff`` are those of :func:`full_tangent`.
+    """
+    I1, s1 = work[6, 0], work[6, 2]
+    first, curved = work[5, 0] * s1, work[5, 2]
+    c_x = w * (2.0 / 3.0 * first * I1 - bend)
+    # dI1bar/dF = along F + back G
+    along, back = 2.0 * s1, -2.0 / 3.0 * s1 * I1
+    c_FF = w * curved * along * along
+    c_FG = w * (curved * along * back - 4.0 / 3.0 * first)
+    c_GG = w * (4.0 / 9.0 * first * I1 + bend + stiff + curved * back * back)
+    return 2.0 * w * first, c_x, c_FF, c_FG, c_GG
 
 
 @part(fastmath=FAST)
