@@ -105,7 +105,7 @@ def add_first_invariant_stiffness(
     dN: Array, hoop: Array, f: Array, bend: float, stiff: float, work: Array, w: float, m: int,
     nodal: Array, K: Array,
 ) -> None:  # fmt: skip
-    """Add what :func:`study.fem.element.point_law.polynomial_tangent` and ``add_stiffness`` would.
+    """Add what :func:`study.fem.element.point_law.invariant_tangent` and ``add_stiffness`` would.
 
     Parameters
     ----------
@@ -138,10 +138,14 @@ def entry(row: str, column: int) -> str:
 
 
 def shape(node: str, derivative: int | None) -> str:
-    """Write dN/dX_j or N / R of a node; of node a they have names."""
-    if node == "a":
-        return "H" if derivative is None else f"B{derivative}"
+    """Write dN/dX_j or N / R of a node."""
     return f"hoop[{node}]" if derivative is None else f"dN[{node}, {derivative}]"
+
+
+def scaled(letter: str, factor: str, space: Space) -> str:
+    """Name a factor times each derivative of the shape function of node a."""
+    values = ", ".join(f"{factor} * {shape('a', j)}" for j in range(space.dim))
+    return f"{names(letter, range(space.dim))} = {values}"
 
 
 def function(name: str, space: Space, arguments: str, doc: str, body: Iterable[str]) -> str:
@@ -154,23 +158,13 @@ def function(name: str, space: Space, arguments: str, doc: str, body: Iterable[s
     return "\n".join(["@part(fastmath=FAST)", head, *lines])
 
 
-def shapes_of_node(space: Space) -> Iterator[str]:
-    """Name the derivatives of the shape function of node a, and H = N / R."""
-    yield "for a in range(dN.shape[0]):"
-    left, right = names("B", range(space.dim)), [f"dN[a, {j}]" for j in range(space.dim)]
-    if space.hoop:
-        left, right = f"{left}, H", [*right, "hoop[a]"]
-    yield f"    {left} = {', '.join(right)}"
-
-
 def any_energy(space: Space) -> Iterator[str]:
     """Write K_ai,bk += w B_aiI A_IJ B_bkJ for b > a, and for b = a with k >= i."""
     dim = space.dim
-    yield from shapes_of_node(space)
-    weighted, right = names("w", range(dim)), ", ".join(f"w * B{j}" for j in range(dim))
+    yield "for a in range(dN.shape[0]):"
+    yield f"    {scaled('w', 'w', space)}"
     if space.hoop:
-        weighted, right = f"{weighted}, wH", f"{right}, w * H"
-    yield f"    {weighted} = {right}"
+        yield "    wH = w * hoop[a]"
     yield f"    for i in range({dim}):"
     if space.hoop:
         yield "        around = wH if i == 0 else 0.0"
@@ -199,12 +193,12 @@ def projections(space: Space) -> Iterator[str]:
     G within the plane, and G_33 N / R and G_33 by themselves follow at the end.
     """
     dim = space.dim
-    yield from shapes_of_node(space)
+    yield "for a in range(dN.shape[0]):"
     yield f"    for i in range({dim}):"
     rows = [f"[3 * i + {j}]" if j else "[3 * i]" for j in range(dim)]
-    plane = {t: total((f"{t}{row}", f"B{j}") for j, row in enumerate(rows)) for t in "fg"}
+    plane = {t: total((f"{t}{row}", shape("a", j)) for j, row in enumerate(rows)) for t in "fg"}
     if space.hoop:
-        yield "        around = H if i == 0 else 0.0"
+        yield "        around = hoop[a] if i == 0 else 0.0"
         yield f"        plane = {plane['g']}"
         yield f"        F = {plane['f']} + f[8] * around"
         yield "        G = plane + g[8] * around"
@@ -216,45 +210,68 @@ def projections(space: Space) -> Iterator[str]:
         yield f"        nodal[a, {f'{number * dim} + i' if number else 'i'}] = {value}"
     if space.hoop:
         yield f"        nodal[a, {4 * dim} + i] = plane"
-        yield f"    nodal[a, {5 * dim}], nodal[a, {5 * dim + 1}] = g[8] * H, g[8]"
+        yield f"    nodal[a, {5 * dim}], nodal[a, {5 * dim + 1}] = g[8] * hoop[a], g[8]"
 
 
-def read(letters: str, node: str, space: Space) -> Iterator[str]:
-    """Name the projections of one node: F, G, P and Q; S is G itself in 3D."""
-    dim = space.dim
-    first = {"F": 0, "G": dim, "P": 2 * dim, "Q": 3 * dim, "S": 4 * dim if space.hoop else dim}
-    for letter in letters:
-        values = ", ".join(f"nodal[{node}, {first[letter] + i}]" for i in range(dim))
-        yield f"{names(letter, range(dim))} = {values}"
+def stored(letter: str, i: int, node: str, space: Space) -> str:
+    """Write component i of a projection of a node; S is G itself in 3D."""
+    first = {"F": 0, "G": 1, "P": 2, "Q": 3, "S": 4 if space.hoop else 1}
+    return f"nodal[{node}, {first[letter] * space.dim + i}]"
+
+
+def within_plane(i: int, space: Space) -> str:
+    """Write component i of S of node a, which in 3D has the name of G."""
+    return stored("S", i, "a", space) if space.hoop else f"G{i}"
+
+
+def read(letters: str, node: str, space: Space, first: int = 0) -> str:
+    """Name components of the projections of a node, from the ``first`` on."""
+    pairs = [(letter, i) for letter in letters for i in range(first, space.dim)]
+    left = ", ".join(f"{letter}{i}" for letter, i in pairs)
+    return f"{left} = {', '.join(stored(letter, i, node, space) for letter, i in pairs)}"
 
 
 def first_invariant(space: Space) -> Iterator[str]:
     """Write the second expression for b > a, and for b = a with k >= i."""
     dim = space.dim
-    yield from shapes_of_node(space)
-    yield f"    {names('c', range(dim))} = {', '.join(f'c_1 * B{j}' for j in range(dim))}"
+    yield "for a in range(dN.shape[0]):"
+    yield f"    {scaled('c', 'c_1', space)}"
     if space.hoop:
-        yield f"    cH = c_1 * H + c_x * nodal[a, {5 * dim}] * nodal[a, {5 * dim + 1}]"
-    yield from (f"    {line}" for line in read("FGPQS", "a", space))
-    yield f"    {names('x', range(dim))} = {', '.join(f'c_x * S{i}' for i in range(dim))}"
+        yield f"    cH = c_1 * hoop[a] + c_x * nodal[a, {5 * dim}] * nodal[a, {5 * dim + 1}]"
+    yield f"    {read('F', 'a', space)}"
+    yield f"    {read('G', 'a', space)}"
+    factors = [within_plane(i, space) for i in range(dim)]
+    yield f"    {names('x', range(dim))} = {', '.join(f'c_x * {factor}' for factor in factors)}"
     for i in range(dim):
         yield f"    r{i} = packed({dim} * a{f' + {i}' if i else ''}, {dim} * a, m)"
     yield from (f"    {line}" for line in pairs(space, "a"))
     yield "    for b in range(a + 1, dN.shape[0]):"
     yield from (f"        r{i} += {COUNT[dim]}" for i in range(dim))
-    yield from (f"        {line}" for line in read("PQS", "b", space))
     yield from (f"        {line}" for line in pairs(space, "b"))
 
 
 def pairs(space: Space, node: str) -> Iterator[str]:
-    """Write the entries of rows ai and the columns of a node."""
+    """Write the entries of rows ai and the columns of a node.
+
+    What is used once stays without a name, and names come in the order of storage. Compilers add
+    up floats in the order in which these are read, so another order changes last digits.
+    """
     dim = space.dim
     yield f"same = {total((f'c{j}', shape(node, j)) for j in range(dim))}"
+    if node == "a":
+        yield read("PQ", "a", space, first=1)
+    else:
+        yield from (read(letter, "b", space) for letter in ("PQS" if space.hoop else "SPQ"))
     for i in range(dim):
         for k in range(i if node == "a" else 0, dim):
             products: list[tuple[str, ...]] = [("same",)] if i == k else []
             products += [("cH", shape(node, None))] if space.hoop and i == k == 0 else []
-            products += [(f"F{i}", f"P{k}"), (f"G{i}", f"Q{k}"), (f"x{k}", f"S{i}")]
+            P, Q, S = f"P{k}", f"Q{k}", f"S{i}"
+            if node == "a":
+                S = within_plane(i, space)
+                if k == 0:
+                    P, Q = stored("P", 0, "a", space), stored("Q", 0, "a", space)
+            products += [(f"F{i}", P), (f"G{i}", Q), (f"x{k}", S)]
             yield f"{entry(f'r{i}', k)} += {total(products)}"
 
 

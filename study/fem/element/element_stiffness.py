@@ -46,7 +46,7 @@ def add_first_invariant_stiffness(
     dN: Array, hoop: Array, f: Array, bend: float, stiff: float, work: Array, w: float, m: int,
     nodal: Array, K: Array,
 ) -> None:  # fmt: skip
-    """Add what :func:`study.fem.element.point_law.polynomial_tangent` and ``add_stiffness`` would.
+    """Add what :func:`study.fem.element.point_law.invariant_tangent` and ``add_stiffness`` would.
 
     Parameters
     ----------
@@ -66,8 +66,7 @@ def add_first_invariant_stiffness(
 def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
     """K_ai,bk += w B_aiI A_IJ B_bkJ for b >= a."""
     for a in range(dN.shape[0]):
-        B0, B1, B2 = dN[a, 0], dN[a, 1], dN[a, 2]
-        w0, w1, w2 = w * B0, w * B1, w * B2
+        w0, w1, w2 = w * dN[a, 0], w * dN[a, 1], w * dN[a, 2]
         for i in range(3):
             BA0 = w0 * A[3 * i, 0] + w1 * A[3 * i + 1, 0] + w2 * A[3 * i + 2, 0]
             BA1 = w0 * A[3 * i, 1] + w1 * A[3 * i + 1, 1] + w2 * A[3 * i + 2, 1]
@@ -80,10 +79,10 @@ def _add_stiffness_3d(dN: Array, A: Array, w: float, m: int, K: Array) -> None:
             BA8 = w0 * A[3 * i, 8] + w1 * A[3 * i + 1, 8] + w2 * A[3 * i + 2, 8]
             s = packed(3 * a + i, 3 * a, m)
             if i == 0:
-                K[s] += BA0 * B0 + BA1 * B1 + BA2 * B2
+                K[s] += BA0 * dN[a, 0] + BA1 * dN[a, 1] + BA2 * dN[a, 2]
             if i <= 1:
-                K[s + ONE] += BA3 * B0 + BA4 * B1 + BA5 * B2
-            K[s + TWO] += BA6 * B0 + BA7 * B1 + BA8 * B2
+                K[s + ONE] += BA3 * dN[a, 0] + BA4 * dN[a, 1] + BA5 * dN[a, 2]
+            K[s + TWO] += BA6 * dN[a, 0] + BA7 * dN[a, 1] + BA8 * dN[a, 2]
             for b in range(a + 1, dN.shape[0]):
                 s += THREE
                 K[s] += BA0 * dN[b, 0] + BA1 * dN[b, 1] + BA2 * dN[b, 2]
@@ -97,10 +96,9 @@ def _project_3d(
 ) -> None:
     """Write F, G, P, Q of each node, and S."""
     for a in range(dN.shape[0]):
-        B0, B1, B2 = dN[a, 0], dN[a, 1], dN[a, 2]
         for i in range(3):
-            F = f[3 * i] * B0 + f[3 * i + 1] * B1 + f[3 * i + 2] * B2
-            G = g[3 * i] * B0 + g[3 * i + 1] * B1 + g[3 * i + 2] * B2
+            F = f[3 * i] * dN[a, 0] + f[3 * i + 1] * dN[a, 1] + f[3 * i + 2] * dN[a, 2]
+            G = g[3 * i] * dN[a, 0] + g[3 * i + 1] * dN[a, 1] + g[3 * i + 2] * dN[a, 2]
             nodal[a, i] = F
             nodal[a, 3 + i] = G
             nodal[a, 6 + i] = c_FF * F + c_FG * G
@@ -113,32 +111,29 @@ def _add_first_invariant_3d(
 ) -> None:
     """K_ai,bk += c_1 B_aiI B_bkI + F_ai P_bk + G_ai Q_bk + c_x S_ak S_bi for b >= a."""
     for a in range(dN.shape[0]):
-        B0, B1, B2 = dN[a, 0], dN[a, 1], dN[a, 2]
-        c0, c1, c2 = c_1 * B0, c_1 * B1, c_1 * B2
+        c0, c1, c2 = c_1 * dN[a, 0], c_1 * dN[a, 1], c_1 * dN[a, 2]
         F0, F1, F2 = nodal[a, 0], nodal[a, 1], nodal[a, 2]
         G0, G1, G2 = nodal[a, 3], nodal[a, 4], nodal[a, 5]
-        P0, P1, P2 = nodal[a, 6], nodal[a, 7], nodal[a, 8]
-        Q0, Q1, Q2 = nodal[a, 9], nodal[a, 10], nodal[a, 11]
-        S0, S1, S2 = nodal[a, 3], nodal[a, 4], nodal[a, 5]
-        x0, x1, x2 = c_x * S0, c_x * S1, c_x * S2
+        x0, x1, x2 = c_x * G0, c_x * G1, c_x * G2
         r0 = packed(3 * a, 3 * a, m)
         r1 = packed(3 * a + 1, 3 * a, m)
         r2 = packed(3 * a + 2, 3 * a, m)
-        same = c0 * B0 + c1 * B1 + c2 * B2
-        K[r0] += same + F0 * P0 + G0 * Q0 + x0 * S0
-        K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * S0
-        K[r0 + TWO] += F0 * P2 + G0 * Q2 + x2 * S0
-        K[r1 + ONE] += same + F1 * P1 + G1 * Q1 + x1 * S1
-        K[r1 + TWO] += F1 * P2 + G1 * Q2 + x2 * S1
-        K[r2 + TWO] += same + F2 * P2 + G2 * Q2 + x2 * S2
+        same = c0 * dN[a, 0] + c1 * dN[a, 1] + c2 * dN[a, 2]
+        P1, P2, Q1, Q2 = nodal[a, 7], nodal[a, 8], nodal[a, 10], nodal[a, 11]
+        K[r0] += same + F0 * nodal[a, 6] + G0 * nodal[a, 9] + x0 * G0
+        K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * G0
+        K[r0 + TWO] += F0 * P2 + G0 * Q2 + x2 * G0
+        K[r1 + ONE] += same + F1 * P1 + G1 * Q1 + x1 * G1
+        K[r1 + TWO] += F1 * P2 + G1 * Q2 + x2 * G1
+        K[r2 + TWO] += same + F2 * P2 + G2 * Q2 + x2 * G2
         for b in range(a + 1, dN.shape[0]):
             r0 += THREE
             r1 += THREE
             r2 += THREE
+            same = c0 * dN[b, 0] + c1 * dN[b, 1] + c2 * dN[b, 2]
+            S0, S1, S2 = nodal[b, 3], nodal[b, 4], nodal[b, 5]
             P0, P1, P2 = nodal[b, 6], nodal[b, 7], nodal[b, 8]
             Q0, Q1, Q2 = nodal[b, 9], nodal[b, 10], nodal[b, 11]
-            S0, S1, S2 = nodal[b, 3], nodal[b, 4], nodal[b, 5]
-            same = c0 * dN[b, 0] + c1 * dN[b, 1] + c2 * dN[b, 2]
             K[r0] += same + F0 * P0 + G0 * Q0 + x0 * S0
             K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * S0
             K[r0 + TWO] += F0 * P2 + G0 * Q2 + x2 * S0
@@ -156,8 +151,8 @@ def _add_stiffness_axisymmetric(
 ) -> None:
     """K_ai,bk += w B_aiI A_IJ B_bkJ for b >= a."""
     for a in range(dN.shape[0]):
-        B0, B1, H = dN[a, 0], dN[a, 1], hoop[a]
-        w0, w1, wH = w * B0, w * B1, w * H
+        w0, w1 = w * dN[a, 0], w * dN[a, 1]
+        wH = w * hoop[a]
         for i in range(2):
             around = wH if i == 0 else 0.0
             BA0 = w0 * A[3 * i, 0] + w1 * A[3 * i + 1, 0] + around * A[8, 0]
@@ -167,8 +162,8 @@ def _add_stiffness_axisymmetric(
             BA8 = w0 * A[3 * i, 8] + w1 * A[3 * i + 1, 8] + around * A[8, 8]
             s = packed(2 * a + i, 2 * a, m)
             if i == 0:
-                K[s] += BA0 * B0 + BA1 * B1 + BA8 * H
-            K[s + ONE] += BA3 * B0 + BA4 * B1
+                K[s] += BA0 * dN[a, 0] + BA1 * dN[a, 1] + BA8 * hoop[a]
+            K[s + ONE] += BA3 * dN[a, 0] + BA4 * dN[a, 1]
             for b in range(a + 1, dN.shape[0]):
                 s += TWO
                 K[s] += BA0 * dN[b, 0] + BA1 * dN[b, 1] + BA8 * hoop[b]
@@ -181,18 +176,17 @@ def _project_axisymmetric(
 ) -> None:
     """Write F, G, P, Q of each node, and S."""
     for a in range(dN.shape[0]):
-        B0, B1, H = dN[a, 0], dN[a, 1], hoop[a]
         for i in range(2):
-            around = H if i == 0 else 0.0
-            plane = g[3 * i] * B0 + g[3 * i + 1] * B1
-            F = f[3 * i] * B0 + f[3 * i + 1] * B1 + f[8] * around
+            around = hoop[a] if i == 0 else 0.0
+            plane = g[3 * i] * dN[a, 0] + g[3 * i + 1] * dN[a, 1]
+            F = f[3 * i] * dN[a, 0] + f[3 * i + 1] * dN[a, 1] + f[8] * around
             G = plane + g[8] * around
             nodal[a, i] = F
             nodal[a, 2 + i] = G
             nodal[a, 4 + i] = c_FF * F + c_FG * G
             nodal[a, 6 + i] = c_FG * F + c_GG * G
             nodal[a, 8 + i] = plane
-        nodal[a, 10], nodal[a, 11] = g[8] * H, g[8]
+        nodal[a, 10], nodal[a, 11] = g[8] * hoop[a], g[8]
 
 
 @part(fastmath=FAST)
@@ -201,28 +195,25 @@ def _add_first_invariant_axisymmetric(
 ) -> None:
     """K_ai,bk += c_1 B_aiI B_bkI + F_ai P_bk + G_ai Q_bk + c_x S_ak S_bi for b >= a."""
     for a in range(dN.shape[0]):
-        B0, B1, H = dN[a, 0], dN[a, 1], hoop[a]
-        c0, c1 = c_1 * B0, c_1 * B1
-        cH = c_1 * H + c_x * nodal[a, 10] * nodal[a, 11]
+        c0, c1 = c_1 * dN[a, 0], c_1 * dN[a, 1]
+        cH = c_1 * hoop[a] + c_x * nodal[a, 10] * nodal[a, 11]
         F0, F1 = nodal[a, 0], nodal[a, 1]
         G0, G1 = nodal[a, 2], nodal[a, 3]
-        P0, P1 = nodal[a, 4], nodal[a, 5]
-        Q0, Q1 = nodal[a, 6], nodal[a, 7]
-        S0, S1 = nodal[a, 8], nodal[a, 9]
-        x0, x1 = c_x * S0, c_x * S1
+        x0, x1 = c_x * nodal[a, 8], c_x * nodal[a, 9]
         r0 = packed(2 * a, 2 * a, m)
         r1 = packed(2 * a + 1, 2 * a, m)
-        same = c0 * B0 + c1 * B1
-        K[r0] += same + cH * H + F0 * P0 + G0 * Q0 + x0 * S0
-        K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * S0
-        K[r1 + ONE] += same + F1 * P1 + G1 * Q1 + x1 * S1
+        same = c0 * dN[a, 0] + c1 * dN[a, 1]
+        P1, Q1 = nodal[a, 5], nodal[a, 7]
+        K[r0] += same + cH * hoop[a] + F0 * nodal[a, 4] + G0 * nodal[a, 6] + x0 * nodal[a, 8]
+        K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * nodal[a, 8]
+        K[r1 + ONE] += same + F1 * P1 + G1 * Q1 + x1 * nodal[a, 9]
         for b in range(a + 1, dN.shape[0]):
             r0 += TWO
             r1 += TWO
+            same = c0 * dN[b, 0] + c1 * dN[b, 1]
             P0, P1 = nodal[b, 4], nodal[b, 5]
             Q0, Q1 = nodal[b, 6], nodal[b, 7]
             S0, S1 = nodal[b, 8], nodal[b, 9]
-            same = c0 * dN[b, 0] + c1 * dN[b, 1]
             K[r0] += same + cH * hoop[b] + F0 * P0 + G0 * Q0 + x0 * S0
             K[r0 + ONE] += F0 * P1 + G0 * Q1 + x1 * S0
             K[r1] += F1 * P0 + G1 * Q0 + x0 * S1
