@@ -4,7 +4,7 @@
 #   make verify   the long verification: expected, got, error
 #   make bench    the speed comparisons
 #   make elements error of every element against unknowns and seconds: docs/elements.md
-#   make check    the gates: style, types, layers, doctests
+#   make check    the gates: style, types, layers, generated code, doctests
 
 PYTEST_WORKERS ?= 2
 ready := .venv/.ready
@@ -13,7 +13,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup demo test verify bench elements check lint format-check types layers doctests
+.PHONY: help setup demo test verify bench elements check lint format-check types layers generated doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -41,7 +41,7 @@ elements: $(ready)
 	@$(one_thread) .venv/bin/python docs/elements.py measure
 	@.venv/bin/python docs/elements.py draw
 
-check: lint format-check types layers doctests
+check: lint format-check types layers generated doctests
 
 lint: $(ready)
 	@.venv/bin/ruff check .
@@ -54,6 +54,9 @@ types: $(ready)
 
 layers: $(ready)
 	@.venv/bin/lint-imports
+
+generated: $(ready)
+	@.venv/bin/python scripts/generate_kernels.py --check
 
 doctests: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -q --doctest-modules study

@@ -60,6 +60,7 @@ STYLE = ("ruff", "check", "--no-cache", ".")
 FORMAT = ("ruff", "format", "--no-cache", "--check", ".")
 TYPES = ("mypy", "study")
 LAYERS = ("lint-imports", "--no-cache")
+GENERATED = ("python", "scripts/generate_kernels.py", "--check")
 TESTS = ("python", "-m", "pytest", "-q", "-p", "no:cacheprovider")
 
 
@@ -146,6 +147,22 @@ def test_layers_sees_an_exception_that_nobody_needs(furnished: Path) -> None:
     assert "study.units -> numba" in run.stdout + run.stderr
 
 
+def test_generated_sees_an_edited_coefficient(furnished: Path) -> None:
+    shutil.copytree(ROOT / "scripts", furnished / "scripts")
+    assert gate(furnished, *GENERATED).returncode == 0
+    kernels = furnished / "study" / "fem" / "element" / "element_stiffness.py"
+    text = kernels.read_text(encoding="utf-8")
+    edited = text.replace("c_FF * F + c_FG * G", "2.0 * c_FF * F + c_FG * G", 1)
+    assert edited != text
+    kernels.write_text(edited, encoding="utf-8")
+    run = gate(furnished, *GENERATED)
+    assert run.returncode == 1
+    assert "+            nodal[a, 6 + i] = c_FF * F + c_FG * G" in run.stdout
+    assert "python scripts/generate_kernels.py" in run.stderr
+    # The check leaves the file as it is: a gate that mended it would hide the breach.
+    assert kernels.read_text(encoding="utf-8") == edited
+
+
 def plant(root: Path, module: str, code: str) -> None:
     """Add code to a module of a copy, or make the module."""
     with (root / "study" / module).open("a", encoding="utf-8") as file:
@@ -227,7 +244,9 @@ def test_slow_tests_are_left_out_unless_asked_for(house: Path) -> None:
     assert gate(house, *TESTS, "-m", "verify", "tests").returncode == 1
 
 
-@pytest.mark.parametrize("broken", [None, "test", "lint", "format-check", "types", "layers"])
+@pytest.mark.parametrize(
+    "broken", [None, "test", "lint", "format-check", "types", "layers", "generated"]
+)
 def test_ci_names_the_gate_that_failed(tmp_path: Path, broken: str | None) -> None:
     (tmp_path / ".ci").mkdir()
     shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci")
@@ -247,7 +266,7 @@ def test_ci_names_the_gate_that_failed(tmp_path: Path, broken: str | None) -> No
         check=False,
     )
     # The others still run: one look at the log tells everything that is wrong.
-    for name in ("test", "lint", "format-check", "types", "layers", "doctests"):
+    for name in ("test", "lint", "format-check", "types", "layers", "generated", "doctests"):
         assert f"ran {name}\n" in run.stdout
     assert run.returncode == (0 if broken is None else 1)
     assert run.stderr.strip() == ("" if broken is None else f"failed: {broken}")

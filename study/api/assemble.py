@@ -12,6 +12,7 @@ from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
 from study.design.cases import excluded, treatments
 from study.design.overview import calibration_factors, equivalent_groups
+from study.material.registry import is_dimensionless
 from study.reporting.numbers import name_of
 from study.runner.numerical.judgement import stored_convergence
 from study.study_result.report_data import (
@@ -176,7 +177,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
             seen.add(fit["key"])
             levels = shared[fit["key"]]
             for name, value in fit["values"].items():
-                plain = name.startswith("alpha")
+                plain = is_dimensionless(name)
                 scale = 1.0 if plain else 1000.0
                 low, high = (fit.get("ci95") or {}).get(name) or (None, None)
                 yield FittedConstant(

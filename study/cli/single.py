@@ -13,6 +13,7 @@ from study.cli import output
 from study.cli.convergence import converge
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
+from study.material.registry import is_dimensionless
 
 if TYPE_CHECKING:
     from study.runner.fitting.staged_fit import Step
@@ -171,7 +172,7 @@ class _Line:
         """Show an accepted iteration."""
         it = step.iteration
         values = ", ".join(
-            f"{n} {v:.5g}" if n.startswith("alpha") else f"{n} {1e3 * v:.5g} kPa"
+            f"{n} {v:.5g}" if is_dimensionless(n) else f"{n} {1e3 * v:.5g} kPa"
             for n, v in zip(step.names, it.x, strict=True)
         )
         text = f"{step.stage}: iteration {it.iteration}, cost {it.cost:.6g}, {values}"

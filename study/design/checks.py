@@ -12,7 +12,7 @@ from study.design.plausibility import is_homogeneous
 from study.design.spec import Config, Design, Level
 from study.design.study_file import RESPONSES, SCORED
 from study.errors import Fault, InputError, nearest
-from study.material.energy import constant_names
+from study.material.registry import constant_names
 
 MAX_FAULTS = 100
 

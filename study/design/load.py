@@ -32,9 +32,9 @@ from study.design.sections.settings import (
     read_uncertainty,
 )
 from study.design.spec import Config, Design, Response
-from study.design.study_file import CONSTANT, Calibration
+from study.design.study_file import Calibration
 from study.errors import Fault, InputError
-from study.material.energy import constant_names
+from study.material.registry import constant_names, is_constant_key
 from study.measurement.section import MeasurementSpec
 from study.setup.quantity import number, shown
 from study.setup.section import Bad
@@ -339,7 +339,7 @@ def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:
 def _base_calibration(tables: Mapping[str, Any]) -> Calibration:
     """Table ``[calibration]`` as written; its faults are reported by the cells."""
     material = tables.get("material")
-    given = [k for k in material if CONSTANT.fullmatch(k)] if isinstance(material, dict) else []
+    given = [k for k in material if is_constant_key(k)] if isinstance(material, dict) else []
     return calibration_spec(tables.get("calibration"), {"constants": given}, Faults())
 
 

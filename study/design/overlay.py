@@ -10,7 +10,7 @@ from typing import Any
 from study.design import study_file
 from study.design.study_file import FACTOR_KEYS
 from study.errors import nearest
-from study.material.energy import ENERGIES
+from study.material.registry import ENERGIES, is_constant_key, is_dimensionless
 from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
@@ -51,7 +51,7 @@ _DIMENSIONS = {
     for table in _VALUED
     for key in keys_of(table)
     if key.reads is not None and key.reads.dimension
-} | {"alpha": "number", "youngs_modulus": "pressure", "mu": "pressure"}
+}
 
 #: keys that decide which others a table may have
 _RULING = {"specimen": "shape", "test.indenter": "shape", "material": "model"}
@@ -66,7 +66,8 @@ def may_vary(key: str) -> bool:
     (True, True, False)
     """
     plain = re.sub(f"^{_REPLACED}", "", key)
-    return plain in VARYING or bool(re.fullmatch(r"material\.C\d{2,3}", plain))
+    table, _, name = plain.partition(".")
+    return plain in VARYING or (table == "material" and is_constant_key(name))
 
 
 def suggestion(key: str) -> str:
@@ -89,8 +90,8 @@ def dimension(key: str) -> str | None:
         return "length" if last == "displacement" else "force"
     if not may_vary(key):
         return None
-    if re.fullmatch(r"C\d{2,3}", last):
-        return "pressure"
+    if is_constant_key(last):
+        return "number" if is_dimensionless(last) else "pressure"
     return _DIMENSIONS.get(last)
 
 
@@ -151,8 +152,6 @@ def _belongs(table: str, ruling: Any, key: str) -> bool:
         return key not in others or ruling not in kinds or key in written_keys(kinds[ruling])
     if key in study_file.MATERIAL_KEYS or ruling not in ENERGIES:
         return True
-    if not study_file.CONSTANT.fullmatch(key):
+    if not is_constant_key(key):
         return True  # an unknown key stays, to be reported
-    if ruling == "ogden":
-        return key in ("mu", "alpha")
-    return bool(re.fullmatch(ENERGIES[ruling].grammar, key))
+    return ENERGIES[ruling].has_key(key)

@@ -9,7 +9,9 @@ from typing import Any
 
 from study.design.diagnostics import Faults
 from study.design.spec import Config
+from study.material.compressibility import Compressibility
 from study.material.material import Material
+from study.material.registry import ENERGIES
 from study.material.stability import stability
 from study.setup import setup
 
@@ -35,23 +37,18 @@ def initial_shear_modulus(material: Mapping[str, Any]) -> float | None:
     constants: Mapping[str, Any] = material["constants"]
     if not constants or any(v is None for v in constants.values()):
         return None
-    if material["model"] == "ogden":
-        return float(sum(v for k, v in constants.items() if k.startswith("mu")))
-    if material["model"] != "linear-elastic":
-        return 2 * float(constants.get("C10", 0.0) + constants.get("C01", 0.0))
-    modulus = float(constants["youngs_modulus"])
-    if material.get("bulk_modulus_MPa") is not None:
-        rest = 3 - modulus / (3 * material["bulk_modulus_MPa"])
-        return modulus / rest if rest > 0 else None
-    nu = material.get("poisson_ratio")
-    return modulus / (2 * (1 + nu)) if nu is not None else modulus / 3
+    energy = ENERGIES[material["model"]]
+    resistance = Compressibility(material.get("bulk_modulus_MPa"), material.get("poisson_ratio"))
+    mu0 = energy.initial_shear_modulus(constants, resistance)
+    # a linear solid with E > 9 K is refused for its Poisson's ratio below -1
+    return None if energy.small_strain and not 0 < mu0 < math.inf else mu0
 
 
 def _check_moduli(material: Config, faults: Faults, places: Mapping[str, str]) -> None:
     mu0, bulk = initial_shear_modulus(material), material.get("bulk_modulus_MPa")
     where = f"{places['material']}.{next(iter(material['constants']), '')}"
     if mu0 is not None and mu0 <= 0:
-        formula = "sum of mu" if material["model"] == "ogden" else "2 (C10 + C01)"
+        formula = ENERGIES[material["model"]].shear_modulus_formula
         rule = f"the initial shear modulus {formula} must be positive, got {mu0 * 1e3:g} kPa"
         faults.add(where, rule, "check the signs of the constants")
     elif mu0 is not None and bulk is not None and bulk < mu0:

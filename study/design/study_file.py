@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import Annotated, Any
 
@@ -18,7 +17,6 @@ SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "wo
 
 #: keys that may differ between cells
 FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
-CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu|alpha")
 
 #: keys of which a table may have one; laying one over a table takes the others away
 ALTERNATIVES: Mapping[str, tuple[str, ...]] = {

@@ -98,7 +98,7 @@ def instability(problem: Problem) -> str:
     Only failure in uniaxial loading counts: the other modes are reached locally at most.
     """
     material, specimen = problem.material, problem.specimen
-    if material.family == "linear-elastic":
+    if material.small_strain:
         return ""
     stretches = _UNDER_INDENTER
     if problem.test.kind == "compression":

@@ -78,13 +78,13 @@ def _cold(
     return Prediction(solution, time.perf_counter() - began)
 
 
-#: spaces, families and tests whose compiled loops this process has used already
+#: spaces, laws and tests whose compiled loops this process has used already
 _LOADED: set[tuple[str, ...]] = set()
 
 
 def load_compiled(problem: Any) -> None:
     """Solve a small relative of a problem, once for each kind."""
-    key = (problem.model.space, problem.material.family, problem.test.kind)
+    key = (problem.model.space, problem.material.law().kind.name, problem.test.kind)
     if key in _LOADED:
         return
     _LOADED.add(key)

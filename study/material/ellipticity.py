@@ -21,28 +21,14 @@ import numpy as np
 
 from study.arrays import Array
 from study.material.material import Material
-from study.material.polynomial import source, source_slope
 
 #: equal stretches are taken this far apart (relative), where the formulas have their limit
 _APART = 1e-4
 
 
 def always_elliptic(material: Material) -> bool:
-    """Whether an energy is known to keep its ellipticity at every stretch; False says nothing.
-
-    A sum of strongly elliptic energies is one as well. Terms of the first invariant alone, the
-    second invariant itself and Ogden's terms with exponents of one and more, of either sign, are,
-    with positive constants (the last: Ball 1977).
-    """
-    if material.family == "ogden":
-        mu, alpha = material.ogden_terms()
-        return bool((np.asarray(mu) > 0).all() and (np.abs(alpha) >= 1).all())
-    if material.family != "polynomial":
-        return True
-    table = material.coefficient_table()
-    convex = table.copy()
-    convex[:, 0] = convex[0, 1:2] = 0.0
-    return bool((table >= 0).all() and not convex.any() and table.any())
+    """Whether an energy is known to keep its ellipticity at every stretch; False says nothing."""
+    return material.small_strain or material.isochoric.always_elliptic(material.constants)
 
 
 def ellipticity(material: Material, stretches: Array) -> Array:
@@ -51,7 +37,7 @@ def ellipticity(material: Material, stretches: Array) -> Array:
     Parameters
     ----------
     material : Material
-        Of the polynomial or the Ogden family.
+        Hyperelastic.
     stretches : ndarray, shape (3, n)
         Principal stretches; their volume change is left out.
 
@@ -67,8 +53,9 @@ def ellipticity(material: Material, stretches: Array) -> Array:
     array([2.])
     """
     bar = _apart(stretches / np.cbrt(stretches.prod(axis=0)))
-    t = source(material, bar)
-    h = np.array([source_slope(material, bar, unit) for unit in np.eye(3)])
+    energy, constants = material.isochoric, material.constants
+    t = energy.principal_stress(constants, bar)
+    h = np.array([energy.principal_stress_slope(constants, bar, unit) for unit in np.eye(3)])
     worst = np.full(bar.shape[1], np.inf)
     for i, j in combinations(range(3), 2):
         a, b = bar[i], bar[j]

@@ -1,203 +1,235 @@
-"""Every energy, declared once: its constants, their bounds and the family that computes it.
+"""What an energy has to say: its constants, its stresses, and what other rooms ask of it.
 
-Strain energies per unit reference volume, with isochoric invariants and principal
-stretches (Holzapfel 2000, eqs. 6.79-6.119; Ogden 1972) and, for every hyperelastic model,
-the volumetric part U = K/2 (J - 1)^2:
-
-* polynomial family: W = sum C_ij (I1 - 3)^i (I2 - 3)^j
-* Ogden family: W = sum 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3)
-* linear-elastic: W = mu e:e + (K/2 - mu/3) (tr e)^2, small strain on purpose
-
-Adding an energy
-----------------
-One :class:`Energy` in :data:`ENERGIES`, about ten lines, is all for a member of a family: for
-example Yeoh's model with its own name is ::
-
-    Energy(
-        "yeoh",
-        "polynomial",
-        lambda order: ("C10", "C20", "C30"),
-        "C10|C20|C30",
-        _bounds_reduced,
-    )
-
-Design files, fits, closed forms, the stability check, and the solver with its tangent and
-gradients then know it (a test declares just this one and solves with it). A formula outside
-the three families also needs a family: its principal stresses and their derivatives in
-``material/principal.py``, and the same, compiled, in ``forward/ogden.py``, whose spectral
-tangent serves any energy of principal stretches.
+Strain energies are per unit reference volume, of isochoric invariants or principal stretches
+(Holzapfel 2000, eqs. 6.79-6.119; Ogden 1972). Every hyperelastic one has the volumetric part
+U = K/2 (J - 1)^2 besides. One class is one energy, without numbers: those of a
+:class:`study.material.material.Material` are handed to its methods.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping
+from enum import IntEnum
+from typing import ClassVar, NamedTuple
 
-from study.errors import Fault, InputError, nearest
+from study.arrays import Array
+from study.errors import Fault, InputError
+from study.material.compressibility import Compressibility
+from study.material.convention import Converted
 
-Family = Literal["polynomial", "ogden", "linear-elastic"]
+#: Constants by name, MPa; exponents and limits plain.
+Constants = Mapping[str, float]
+
 Bounds = tuple[float, float]
 FREE: Bounds = (-math.inf, math.inf)
 POSITIVE: Bounds = (0.0, math.inf)
 
-#: beyond this |alpha| a stretch of 0.5 gives powers that only overfit
-EXPONENT: Bounds = (-30.0, 30.0)
+
+class PointLaw(IntEnum):
+    """Compiled laws of :mod:`study.fem.element.point_law`.
+
+    From ``POLYNOMIAL`` on they are functions of the isochoric invariants, and differ in nothing
+    but the derivatives of W by these. A law of the first invariant alone has constants with one
+    column, all others with more.
+    """
+
+    SMALL_STRAIN = 0
+    OGDEN = 1
+    OGDEN_BY_EXPONENT = 2
+    POLYNOMIAL = 3
 
 
-@dataclass(frozen=True)
-class Energy:
-    """One named energy.
+class Law(NamedTuple):
+    """What the compiled loop is told of an energy.
 
     Parameters
     ----------
-    name : str
-        What a design file says.
-    family : str
-        Which formula computes it.
-    names : callable
-        Number of terms -> names of the constants, in order.
-    grammar : str
-        Regular expression that every constant's name obeys.
-    bounds : callable
-        Name of a constant -> (low, high) for a fit, in MPa (plain for an exponent).
-    open_ended : bool
-        Whether the number of terms is the user's choice.
-    sparse : bool
-        Whether constants may be left out (they are then zero).
+    kind : PointLaw
+        Which law.
+    constants : ndarray, shape (n, k)
+        As this law takes them.
     """
 
-    name: str
-    family: Family
-    names: Callable[[int], tuple[str, ...]]
-    grammar: str
-    bounds: Callable[[str], Bounds]
-    open_ended: bool = False
-    sparse: bool = False
+    kind: PointLaw
+    constants: Array
 
 
-def _reduced(order: int) -> tuple[str, ...]:
-    return tuple(f"C{i}0" for i in range(1, order + 1))
+class Energy(ABC):
+    """One energy; ``constants`` of a method are complete and in MPa."""
+
+    #: What a study file says.
+    name: ClassVar[str]
+    #: Whether stress is linear in the displacement gradient and contact belongs to the
+    #: reference state.
+    small_strain: ClassVar[bool] = False
+    #: Whether the number of terms is the user's choice.
+    has_order: ClassVar[bool] = False
+    #: Whether constants may be left out (they are then zero).
+    sparse: ClassVar[bool] = False
+    #: Keys of a study file that hold a list, one entry a term; empty where each constant has
+    #: a key of its own.
+    list_keys: ClassVar[tuple[str, ...]] = ()
+    #: The initial shear modulus in words, for a message.
+    shear_modulus_formula: ClassVar[str]
+
+    @abstractmethod
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """Names of the constants of ``order`` terms, in order."""
+
+    @abstractmethod
+    def bounds(self, constant: str) -> Bounds:
+        """Range of a constant within which a fit looks, MPa or plain."""
+
+    @abstractmethod
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """Return the initial shear modulus mu0 in MPa."""
+
+    @abstractmethod
+    def initial_shear_modulus_gradient(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> dict[str, float]:
+        """Differentiate mu0 with respect to every constant."""
+
+    @abstractmethod
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Return the compiled law of the isochoric stress."""
+
+    @abstractmethod
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Return the law whose stress is the derivative of the isochoric stress by a constant."""
+
+    def has_constant(self, name: str) -> bool:
+        """Whether a constant of this name exists at some order."""
+        return name in self.constant_names()
+
+    def has_key(self, key: str) -> bool:
+        """Whether a study file may write this key for a constant."""
+        return key in self.list_keys if self.list_keys else self.has_constant(key)
+
+    def is_dimensionless(self, constant: str) -> bool:
+        """Whether a constant is a plain number, such as an exponent, and no modulus."""
+        return False
+
+    def order_of(self, names: Collection[str]) -> int:
+        """Count the terms that constants of these names belong to; 0 if there are none."""
+        return 1 if names else 0
+
+    def ordered(self, names: Collection[str]) -> tuple[str, ...]:
+        """Return the same names in the order of the energy."""
+        return tuple(n for n in self.constant_names(max(1, self.order_of(names))) if n in names)
+
+    def forbidden(self, constants: Constants) -> dict[str, str]:
+        """Return the rule that each constant breaks by itself, by the name of the constant."""
+        return {}
+
+    def simpler(self, order: int) -> tuple[str, int | None] | None:
+        """Energy and order that are fitted first, for a start; None where none is needed."""
+        return "neo-hookean", None
+
+    @abstractmethod
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Return constants with the given mu0 (MPa) from which a fit starts, those not zero."""
+
+    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """Constants for Abaqus.
+
+        Raises
+        ------
+        InputError
+            If Abaqus has no such energy.
+        """
+        raise no_counterpart("abaqus", constants)
+
+    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """Constants for FEBio.
+
+        Raises
+        ------
+        InputError
+            If FEBio has no such energy.
+        """
+        raise no_counterpart("febio", constants)
+
+    def ogden_classical(self, constants: Constants) -> Converted:
+        """Constants of the classical form of Ogden (1972).
+
+        Raises
+        ------
+        InputError
+            If it is not Ogden's energy.
+        """
+        rule = f"ogden-classical is for ogden materials, not {self.name}"
+        raise InputError(Fault("convention", rule))
 
 
-def _polynomial(order: int) -> tuple[str, ...]:
-    return tuple(f"C{n - j}{j}" for n in range(1, order + 1) for j in range(n + 1))
+class IsochoricEnergy(Energy):
+    """Energy of isochoric principal stretches ``bar``, with product 1.
 
-
-def _ogden(order: int) -> tuple[str, ...]:
-    return tuple(f"{kind}{i}" for i in range(1, order + 1) for kind in ("mu", "alpha"))
-
-
-def _bounds_ogden(name: str) -> Bounds:
-    return EXPONENT if name.startswith("alpha") else FREE
-
-
-def _bounds_reduced(name: str) -> Bounds:
-    return POSITIVE if name == "C10" else FREE
-
-
-def energy(model: str) -> Energy:
-    """Find the declaration of an energy by its name.
-
-    Raises
-    ------
-    InputError
-        If there is no such energy; the message names the nearest one.
+    The deviator of ``s_i = bar_i dW/dbar_i`` is the principal isochoric Kirchhoff stress
+    (Holzapfel 2000, eqs. 6.82 and 6.103). Everything is differentiated with respect to
+    logarithmic stretches, where the derivative of s is symmetric.
     """
-    if model not in ENERGIES:
-        raise InputError(Fault("material.model", f"no energy {model!r}", nearest(model, MODELS)))
-    return ENERGIES[model]
+
+    @abstractmethod
+    def principal_stress(self, constants: Constants, bar: Array) -> Array:
+        """Return s_i in MPa, up to a common constant that the deviator drops.
+
+        Parameters
+        ----------
+        constants : mapping of str to float
+            In MPa, exponents plain.
+        bar : ndarray, shape (3, ...)
+            Isochoric principal stretches.
+
+        Returns
+        -------
+        ndarray, shape (3, ...)
+        """
+
+    @abstractmethod
+    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
+        """Differentiate :meth:`principal_stress` along a direction of ``ln bar``.
+
+        Parameters
+        ----------
+        constants : mapping of str to float
+            In MPa, exponents plain.
+        bar : ndarray, shape (3, n)
+            Isochoric principal stretches.
+        direction : ndarray, shape (3,)
+            Rates of ``ln bar``.
+
+        Returns
+        -------
+        ndarray, shape (3, n)
+        """
+
+    @abstractmethod
+    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
+        """Differentiate :meth:`principal_stress` by every constant, each shape (3, ...)."""
+
+    @abstractmethod
+    def energy_density(self, constants: Constants, bar: Array) -> Array:
+        """Isochoric strain energy in MPa, shape (...)."""
+
+    def always_elliptic(self, constants: Constants) -> bool:
+        """Whether it is known to be strongly elliptic at every stretch; False says nothing."""
+        return False
+
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """Sum of the constants times their share of mu0, where W is linear in its moduli."""
+        gradient = self.initial_shear_modulus_gradient(constants, compressibility)
+        return float(sum(w * constants[n] for n, w in gradient.items()))
 
 
-ENERGIES: dict[str, Energy] = {
-    energy.name: energy
-    for energy in (
-        Energy(
-            "linear-elastic",
-            "linear-elastic",
-            lambda order: ("youngs_modulus",),
-            "youngs_modulus",
-            lambda name: POSITIVE,
-        ),
-        Energy("neo-hookean", "polynomial", lambda order: ("C10",), "C10", lambda name: POSITIVE),
-        Energy(
-            "mooney-rivlin",
-            "polynomial",
-            lambda order: ("C10", "C01"),
-            "C10|C01",
-            lambda name: FREE,
-        ),
-        Energy(
-            "reduced-polynomial",
-            "polynomial",
-            _reduced,
-            r"C[1-9]\d*0",
-            _bounds_reduced,
-            open_ended=True,
-        ),
-        Energy(
-            "polynomial",
-            "polynomial",
-            _polynomial,
-            r"C\d+\d",
-            lambda name: FREE,
-            open_ended=True,
-            sparse=True,
-        ),
-        Energy("ogden", "ogden", _ogden, r"(mu|alpha)[1-9]\d*", _bounds_ogden, open_ended=True),
+def no_counterpart(convention: str, constants: Constants) -> InputError:
+    """Return the error of a code that has no such energy."""
+    return InputError(
+        Fault("convention", f"{convention} has no energy with {', '.join(constants)}")
     )
-}
-
-#: names of all energies, as a design file writes them
-MODELS: tuple[str, ...] = tuple(ENERGIES)
-
-
-def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
-    """Names of an energy's constants, in order.
-
-    Parameters
-    ----------
-    model : str
-        Name of the energy.
-    order : int, optional
-        Number of terms, for energies that have a choice (default 1).
-
-    Raises
-    ------
-    InputError
-        If the energy is unknown, or its order is not a positive whole number.
-
-    Examples
-    --------
-    >>> constant_names("reduced-polynomial", 3)
-    ('C10', 'C20', 'C30')
-    >>> constant_names("polynomial", 2)
-    ('C10', 'C01', 'C20', 'C11', 'C02')
-    >>> constant_names("ogden", 2)
-    ('mu1', 'alpha1', 'mu2', 'alpha2')
-    """
-    declared = energy(model)
-    terms = 1 if order is None else order
-    if isinstance(terms, bool) or int(terms) != terms or not 1 <= terms <= 9:
-        raise InputError(
-            Fault("material.order", f"must be a whole number from 1 to 9, got {order!r}")
-        )
-    if not declared.open_ended and order not in (None, 1):
-        raise InputError(Fault("material.order", f"{model} has no order, got {order!r}"))
-    return declared.names(int(terms))
-
-
-def index_pair(name: str) -> tuple[int, int]:
-    """Powers (i, j) of a constant C_ij; the last digit is j.
-
-    Examples
-    --------
-    >>> index_pair("C20"), index_pair("C01")
-    ((2, 0), (0, 1))
-    """
-    match = re.fullmatch(r"C(\d+)(\d)", name)
-    if match is None or match.groups() == ("0", "0"):
-        raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))
-    return int(match[1]), int(match[2])

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from study.arrays import Array
 from study.errors import InputError, nearest
+from study.material.compressibility import poisson_from_bulk
 from study.material.material import Material
-from study.material.polynomial import deviator, source, source_gradient, source_slope
-from study.material.stress import first_piola
+from study.material.stress import deviator, first_piola
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Respon
         raise InputError(f"stretches must be positive, got {stretches.min():g}")
     if mode is CONFINED and material.incompressible:
         raise InputError("an incompressible material cannot be compressed in a rigid box")
-    if material.family == "linear-elastic":
+    if material.small_strain:
         return _linear(material, mode, stretches)
     # unstable constants may overflow or have no equilibrium: NaN says so
     with np.errstate(all="ignore"):
@@ -153,10 +153,12 @@ def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:
     z = _free_log_stretch(material, mode, x)
     log = a[:, None] * x + v[:, None] * z
     bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
-    kirchhoff = deviator(source(material, bar))
-    along_x = deviator(source_slope(material, bar, deviator(a)))
-    along_z = deviator(source_slope(material, bar, deviator(v)))
-    partial = {n: deviator(g) for n, g in source_gradient(material, bar).items()}
+    energy, constants = material.isochoric, material.constants
+    kirchhoff = deviator(energy.principal_stress(constants, bar))
+    along_x = deviator(energy.principal_stress_slope(constants, bar, deviator(a)))
+    along_z = deviator(energy.principal_stress_slope(constants, bar, deviator(v)))
+    by_constant = energy.principal_stress_gradient(constants, bar)
+    partial = {n: deviator(g) for n, g in by_constant.items()}
     if mode is CONFINED:
         bulk, dbulk = material.bulk, material.bulk_gradient()
         tau = kirchhoff[0] + bulk * J * (J - 1)
@@ -196,12 +198,13 @@ def _free_log_stretch(material: Material, mode: Mode, x: Array) -> Array:
     if material.incompressible:
         return np.asarray(z0)
     t, bulk = mode.free_axis, material.bulk
+    energy, constants = material.isochoric, material.constants
 
     def lateral(z: Array) -> tuple[Array, Array]:
         log = a[:, None] * x + v[:, None] * z
         bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
-        tau = deviator(source(material, bar))[t] + bulk * J * (J - 1)
-        slope = deviator(source_slope(material, bar, deviator(v)))[t]
+        tau = deviator(energy.principal_stress(constants, bar))[t] + bulk * J * (J - 1)
+        slope = deviator(energy.principal_stress_slope(constants, bar, deviator(v)))[t]
         return tau, slope + bulk * (2 * J - 1) * J * v.sum()
 
     return _safeguarded_newton(lateral, z0)
@@ -241,17 +244,12 @@ def _linear(material: Material, mode: Mode, stretch: Array) -> Response:
     by_mu = _modulus(mode, mu + 1j * h, bulk).imag / h
     by_bulk = 0.0 if np.isinf(bulk) else _modulus(mode, mu, bulk + 1j * h).imag / h
     dmu, dbulk = material.mu0_gradient(), material.bulk_gradient()
-    strain, nu = stretch - 1, _poisson(mu, bulk)
+    strain, nu = stretch - 1, poisson_from_bulk(mu, bulk)
     lateral = {"uniaxial": -nu, "equibiaxial": -2 * nu / (1 - nu), "planar": -nu / (1 - nu)}
     free = 1 + lateral.get(mode.name, 0.0) * strain
     J = stretch ** sum(mode.loaded) * free ** sum(mode.free)
     gradient = {n: (by_mu * dmu[n] + by_bulk * dbulk[n]) * strain for n in material.names}
     return Response(modulus * strain, np.full_like(strain, modulus), free, J, gradient)
-
-
-def _poisson(mu: float, bulk: float) -> float:
-    ratio = mu / bulk
-    return (3 - 2 * ratio) / (2 * (3 + ratio))
 
 
 def _modulus(mode: Mode, mu: complex, bulk: complex) -> complex:

@@ -1,102 +1,233 @@
-"""Isochoric energies in principal stretches: the formulas behind every closed form.
-
-With isochoric principal stretches ``bar`` (product 1) the *source* is
-``s_i = bar_i dW/dbar_i``; its deviator is the principal isochoric Kirchhoff stress
-(Holzapfel 2000, eqs. 6.82 and 6.103). Everything is differentiated with respect to
-logarithmic stretches, where the derivative of the source is symmetric.
-"""
+"""Polynomials of the isochoric invariants: W = sum C_ij (I1 - 3)^i (I2 - 3)^j."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Collection
 
 import numpy as np
 from numpy.polynomial import polynomial
 
 from study.arrays import Array
-from study.material.material import Material
+from study.errors import Fault, InputError
+from study.material.compressibility import Compressibility
+from study.material.convention import Converted, abaqus_hyperelastic, febio_hyperelastic
+from study.material.energy import (
+    FREE,
+    POSITIVE,
+    Bounds,
+    Constants,
+    IsochoricEnergy,
+    Law,
+    PointLaw,
+    no_counterpart,
+)
 
 
-def source(material: Material, bar: Array) -> Array:
-    """``bar_i dW/dbar_i``, up to a common constant that the deviator drops.
+class PolynomialEnergy(IsochoricEnergy):
+    """What all polynomials of the invariants have in common."""
 
-    Parameters
-    ----------
-    material : Material
-        Of the polynomial or the Ogden family.
-    bar : ndarray, shape (3, ...)
-        Isochoric principal stretches.
+    shear_modulus_formula = "2 (C10 + C01)"
 
-    Returns
-    -------
-    ndarray, shape (3, ...)
-        In MPa.
+    def order_of(self, names: Collection[str]) -> int:
+        """Return the highest degree i + j."""
+        return max((sum(index_pair(name)) for name in names), default=0)
+
+    def ordered(self, names: Collection[str]) -> tuple[str, ...]:
+        """C10, C01, C20, C11, C02, ..."""
+        return tuple(sorted(names, key=_rank))
+
+    def bounds(self, constant: str) -> Bounds:
+        """Constants of any sign."""
+        return FREE
+
+    def initial_shear_modulus_gradient(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> dict[str, float]:
+        """Return 2 for C10 and C01, 0 for all others."""
+        return {n: 2.0 if n in ("C10", "C01") else 0.0 for n in constants}
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Table of C_ij."""
+        return Law(PointLaw.POLYNOMIAL, coefficient_table(constants))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Table with 1 in the place of the constant."""
+        return Law(PointLaw.POLYNOMIAL, _unit_table(constants, name))
+
+    def principal_stress(self, constants: Constants, bar: Array) -> Array:
+        """2 b_i (W_1 + W_2 (I1 - b_i)) with b_i = bar_i^2."""
+        return _principal_stress(coefficient_table(constants), bar)
+
+    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
+        """Differentiate by the chain rule through both invariants."""
+        table, v = coefficient_table(constants), direction[:, None]
+        b, i1, x, y = _invariants(bar)
+        w1, w2 = _slopes(table, x, y)
+        w11, w12 = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), x, y)
+        w22 = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), x, y)[1]
+        db = 2 * b * v
+        di1, di2 = db.sum(0), ((i1 - b) * db).sum(0)
+        dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
+        return np.asarray(
+            2 * db * (w1 + w2 * (i1 - b)) + 2 * b * (dw1 + dw2 * (i1 - b) + w2 * (di1 - db))
+        )
+
+    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
+        """Stress of each constant by itself: W is linear in them."""
+        return {n: _principal_stress(_unit_table(constants, n), bar) for n in constants}
+
+    def energy_density(self, constants: Constants, bar: Array) -> Array:
+        """W itself."""
+        _, _, x, y = _invariants(bar)
+        return np.asarray(polynomial.polyval2d(x, y, coefficient_table(constants)))
+
+    def always_elliptic(self, constants: Constants) -> bool:
+        """Positive constants of the first invariant alone and of the second invariant itself.
+
+        A sum of strongly elliptic energies is strongly elliptic.
+        """
+        table = coefficient_table(constants)
+        convex = table.copy()
+        convex[:, 0] = convex[0, 1:2] = 0.0
+        return bool((table >= 0).all() and not convex.any() and table.any())
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """C10 alone: higher constants of a closed form soften too much for a bonded specimen."""
+        return {"C10": shear_modulus / 2}
+
+    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """Abaqus has the same form."""
+        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
+        return abaqus_hyperelastic(self._abaqus_keyword(constants), constants, bulk)
+
+    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """FEBio has Mooney-Rivlin's energy and Yeoh's up to the sixth order."""
+        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
+        if set(constants) <= {"C10", "C01"}:
+            pair = {"c1": constants.get("C10", 0.0), "c2": constants.get("C01", 0.0)}
+            return febio_hyperelastic("Mooney-Rivlin", pair, bulk)
+        if all(name.endswith("0") for name in constants) and len(constants) <= 6:
+            terms = {f"c{name[1:-1]}": value for name, value in constants.items()}
+            return febio_hyperelastic("Yeoh", terms, bulk)
+        raise no_counterpart("febio", constants)
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return "polynomial"
+
+
+class NeoHookean(PolynomialEnergy):
+    """W = C10 (I1 - 3)."""
+
+    name = "neo-hookean"
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """C10 alone."""
+        return ("C10",)
+
+    def bounds(self, constant: str) -> Bounds:
+        """C10 is positive."""
+        return POSITIVE
+
+    def simpler(self, order: int) -> tuple[str, int | None] | None:
+        """None: it has a single constant."""
+        return None
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return "neo hooke"
+
+
+class MooneyRivlin(PolynomialEnergy):
+    """W = C10 (I1 - 3) + C01 (I2 - 3)."""
+
+    name = "mooney-rivlin"
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """C10 and C01."""
+        return ("C10", "C01")
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return "mooney-rivlin"
+
+
+class ReducedPolynomial(PolynomialEnergy):
+    """W = sum C_i0 (I1 - 3)^i; of third order it is Yeoh's."""
+
+    name = "reduced-polynomial"
+    has_order = True
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """C10, C20, ..."""
+        return tuple(f"C{i}0" for i in range(1, order + 1))
+
+    def has_constant(self, name: str) -> bool:
+        """Ci0 with a positive i."""
+        return re.fullmatch(r"C[1-9]\d*0", name) is not None
+
+    def bounds(self, constant: str) -> Bounds:
+        """C10 is positive."""
+        return POSITIVE if constant == "C10" else FREE
+
+    def simpler(self, order: int) -> tuple[str, int | None] | None:
+        """One order lower: a third order that starts from C10 alone softens without end."""
+        return (self.name, order - 1) if order > 2 else super().simpler(order)
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return f"reduced polynomial, n={len(constants)}"
+
+
+class Polynomial(PolynomialEnergy):
+    """All terms up to a degree; those left out are zero."""
+
+    name = "polynomial"
+    has_order = True
+    sparse = True
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """C10, C01, C20, C11, C02, ..."""
+        return tuple(f"C{n - j}{j}" for n in range(1, order + 1) for j in range(n + 1))
+
+    def has_constant(self, name: str) -> bool:
+        """Cij; C00 would be an energy without a stress."""
+        return name != "C00" and re.fullmatch(r"C\d+\d", name) is not None
+
+
+def index_pair(name: str) -> tuple[int, int]:
+    """Powers (i, j) of a constant C_ij; the last digit is j.
+
+    Examples
+    --------
+    >>> index_pair("C20"), index_pair("C01")
+    ((2, 0), (0, 1))
     """
-    if material.family == "ogden":
-        log = np.log(bar)
-        terms = zip(*material.ogden_terms(), strict=True)
-        return np.asarray(sum(2 * mu * log * _phi(alpha * log) for mu, alpha in terms))
-    return _polynomial_source(material.coefficient_table(), bar)
+    match = re.fullmatch(r"C(\d+)(\d)", name)
+    if match is None or match.groups() == ("0", "0"):
+        raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))
+    return int(match[1]), int(match[2])
 
 
-def source_slope(material: Material, bar: Array, direction: Array) -> Array:
-    """Differentiate :func:`source` along a direction of logarithmic isochoric stretches.
-
-    Parameters
-    ----------
-    material : Material
-        Of the polynomial or the Ogden family.
-    bar : ndarray, shape (3, n)
-        Isochoric principal stretches.
-    direction : ndarray, shape (3,)
-        Rates of ``ln bar``.
-    """
-    v = direction[:, None]
-    if material.family == "ogden":
-        terms = zip(*material.ogden_terms(), strict=True)
-        return np.asarray(sum(2 * mu * bar**alpha * v for mu, alpha in terms))
-    table = material.coefficient_table()
-    b, i1, x, y = _invariants(bar)
-    w1, w2 = _slopes(table, x, y)
-    w11, w12 = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), x, y)
-    w22 = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), x, y)[1]
-    db = 2 * b * v
-    di1, di2 = db.sum(0), ((i1 - b) * db).sum(0)
-    dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
-    return np.asarray(
-        2 * db * (w1 + w2 * (i1 - b)) + 2 * b * (dw1 + dw2 * (i1 - b) + w2 * (di1 - db))
-    )
+def coefficient_table(constants: Constants) -> Array:
+    """Coefficients C_ij in MPa, shape (ni + 1, nj + 1)."""
+    pairs = {name: index_pair(name) for name in constants}
+    table = np.zeros((1 + max(i for i, _ in pairs.values()), 1 + max(j for _, j in pairs.values())))
+    for name, pair in pairs.items():
+        table[pair] = constants[name]
+    return table
 
 
-def source_gradient(material: Material, bar: Array) -> dict[str, Array]:
-    """Differentiate :func:`source` with respect to every constant, each shape (3, ...)."""
-    if material.family == "ogden":
-        return _ogden_gradient(material, bar)
-    gradient = {}
-    for name in material.names:
-        unit = np.zeros_like(material.coefficient_table())
-        unit[material.table_index(name)] = 1.0
-        gradient[name] = _polynomial_source(unit, bar)
-    return gradient
+def _unit_table(constants: Constants, name: str) -> Array:
+    """Table of the same shape with a single 1, in the place of a constant."""
+    table = np.zeros_like(coefficient_table(constants))
+    table[index_pair(name)] = 1.0
+    return table
 
 
-def energy_density(material: Material, bar: Array) -> Array:
-    """Isochoric strain energy in MPa at isochoric principal stretches, shape (3, ...)."""
-    if material.family == "ogden":
-        log = np.log(bar)
-        # sum (l^a - 3)/a^2 with sum(log) = 0: quadratic in log, and finite at a = 0
-        terms = zip(*material.ogden_terms(), strict=True)
-        return np.asarray(sum(2 * mu * (log**2 * _phi2(alpha * log)).sum(0) for mu, alpha in terms))
-    _, _, x, y = _invariants(bar)
-    return np.asarray(polynomial.polyval2d(x, y, material.coefficient_table()))
+def _rank(name: str) -> tuple[int, int]:
+    i, j = index_pair(name)
+    return i + j, j
 
 
-def deviator(values: Array) -> Array:
-    """Subtract the mean over the first axis."""
-    return np.asarray(values - values.mean(0))
-
-
-def _polynomial_source(table: Array, bar: Array) -> Array:
+def _principal_stress(table: Array, bar: Array) -> Array:
     b, i1, x, y = _invariants(bar)
     w1, w2 = _slopes(table, x, y)
     return np.asarray(2 * b * (w1 + w2 * (i1 - b)))
@@ -113,45 +244,3 @@ def _slopes(table: Array, x: Array, y: Array) -> tuple[Array, Array]:
     d1 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=0))
     d2 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=1))
     return np.asarray(d1, float), np.asarray(d2, float)
-
-
-def _ogden_gradient(material: Material, bar: Array) -> dict[str, Array]:
-    log = np.log(bar)
-    gradient: dict[str, Array] = {}
-    for i, (mu, alpha) in enumerate(zip(*material.ogden_terms(), strict=True), start=1):
-        z = alpha * log
-        gradient[f"mu{i}"] = 2 * log * _phi(z)
-        gradient[f"alpha{i}"] = 2 * mu * log**2 * _phi_slope(z)
-    return gradient
-
-
-def _phi(z: Array) -> Array:
-    """(e^z - 1) / z, with its limit 1 at zero."""
-    return _series_or(z, lambda k: 1.0 / (k + 1), lambda w: np.expm1(w) / w)
-
-
-def _phi2(z: Array) -> Array:
-    """(e^z - 1 - z) / z^2, with its limit 1/2 at zero."""
-    return _series_or(z, lambda k: 1.0 / ((k + 1) * (k + 2)), lambda w: (np.expm1(w) - w) / w**2)
-
-
-def _phi_slope(z: Array) -> Array:
-    """Differentiate :func:`_phi`, with its limit 1/2 at zero."""
-    return _series_or(z, lambda k: 1.0 / (k + 2), lambda w: (np.exp(w) * (w - 1) + 1) / w**2)
-
-
-def _series_or(
-    z: Array, weight: Callable[[int], float], formula: Callable[[Array], Array]
-) -> Array:
-    """Power series sum weight(k) z^k / k! where |z| < 0.5, the formula elsewhere.
-
-    Below 0.5 the formulas lose digits to cancellation; 18 terms reach rounding there.
-    """
-    z = np.asarray(z, dtype=float)
-    small = np.abs(z) < 0.5
-    near, total, power = np.where(small, z, 0.0), np.zeros_like(z), np.ones_like(z)
-    for k in range(18):
-        total = total + weight(k) * power
-        power = power * near / (k + 1)
-    far = formula(np.where(small, 1.0, z))
-    return np.where(small, total, far)

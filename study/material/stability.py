@@ -18,7 +18,6 @@ from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode
 from study.material.material import Material
-from study.material.polynomial import source_slope
 
 #: stretches judged where the caller has no range of its own
 USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
@@ -84,7 +83,7 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
     """
     given = np.append(np.asarray(stretches, float).ravel(), 1.0)
     low, high = float(given.min()), float(given.max())
-    if material.family == "linear-elastic":
+    if material.small_strain:
         return StabilityResult(True, "stable: small strain, positive modulus", {})
     limits = {}
     for mode in (UNIAXIAL, EQUIBIAXIAL, PLANAR):
@@ -105,8 +104,9 @@ def tangent(material: Material, mode: Mode, stretch: ArrayLike) -> Array:
     x = np.log(np.atleast_1d(np.asarray(stretch, float)))
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
     bar = np.exp(a[:, None] * x - v[:, None] * x * a.sum() / v.sum())
+    slope = material.isochoric.principal_stress_slope
     with np.errstate(all="ignore"):
-        hessian = np.array([source_slope(material, bar, unit) for unit in np.eye(3)])
+        hessian = np.array([slope(material.constants, bar, unit) for unit in np.eye(3)])
     d = hessian[:2, :2] - hessian[:2, 2:] - hessian[2:, :2] + hessian[2:, 2:]
     return np.asarray(d)
 
@@ -139,10 +139,10 @@ def check(
     faults = []
     if not material.mu0 > 0:
         rule = f"the initial shear modulus must be positive, got {1e3 * material.mu0:g} kPa"
-        faults.append(Fault(where, rule, _mu0_formula(material)))
-    for name, value in material.constants.items():
-        if name.startswith("alpha") and value == 0:
-            faults.append(Fault(f"{where}.{name}", "an Ogden exponent must not be zero"))
+        mend = f"mu0 = {material.energy.shear_modulus_formula}"
+        faults.append(Fault(where, rule, mend))
+    for name, rule in material.energy.forbidden(material.constants).items():
+        faults.append(Fault(f"{where}.{name}", rule))
     if not faults and stretches is not None:
         verdict = stability(material, stretches)
         if not verdict.stable:
@@ -161,18 +161,13 @@ def check(
 def surface_warning(material: Material, mode: str, stretch: float) -> str:
     """Sentence if a compression goes beyond Biot's surface instability; empty otherwise."""
     limit = BIOT_LIMITS.get(mode, 0.0)
-    if material.family == "linear-elastic" or stretch >= limit:
+    if material.small_strain or stretch >= limit:
         return ""
     return (
         f"beyond stretch {limit:.4f} in {mode} compression the free surface of a neo-Hookean "
         f"body is unstable (Biot 1963), got {stretch:.4f}: the computed state may not be the one "
         "that is seen"
     )
-
-
-def _mu0_formula(material: Material) -> str:
-    formulas = {"polynomial": "mu0 = 2 (C10 + C01)", "ogden": "mu0 = the sum of the mu"}
-    return formulas.get(material.family, "")
 
 
 def _failure(name: str, limit: float) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 
 from study.arrays import Array
 from study.material.material import Material
-from study.material.polynomial import deviator, energy_density, source, source_gradient
 
 
 def strain_energy(material: Material, F: Array) -> Array:
@@ -25,37 +24,46 @@ def strain_energy(material: Material, F: Array) -> Array:
     -------
     ndarray, shape (...)
     """
-    if material.family == "linear-elastic":
+    if material.small_strain:
         strain, trace = _small_strain(F)
         mu, pressure = material.mu0, _finite(material.bulk)
         dev = strain - trace / 3 * _identity(F)
         return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
     stretch, _, J = _spectral(F)
     bar = stretch / np.cbrt(J)
-    return energy_density(material, bar) + _finite(material.bulk) / 2 * (J - 1) ** 2
+    return (
+        material.isochoric.energy_density(material.constants, bar)
+        + _finite(material.bulk) / 2 * (J - 1) ** 2
+    )
 
 
 def first_piola(material: Material, F: Array) -> Array:
     """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
-    if material.family == "linear-elastic":
+    if material.small_strain:
         return _linear_stress(F, material.mu0, _finite(material.bulk))
     stretch, axes, J = _spectral(F)
-    kirchhoff = deviator(source(material, stretch / np.cbrt(J)))
+    bar = stretch / np.cbrt(J)
+    kirchhoff = deviator(material.isochoric.principal_stress(material.constants, bar))
     return _assemble(F, stretch, axes, kirchhoff + _finite(material.bulk) * J * (J - 1))
 
 
 def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
     """Differentiate :func:`first_piola` by every constant, K(nu) included."""
     dbulk = material.bulk_gradient()
-    if material.family == "linear-elastic":
+    if material.small_strain:
         dmu = material.mu0_gradient()
         return {n: _linear_stress(F, dmu[n], dbulk[n]) for n in material.names}
     stretch, axes, J = _spectral(F)
-    partial = source_gradient(material, stretch / np.cbrt(J))
+    partial = material.isochoric.principal_stress_gradient(material.constants, stretch / np.cbrt(J))
     return {
         name: _assemble(F, stretch, axes, deviator(value) + dbulk[name] * J * (J - 1))
         for name, value in partial.items()
     }
+
+
+def deviator(values: Array) -> Array:
+    """Subtract the mean over the first axis."""
+    return np.asarray(values - values.mean(0))
 
 
 def _assemble(F: Array, stretch: Array, axes: Array, kirchhoff: Array) -> Array:

@@ -97,8 +97,8 @@ class Costs:
 
 
 def _scales(names: Sequence[str]) -> bool:
-    """Whether forces are in proportion to the only constant."""
-    return len(names) == 1 and names[0] in ("C10", "youngs_modulus")
+    """Whether forces are in proportion to the only constant, a modulus by its unit."""
+    return len(names) == 1
 
 
 def _from_anchor(config: Mapping[str, Any]) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from study.curve import Curve
 from study.design.study_file import RESPONSES, SCORED
+from study.material.registry import is_dimensionless
 
 
 def constants_only(extra: Mapping[str, Any]) -> bool:
@@ -72,7 +73,7 @@ def constants_in_kPa(fit: Mapping[str, Any]) -> dict[str, tuple[float, str]]:  #
 
 def is_plain(name: str) -> bool:
     """Whether a constant is an exponent, a number without unit."""
-    return name.startswith("alpha")
+    return is_dimensionless(name)
 
 
 def averaged(values: Sequence[Mapping[str, tuple[float, str]]]) -> dict[str, dict[str, Any]]:

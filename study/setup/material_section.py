@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from study.errors import Fault, InputError
-from study.material.energy import constant_names
 from study.material.material import Material
+from study.material.registry import constant_names
 from study.setup.quantity import Pressure, number
 from study.setup.section import Bad, Reads, section
 from study.setup.text import flag

@@ -55,14 +55,14 @@ def stress(material: Material, F: Array, constants: dict[str, complex] | None = 
     """Isochoric nominal stress, shape (3, 3), complex."""
     values: dict[str, complex] = dict(constants or material.constants)
     eye = np.eye(3)
-    if material.family == "linear-elastic":
+    if material.small_strain:
         mu = values["youngs_modulus"] / 3
         strain = 0.5 * (F + F.T) - eye
         return 2 * mu * (strain - np.trace(strain) / 3 * eye)
     C = F.T @ F
     J = np.linalg.det(F)
     C = C.astype(complex) * J ** (-2 / 3)
-    if material.family == "ogden":
+    if material.model == "ogden":
         L = 0.5 * logarithm(C)
         source = np.zeros((3, 3), dtype=complex)
         for k in range(1, len(values) // 2 + 1):

@@ -13,9 +13,10 @@ from study.fem.solver.newton import NewtonSettings, solve_step
 from study.fem.solver.options import Options
 from study.fem.solver.solve import solve
 from study.fem.solver.system import State, System
-from study.material.energy import ENERGIES, Energy
 from study.material.homogeneous import uniaxial
 from study.material.material import Material
+from study.material.polynomial import ReducedPolynomial
+from study.material.registry import ENERGIES
 from study.setup.geometry import Cylinder
 from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
 from tests.fem.problems import GEL, compression, cube, grid
@@ -320,16 +321,20 @@ def test_displacement_formulation_needs_a_bulk_modulus() -> None:
         solve(compression(Cylinder(1, 1), 0.1, material=material, formulation="displacement"))
 
 
+class Yeoh(ReducedPolynomial):
+    """The reduced polynomial of third order with its own name."""
+
+    name = "yeoh"
+    has_order = False
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """Three constants."""
+        return ("C10", "C20", "C30")
+
+
 def test_a_new_energy_takes_ten_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One declaration, and the solver, its gradients and the closed forms know it."""
-    yeoh = Energy(
-        "yeoh",
-        "polynomial",
-        lambda order: ("C10", "C20", "C30"),
-        "C10|C20|C30",
-        lambda name: (0.0, np.inf) if name == "C10" else (-np.inf, np.inf),
-    )
-    monkeypatch.setitem(ENERGIES, yeoh.name, yeoh)
+    """One class, and the solver, its gradients and the closed forms know it."""
+    monkeypatch.setitem(ENERGIES, Yeoh.name, Yeoh())
     material = Material("yeoh", YEOH.constants, bulk_modulus=1e3)
     np.testing.assert_array_equal(curve(material).force_N, curve(YEOH).force_N)
     assert uniaxial(material, 0.7) == uniaxial(YEOH, 0.7)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from study.fem.element.point_law import full_tangent, isochoric
 from study.fem.element.spectral import WORK_ROWS, exponential_ratio, principal_axes, sinh_ratio
-from study.fem.solver.internal_force import Law, law_of, law_rate
+from study.material.energy import Law
 from study.material.homogeneous import confined
 from study.material.material import Material
 from study.material.stress import first_piola
@@ -46,9 +46,9 @@ def evaluate(law: Law, F: Array, *, tangent: bool = True) -> tuple[Array, Array,
     """Isochoric nominal stress, tangent and J of the compiled law."""
     P, A, work = np.zeros(9), np.zeros((9, 9)), np.zeros((WORK_ROWS, 9))
     f = np.ascontiguousarray(F, dtype=float).ravel()
-    J = isochoric(law.family, f, law.constants, work, P)
+    J = isochoric(int(law.kind), f, law.constants, work, P)
     if tangent and J > 0:
-        full_tangent(law.family, f, law.constants, False, 0.0, 0.0, work, A)
+        full_tangent(int(law.kind), f, law.constants, False, 0.0, 0.0, work, A)
     return P.reshape(3, 3), A, J
 
 
@@ -77,7 +77,7 @@ def close(got: Array, expected: Array, tolerance: float) -> None:
 def test_stress_and_tangent_against_complex_steps(material: Material, seed: int) -> None:
     """V09: no differences, so only rounding is left (and the conditioning of exponent 24)."""
     F = random_gradient(seed)
-    P, A, _ = evaluate(law_of(material), F)
+    P, A, _ = evaluate(material.law(), F)
     close(P, reference_law.stress(material, F).real, 2e-12)
     close(P, first_piola(Material(material.model, material.constants, incompressible=True), F),
           2e-12)  # fmt: skip
@@ -89,7 +89,7 @@ def test_stress_and_tangent_against_complex_steps(material: Material, seed: int)
 def test_constant_derivatives_against_complex_steps(material: Material) -> None:
     F = random_gradient(7)
     for constant in material.names:
-        got, _, _ = evaluate(law_rate(material, constant), F, tangent=False)
+        got, _, _ = evaluate(material.law_rate(constant), F, tangent=False)
         close(got, reference_law.constant_derivative(material, F, constant), 2e-12)
 
 
@@ -100,7 +100,7 @@ def test_nearly_equal_stretches(stretches: tuple[float, float, float], gap: floa
     apart = np.array(stretches) * (1 + gap * np.array([1.0, -0.5, -0.3]))
     F = rotation(3) @ np.diag(apart) @ rotation(4)
     for material in (O3, ALMOST_ZERO):
-        P, A, _ = evaluate(law_of(material), F)
+        P, A, _ = evaluate(material.law(), F)
         expected = reference_law.tangent(material, F)
         close(A, expected, 1e-12)
         np.testing.assert_allclose(
@@ -111,14 +111,14 @@ def test_nearly_equal_stretches(stretches: tuple[float, float, float], gap: floa
 def test_at_rest() -> None:
     """F = I: no stress, the isotropic tangent 2 mu0 dev(sym), and no derivative by a constant."""
     for material in (O1, O3, ALMOST_ZERO, STEEP, POLY3):
-        P, A, J = evaluate(law_of(material), np.eye(3))
+        P, A, J = evaluate(material.law(), np.eye(3))
         assert J == 1.0
         assert np.abs(P).max() < 1e-15
         linear = Material("linear-elastic", {"youngs_modulus": 3 * material.mu0},
                           incompressible=True)  # fmt: skip
-        close(A, evaluate(law_of(linear), np.eye(3))[1], 1e-14)
+        close(A, evaluate(linear.law(), np.eye(3))[1], 1e-14)
         for constant in material.names:
-            rate, _, _ = evaluate(law_rate(material, constant), np.eye(3), tangent=False)
+            rate, _, _ = evaluate(material.law_rate(constant), np.eye(3), tangent=False)
             assert np.abs(rate).max() < 1e-15
 
 
@@ -128,8 +128,8 @@ def test_exponent_through_zero() -> None:
     results = []
     for alpha in (-1e-3, -1e-9, 0.0, 1e-9, 1e-3):
         material = Material("ogden", {"mu1": mu, "alpha1": alpha}, incompressible=True)
-        P, _, _ = evaluate(law_of(material), F)
-        rate, _, _ = evaluate(law_rate(material, "alpha1"), F, tangent=False)
+        P, _, _ = evaluate(material.law(), F)
+        rate, _, _ = evaluate(material.law_rate("alpha1"), F, tangent=False)
         # the pressure that frees the sides removes their Kirchhoff stress from the axial one
         axial = [p[2, 2] - p[0, 0] * F[0, 0] / F[2, 2] for p in (P, rate)]
         results.append(axial)
@@ -146,7 +146,7 @@ def test_objective_and_isotropic(seed: int) -> None:
     """V08, P03: F -> QF turns P from the left, F -> FQ from the right."""
     F, Q = random_gradient(seed), rotation(seed + 1)
     for material in (O1, O3, POLY3):
-        law = law_of(material)
+        law = material.law()
         P, _, _ = evaluate(law, F)
         size = np.abs(P).max()
         np.testing.assert_allclose(evaluate(law, Q @ F)[0], Q @ P, rtol=0, atol=1e-12 * size)
@@ -156,7 +156,7 @@ def test_objective_and_isotropic(seed: int) -> None:
 
 def test_small_strain_is_linear() -> None:
     """Stress of a sum is the sum of stresses; an infinitesimal rotation has none."""
-    law, eye = law_of(LINEAR), np.eye(3)
+    law, eye = LINEAR.law(), np.eye(3)
     G, H = random_gradient(1) - eye, random_gradient(2) - eye
     P, _, J = evaluate(law, eye + G + 2 * H)
     parts = evaluate(law, eye + G)[0] + 2 * evaluate(law, eye + H)[0]
@@ -168,7 +168,7 @@ def test_small_strain_is_linear() -> None:
 @pytest.mark.parametrize("material", ALL, ids=name)
 def test_no_isochoric_stress_under_pressure(material: Material) -> None:
     """V07: F = s I."""
-    P, _, _ = evaluate(law_of(material), 0.99 * np.eye(3))
+    P, _, _ = evaluate(material.law(), 0.99 * np.eye(3))
     assert np.abs(P).max() < 1e-13
 
 
@@ -176,7 +176,7 @@ def test_no_isochoric_stress_under_pressure(material: Material) -> None:
 def test_confined_compression(material: Material) -> None:
     """V06, against the closed form; cofactor of F_33 is one."""
     for stretch in (0.9, 0.95):
-        P, _, J = evaluate(law_of(material), np.diag([1.0, 1.0, stretch]))
+        P, _, J = evaluate(material.law(), np.diag([1.0, 1.0, stretch]))
         total = P[2, 2] + material.bulk * (J - 1)
         assert total == pytest.approx(float(confined(material, stretch)), rel=1e-12)
 
@@ -184,7 +184,7 @@ def test_confined_compression(material: Material) -> None:
 def test_confined_compression_of_ogden_as_neo_hookean() -> None:
     """V06, analytic: the value of C10 = 0.5, K = 100 at 0.9."""
     two = Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=100.0)
-    P, _, J = evaluate(law_of(two), np.diag([1.0, 1.0, 0.9]))
+    P, _, J = evaluate(two.law(), np.diag([1.0, 1.0, 0.9]))
     assert P[2, 2] + 100 * (J - 1) == pytest.approx(-10.1509818791, abs=1e-10)
 
 
@@ -215,4 +215,4 @@ def test_ratios(z: float) -> None:
 
 
 def test_inverted_is_told() -> None:
-    assert evaluate(law_of(O3), np.diag([1.0, 1.0, -0.1]))[2] < 0
+    assert evaluate(O3.law(), np.diag([1.0, 1.0, -0.1]))[2] < 0

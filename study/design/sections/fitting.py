@@ -11,6 +11,7 @@ from study.design.diagnostics import Faults, noted, read_table
 from study.design.spec import Config
 from study.design.study_file import Fitting
 from study.errors import nearest
+from study.material.registry import is_dimensionless
 from study.setup.quantity import shown
 from study.setup.section import Bad, values_of
 
@@ -57,7 +58,7 @@ def _bounds(value: Any, names: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 
 def _value(name: str, value: Any) -> float:
-    if not name.startswith("alpha"):
+    if not is_dimensionless(name):
         return units.parse(value, "pressure")
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise Bad(f"{name} is a plain number, got {shown(value)}")

@@ -8,16 +8,15 @@ in :mod:`study.design.plausibility`.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from typing import Any
 
 from study.design.diagnostics import Faults, noted, one_of, read_table
 from study.design.reader import Section
 from study.design.spec import Config
-from study.design.study_file import ALTERNATIVES, CONSTANT
+from study.design.study_file import ALTERNATIVES
 from study.errors import InputError
-from study.material.energy import ENERGIES, MODELS, constant_names
+from study.material.registry import ENERGIES, MODELS, constant_names, is_constant_key
 from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
 from study.setup.quantity import integer, number, quantity, shown
@@ -106,10 +105,10 @@ def read_material(table: Any, faults: Faults, path: str = "material") -> Config:
     section.take("alpha", lambda value: value, None)
     compressibility = _compressibility(section)
     if name is None:
-        section.known += [key for key in section.table if CONSTANT.fullmatch(key)]
+        section.known += [key for key in section.table if is_constant_key(key)]
         section.finish()
         return {"model": None, "order": None, "constants": {}, **compressibility}
-    constants = _ogden(section) if name == "ogden" else _moduli(section, name)
+    constants = _ogden(section) if ENERGIES[name].list_keys else _moduli(section, name)
     order = _order(section, name, order, constants)
     return {"model": name, "order": order, "constants": constants, **compressibility}
 
@@ -135,12 +134,16 @@ def _compressibility(section: Section) -> Config:
 def _moduli(section: Section, name: str) -> dict[str, float]:
     """Constants of every energy but Ogden's; all of them, or none where they are calibrated."""
     declared = ENERGIES[name]
-    read = PRESSURE if name == "linear-elastic" else quantity("pressure", -math.inf)
-    found = [k for k in section.table if re.fullmatch(declared.grammar, k) and k != "C00"]
-    constants = {key: section.take(key, read) for key in sorted(found, key=_rank)}
+    read = PRESSURE if declared.small_strain else quantity("pressure", -math.inf)
+    found = [k for k in section.table if declared.has_constant(k)]
+    plain = number(-math.inf, math.inf)
+    constants = {
+        key: section.take(key, plain if declared.is_dimensionless(key) else read)
+        for key in sorted(found, key=_rank)
+    }
     for key in ("mu", "alpha"):
         section.known.remove(key)
-    examples = constant_names(name, 3 if declared.open_ended else None)
+    examples = constant_names(name, 3 if declared.has_order else None)
     section.finish(examples)
     return constants
 
@@ -188,12 +191,12 @@ def _order(
 ) -> int | None:
     """Check the number of terms against the constants; None for energies that have no choice."""
     declared = ENERGIES[name]
-    if not declared.open_ended:
+    if not declared.has_order:
         if order not in (None, 1):
             section.fault("order", f"{name} has no order, got {order}", "leave it out")
         _complete(section, name, constants, None)
         return None
-    terms = _terms(declared.family, constants)
+    terms = declared.order_of(constants)
     if order is None and not terms:
         section.fault("order", "is missing", "give it, or the constants themselves")
     elif order is not None and terms and order != terms:
@@ -202,12 +205,6 @@ def _order(
     elif terms:
         _complete(section, name, constants, terms)
     return order if order is not None else terms or None
-
-
-def _terms(family: str, constants: Mapping[str, float]) -> int:
-    if family == "ogden":
-        return len(constants) // 2
-    return max((int(k[1:-1]) + int(k[-1]) for k in constants), default=0)
 
 
 def _complete(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,11 +14,11 @@ from study.design.reader import Section
 from study.design.spec import Practical, Response
 from study.design.study_file import RESPONSES, Analysis, Converge, Replicates, Report
 from study.errors import nearest
+from study.material.registry import is_constant, is_dimensionless
 from study.setup.quantity import integer, number, quantity, shown
 from study.setup.section import Bad, Reads, section, values_of
 from study.setup.text import choice, slug, text
 
-_CONSTANT = re.compile(r"C\d{2,3}|youngs_modulus|mu[1-9]|alpha[1-9]")
 _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
 MAX_RESPONSES = 50
 
@@ -28,9 +27,9 @@ def response_unit(name: str) -> str | None:
     """Find the unit of a response: "" for a plain number, None if there is no such response."""
     if name in RESPONSES:
         return RESPONSES[name]
-    if not _CONSTANT.fullmatch(name):
+    if not is_constant(name):
         return None
-    return "" if name.startswith("alpha") else "kPa"
+    return "" if is_dimensionless(name) else "kPa"
 
 
 def _assumed(value: Any) -> tuple[str, ...]:

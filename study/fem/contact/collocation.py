@@ -168,7 +168,7 @@ def _points_of(
     problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
 ) -> ContactPoints:
     scale = problem.material.mu0 / mesh.contact_size_mm
-    small = problem.material.family == "linear-elastic"
+    small = problem.material.small_strain
     return ContactPoints(
         surface, nodes, shape, weights, STIFFNESS * scale, SWITCHING * scale, small
     )

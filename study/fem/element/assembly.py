@@ -9,7 +9,7 @@ Penn's split ``I1bar = J^(-2/3) I1`` and ``I2bar = J^(-4/3) I2``. ``1/K = 0`` is
 incompressible limit. With no pressure unknowns (``n_pressure == 0``) the pressure is
 ``K (J - 1)`` at each quadrature point: the plain displacement formulation; the mixed form
 may leave a share of K there as well. For the
-linear-elastic family W_iso is ``mu dev(eps):dev(eps)`` and J is ``1 + tr(eps)``.
+small-strain law W_iso is ``mu dev(eps):dev(eps)`` and J is ``1 + tr(eps)``.
 
 The deformation gradient is stored as nine numbers ``f[3 i + j] = F_ij``; in axisymmetric
 space the axes are (r, z, hoop) and only five of them are ever different from zero.
@@ -26,8 +26,6 @@ from study.compilation import kernel, part
 from study.fem.element.element_forms import (
     add_compressibility,
     add_coupling,
-    add_dyads,
-    add_stiffness,
     add_volume,
     along_nodes,
     deformation_gradient,
@@ -35,9 +33,10 @@ from study.fem.element.element_forms import (
     held_pressure,
     place_coupling,
 )
+from study.fem.element.element_stiffness import add_first_invariant_stiffness, add_stiffness
 from study.fem.element.point_law import (
-    LINEAR,
     POLYNOMIAL,
+    SMALL_STRAIN,
     add_pressure_tangent,
     cofactor,
     full_tangent,
@@ -104,7 +103,7 @@ def add_pressure(
 def assemble(
     elements: Elements,
     space: Shapes,
-    energy: Energy,
+    energy: ElementEnergy,
     x: Array,
     R: Array,
     want_tangent: bool,
@@ -131,7 +130,7 @@ def assemble(
     """
     # names of their own: fields would be counted as references at every point
     gradients, hoop, pressure_shape, weights, dofs = space
-    family, constants, bulk, compliance, kappa = energy
+    law, constants, bulk, compliance, kappa = energy
     positions, data, slots, kept = sums
     nq, na, dim = gradients.shape[1:]
     n_p, nu, m = pressure_shape.shape[2], dim * na, dofs.shape[1]
@@ -139,7 +138,7 @@ def assemble(
     work, tangent, nodal = np.zeros((WORK_ROWS, 9)), np.zeros((9, 9)), np.empty((na, 12))
     rates, coupling, K = np.empty((3, nu)), np.empty((n_p, nu)), np.empty(m * (m + 1) // 2)
     along, shared, smallest = rates[0], pressure_shape.shape[0] == 1, np.inf
-    curved, first_alone = family != LINEAR, family == POLYNOMIAL and constants.shape[1] == 1
+    curved, first_alone = law != SMALL_STRAIN, law >= POLYNOMIAL and constants.shape[1] == 1
     for e in elements:
         gather(x, dofs, e, u)
         R[e] = 0.0
@@ -150,7 +149,7 @@ def assemble(
             dN, H, w = gradients[e, q], hoop[e, q], weights[e, q]
             N = pressure_shape[0 if shared else e, q]
             deformation_gradient(dN, H, u, f)
-            J = isochoric(family, f, constants, work, stress)
+            J = isochoric(law, f, constants, work, stress)
             if curved and (not J > 0.0 or (dim == 2 and not f[8] > 0.0)):
                 return -1.0
             ratios[q] = J
@@ -165,9 +164,9 @@ def assemble(
             if want_tangent:
                 bend, stiff = pressure * growth if curved else 0.0, bulk * growth * growth
                 if first_alone:
-                    add_dyads(dN, H, f, bend, stiff, work, w, m, nodal, K)
+                    add_first_invariant_stiffness(dN, H, f, bend, stiff, work, w, m, nodal, K)
                 else:
-                    full_tangent(family, f, constants, dim == 2, bend, stiff, work, tangent)
+                    full_tangent(law, f, constants, dim == 2, bend, stiff, work, tangent)
                     add_stiffness(dN, H, tangent, w, m, K)
                 if n_p > 0:
                     add_pressure(dN, H, g, growth, N, w, compliance, m, along, coupling, K)
@@ -242,15 +241,15 @@ class Shapes(NamedTuple):
     dofs: Unknowns
 
 
-class Energy(NamedTuple):
+class ElementEnergy(NamedTuple):
     """What a loop knows of the material.
 
     Parameters
     ----------
-    family : int
-        ``POLYNOMIAL``, ``OGDEN``, ``OGDEN_BY_EXPONENT`` or ``LINEAR``.
+    law : int
+        Number of a :class:`study.material.energy.PointLaw`.
     constants : ndarray, shape (n, k)
-        What the family says.
+        As this law takes them.
     bulk, compliance : float
         Bulk modulus that acts at every point, and 1 / K of the pressure field (mixed form; 0
         when incompressible).
@@ -258,7 +257,7 @@ class Energy(NamedTuple):
         Resistance to uneven volume within an element in N/mm^2, see :func:`add_unevenness`.
     """
 
-    family: int
+    law: int
     constants: Array
     bulk: float
     compliance: float

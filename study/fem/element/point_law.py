@@ -1,45 +1,61 @@
-"""Compiled constitutive law at one point: polynomial and linear energies, and the pressure.
+"""Compiled constitutive law at one point: energies of invariants, small strain, the pressure.
 
-With Penn's split ``I1bar = J^(-2/3) I1``, ``I2bar = J^(-4/3) I2`` the energy is
-``sum C_ij (I1bar - 3)^i (I2bar - 3)^j``. Nine numbers ``f[3 i + j] = F_ij`` hold a tensor.
+With Penn's split ``I1bar = J^(-2/3) I1``, ``I2bar = J^(-4/3) I2`` the energy is W(I1bar, I2bar),
+for example ``sum C_ij (I1bar - 3)^i (I2bar - 3)^j``. Nine numbers ``f[3 i + j] = F_ij`` hold a
+tensor.
 """
 
 from __future__ import annotations
 
+import math
+
 from study.arrays import Array
 from study.compilation import FAST, part
 from study.fem.element.spectral import BY_EXPONENT, STRESS, ogden_stress, ogden_tangent
+from study.material.energy import PointLaw
 
-#: what the rows of an energy's constants mean: C_ij; (mu, alpha); the same, for the sum of
-#: d(stress)/dalpha; a single shear modulus of small strain
-POLYNOMIAL = 0
-OGDEN = 1
-OGDEN_BY_EXPONENT = 2
-LINEAR = 3
+#: Plain numbers, which kernels take for constants; from POLYNOMIAL on, laws of the invariants.
+SMALL_STRAIN = int(PointLaw.SMALL_STRAIN)
+OGDEN_BY_EXPONENT = int(PointLaw.OGDEN_BY_EXPONENT)
+POLYNOMIAL = int(PointLaw.POLYNOMIAL)
 
 
 @part()
-def isochoric(family: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
-    """Isochoric stress by family; J is returned, row 0 of ``work`` is dJ/dF / J.
+def isochoric(law: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
+    """Isochoric stress of a law; J is returned, row 0 of ``work`` is dJ/dF / J.
 
     For small strain J is linear and row 0 is dJ/dF itself.
+
+    Parameters
+    ----------
+    law : int
+        Number of a :class:`study.material.energy.PointLaw`.
+    f : ndarray, shape (9,)
+        Deformation gradient.
+    constants : ndarray, shape (n, k)
+        As the law takes them: C_ij; rows (mu, alpha), whose stresses or derivatives by alpha
+        are added up; a single shear modulus at small strain.
+    work : ndarray, shape (WORK_ROWS, 9)
+        Scratch, of which the tangent makes use.
+    stress : ndarray, shape (9,)
+        Overwritten, N/mm^2.
     """
-    if family == POLYNOMIAL:
-        return float(polynomial_stress(f, constants, work, stress))
-    if family == LINEAR:
+    if law >= POLYNOMIAL:
+        return float(invariant_stress(law, f, constants, work, stress))
+    if law == SMALL_STRAIN:
         return float(linear_stress(f, constants[0, 0], work, stress))
     J = cofactor(f, work[0])
     if J > 0.0:
         for i in range(9):
             work[0, i] /= J
-        what = BY_EXPONENT if family == OGDEN_BY_EXPONENT else STRESS
+        what = BY_EXPONENT if law == OGDEN_BY_EXPONENT else STRESS
         ogden_stress(f, constants, what, work, stress)
     return float(J)
 
 
 @part()
 def full_tangent(
-    family: int,
+    law: int,
     f: Array,
     constants: Array,
     plane: bool,
@@ -52,10 +68,10 @@ def full_tangent(
 
     ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
     """
-    if family == POLYNOMIAL:
-        polynomial_tangent(f, plane, bend, stiff, work, tangent)
+    if law >= POLYNOMIAL:
+        invariant_tangent(f, plane, bend, stiff, work, tangent)
         return
-    if family == LINEAR:
+    if law == SMALL_STRAIN:
         linear_tangent(constants[0, 0], tangent)
     else:
         ogden_tangent(constants, work, tangent)
@@ -72,12 +88,36 @@ def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
 
 
 @part()
-def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
-    """Differentiate sum C_ij a^i b^j by a and b, with a = I1bar - 3, b = I2bar - 3.
+def invariant_derivatives(law: int, constants: Array, a: float, b: float, out: Array) -> None:
+    """Differentiate an energy by a = I1bar - 3 and b = I2bar - 3: a new law has its branch here.
 
-    ``out`` receives W_a, W_b, W_aa, W_ab, W_bb.
+    Parameters
+    ----------
+    law : int
+        Number of a :class:`study.material.energy.PointLaw`, ``POLYNOMIAL`` or larger.
+    constants : ndarray, shape (n, m)
+        As the law takes them; m = 1 if the second invariant does not enter.
+    out : ndarray, shape (5 or more,)
+        Receives W_a, W_b, W_aa, W_ab, W_bb.
     """
     out[:] = 0.0
+    if law == POLYNOMIAL:
+        polynomial_derivatives(constants, a, b, out)
+    else:
+        out[:] = math.nan  # no such law: never a stress of zero
+
+
+@part(fastmath=FAST)
+def invariant_energy(law: int, constants: Array, a: float, b: float) -> float:
+    """Energy W per reference volume that :func:`invariant_derivatives` differentiates."""
+    if law == POLYNOMIAL:
+        return polynomial_energy(constants, a, b)
+    return math.nan
+
+
+@part()
+def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
+    """Add the derivatives of sum C_ij a^i b^j."""
     for i in range(table.shape[0]):
         ai, ai1, ai2 = _power_derivatives(a, i)
         for j in range(table.shape[1]):
@@ -89,6 +129,19 @@ def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None
                 out[2] += c * ai2 * bj
                 out[3] += c * ai1 * bj1
                 out[4] += c * ai * bj2
+
+
+@part(fastmath=FAST)
+def polynomial_energy(table: Array, a: float, b: float) -> float:
+    """Sum C_ij a^i b^j."""
+    energy, row = 0.0, 1.0
+    for i in range(table.shape[0]):
+        term = row
+        for j in range(table.shape[1]):
+            energy += table[i, j] * term
+            term *= b
+        row *= a
+    return energy
 
 
 @part()
@@ -107,15 +160,15 @@ def cofactor(f: Array, g: Array) -> float:
 
 
 @part(fastmath=FAST)
-def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> float:
-    """Isochoric nominal stress for ``sum C_ij (I1bar-3)^i (I2bar-3)^j``.
+def invariant_stress(law: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
+    """Isochoric nominal stress of an energy of the isochoric invariants.
 
     Parameters
     ----------
     f : ndarray, shape (9,)
         Deformation gradient.
-    table : ndarray, shape (n, m)
-        Constants C_ij.
+    constants : ndarray, shape (n, m)
+        Of the law; m = 1 if the second invariant does not enter.
     work : ndarray, shape (7 or more, 9)
         Scratch, of which the tangent makes use; row 0 receives F^-T.
     stress : ndarray, shape (9,)
@@ -136,7 +189,7 @@ def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> flo
     for i in range(9):
         I1 += f[i] * f[i]
     s1 = J ** (-2.0 / 3.0)
-    second = table.shape[1] > 1
+    second = constants.shape[1] > 1
     s2, I2 = s1 * s1, 0.0
     if second:
         trace = 0.0
@@ -151,7 +204,7 @@ def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> flo
                 left[3 * i + j] = b
                 trace += c * c
         I2 = 0.5 * (I1 * I1 - trace)
-    polynomial_derivatives(table, s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0, w)
+    invariant_derivatives(law, constants, s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0, w)
     for i in range(9):
         d1[i] = s1 * (2.0 * f[i] - 2.0 / 3.0 * I1 * g[i])
         stress[i] = w[0] * d1[i]
@@ -169,14 +222,14 @@ def polynomial_stress(f: Array, table: Array, work: Array, stress: Array) -> flo
 
 
 @part(fastmath=FAST)
-def polynomial_tangent(
+def invariant_tangent(
     f: Array, plane: bool, bend: float, stiff: float, work: Array, tangent: Array
 ) -> None:
-    """Tangent of :func:`polynomial_stress` in both invariants, called before, and of a pressure.
+    """Tangent of :func:`invariant_stress` in both invariants, called before, and of a pressure.
 
     What an invariant owes to each dyad, and what its slope does. The pressure's part is that
     of :func:`add_pressure_tangent` and costs nothing here. An energy of the first invariant
-    has a shorter way, see :mod:`study.fem.element.element_forms`.
+    has a shorter way, see :func:`first_invariant_coefficients`.
 
     Parameters
     ----------
@@ -208,6 +261,33 @@ def polynomial_tangent(
     for n in range(1, 9):
         for o in range(n):
             tangent[n, o] = tangent[o, n]
+
+
+@part(fastmath=FAST)
+def first_invariant_coefficients(
+    work: Array, bend: float, stiff: float, w: float
+) -> tuple[float, float, float, float, float]:
+    """Coefficients of w dP/dF where W depends on the first invariant alone.
+
+    With G = F^-T, and :func:`invariant_stress` called before,
+
+        w dP_ij/dF_kl = c_1 d_ik d_jl + c_x G_il G_kj
+                        + c_FF F_ij F_kl + c_FG (F_ij G_kl + G_ij F_kl) + c_GG G_ij G_kl
+
+    Returns
+    -------
+    c_1, c_x, c_FF, c_FG, c_GG : float
+        ``bend`` and ``stiff`` are those of :func:`full_tangent`.
+    """
+    I1, s1 = work[6, 0], work[6, 2]
+    first, curved = work[5, 0] * s1, work[5, 2]
+    c_x = w * (2.0 / 3.0 * first * I1 - bend)
+    # dI1bar/dF = along F + back G
+    along, back = 2.0 * s1, -2.0 / 3.0 * s1 * I1
+    c_FF = w * curved * along * along
+    c_FG = w * (curved * along * back - 4.0 / 3.0 * first)
+    c_GG = w * (4.0 / 9.0 * first * I1 + bend + stiff + curved * back * back)
+    return 2.0 * w * first, c_x, c_FF, c_FG, c_GG
 
 
 @part(fastmath=FAST)

@@ -14,9 +14,14 @@ import numpy as np
 
 from study.arrays import Array, Elements
 from study.compilation import FAST, kernel, part
-from study.fem.element.assembly import Energy, Shapes
+from study.fem.element.assembly import ElementEnergy, Shapes
 from study.fem.element.element_forms import deformation_gradient, gather, held_pressure
-from study.fem.element.point_law import LINEAR, POLYNOMIAL, cofactor
+from study.fem.element.point_law import (
+    POLYNOMIAL,
+    SMALL_STRAIN,
+    cofactor,
+    invariant_energy,
+)
 from study.fem.element.spectral import principal_axes
 
 
@@ -62,28 +67,31 @@ def ogden_energy(f: Array, terms: Array, c: Array, axes: Array) -> float:
 
 
 @part(fastmath=FAST)
-def polynomial_energy(f: Array, J: float, table: Array) -> float:
-    """Isochoric energy ``sum C_ij (I1bar - 3)^i (I2bar - 3)^j`` per reference volume."""
+def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
+    """Energy W(I1bar, I2bar) per reference volume.
+
+    Parameters
+    ----------
+    law : int
+        Number of a :class:`study.material.energy.PointLaw`.
+    f : ndarray, shape (9,)
+        Deformation gradient, of determinant ``J``.
+    constants : ndarray, shape (n, m)
+        Of the law; m = 1 if the second invariant does not enter.
+    """
     I1 = 0.0
     for i in range(9):
         I1 += f[i] * f[i]
     s1 = J ** (-2.0 / 3.0)
     a, b = s1 * I1 - 3.0, 0.0
-    if table.shape[1] > 1:
+    if constants.shape[1] > 1:
         trace = 0.0
         for i in range(3):
             for j in range(3):
                 c = f[i] * f[j] + f[3 + i] * f[3 + j] + f[6 + i] * f[6 + j]
                 trace += c * c
         b = 0.5 * s1 * s1 * (I1 * I1 - trace) - 3.0
-    energy, row = 0.0, 1.0
-    for i in range(table.shape[0]):
-        term = row
-        for j in range(table.shape[1]):
-            energy += table[i, j] * term
-            term *= b
-        row *= a
-    return energy
+    return invariant_energy(law, constants, a, b)
 
 
 @part()
@@ -98,7 +106,9 @@ def linear_energy(f: Array, mu: float) -> float:
 
 
 @kernel(nogil=True)
-def stored_energy(elements: Elements, space: Shapes, energy: Energy, x: Array, out: Array) -> float:
+def stored_energy(
+    elements: Elements, space: Shapes, energy: ElementEnergy, x: Array, out: Array
+) -> float:
     """Energy of some elements at unknowns ``x``.
 
     Parameters
@@ -112,7 +122,7 @@ def stored_energy(elements: Elements, space: Shapes, energy: Energy, x: Array, o
         0: parts of a mesh are gone through by what also looks for the smallest J.
     """
     gradients, hoop, pressure_shape, weights, dofs = space
-    family, constants, bulk, compliance, kappa = energy
+    law, constants, bulk, compliance, kappa = energy
     nq, na, dim = gradients.shape[1:]
     shared = pressure_shape.shape[0] == 1
     u, f, g, axes, ratios = (
@@ -123,11 +133,11 @@ def stored_energy(elements: Elements, space: Shapes, energy: Energy, x: Array, o
         total, volume, swollen = 0.0, 0.0, 0.0
         for q in range(nq):
             deformation_gradient(gradients[e, q], hoop[e, q], u, f)
-            J = f[0] + f[4] + f[8] - 2.0 if family == LINEAR else cofactor(f, g)
-            if family == LINEAR:
+            J = f[0] + f[4] + f[8] - 2.0 if law == SMALL_STRAIN else cofactor(f, g)
+            if law == SMALL_STRAIN:
                 density = linear_energy(f, constants[0, 0])
-            elif family == POLYNOMIAL:
-                density = polynomial_energy(f, J, constants)
+            elif law >= POLYNOMIAL:
+                density = isochoric_energy(law, f, J, constants)
             else:
                 density = ogden_energy(f, constants, g, axes)
             p = held_pressure(pressure_shape[0 if shared else e, q], x, dofs[e])

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from study.arrays import Array, Elements, Ints, Unknowns
 from study.compilation import smallest
-from study.fem.element import assembly, point_law
-from study.fem.element.assembly import Energy, Sums
+from study.fem.element import assembly
+from study.fem.element.assembly import ElementEnergy, Sums
 from study.fem.element.function_space import Discretization
 from study.fem.element.sparsity import Pattern, Slabs, slabs, symmetric_product
 from study.fem.element.stored_energy import stored_energy
+from study.material.energy import Law
 from study.material.material import Material
 
 #: bound of the local bulk modulus over the shear modulus. A coarse cone 2 mm deep is 0.5 % too
@@ -63,41 +64,10 @@ class StoredEnergy(NamedTuple):
         return self.material + self.stabilization
 
 
-class Law(NamedTuple):
-    """What the compiled loop is told of an energy: a family and its array of constants."""
-
-    family: int
-    constants: Array
-
-
-def law_of(material: Material) -> Law:
-    """Constants of a material as the compiled loop takes them."""
-    if material.family == "polynomial":
-        return Law(point_law.POLYNOMIAL, material.coefficient_table())
-    if material.family == "ogden":
-        return Law(point_law.OGDEN, np.column_stack(material.ogden_terms()))
-    return Law(point_law.LINEAR, np.array([[material.mu0]]))
-
-
-def law_rate(material: Material, name: str) -> Law:
-    """Law whose stress is the derivative of the isochoric stress by one constant."""
-    if material.family == "polynomial":
-        unit = np.zeros_like(material.coefficient_table())
-        unit[material.table_index(name)] = 1.0
-        return Law(point_law.POLYNOMIAL, unit)
-    if material.family == "linear-elastic":
-        return Law(point_law.LINEAR, np.array([[material.mu0_gradient()[name]]]))
-    term = name.lstrip("mualph")
-    mu, alpha = material.constants[f"mu{term}"], material.constants[f"alpha{term}"]
-    if name.startswith("mu"):
-        return Law(point_law.OGDEN, np.array([[1.0, alpha]]))
-    return Law(point_law.OGDEN_BY_EXPONENT, np.array([[mu, alpha]]))
-
-
 def without_shear(material: Material) -> Law:
-    """Law of the same family whose isochoric stress vanishes."""
-    law = law_of(material)
-    return Law(law.family, np.zeros_like(law.constants))
+    """Law of the same kind whose isochoric stress vanishes."""
+    law = material.law()
+    return Law(law.kind, np.zeros_like(law.constants))
 
 
 class BulkSplit(NamedTuple):
@@ -133,6 +103,11 @@ def split_bulk_rate(bulk: float, bound: float, bulk_rate: float, bound_rate: flo
     ratio = bound / bulk
     local = (bound_rate + ratio**2 * bulk_rate) / (1 + ratio) ** 2
     return BulkSplit(local, (bound_rate - (1 + 2 * ratio) * bulk_rate) / bulk**2)
+
+
+def _element_energy(law: Law, bulk: BulkSplit, evenness: float) -> ElementEnergy:
+    # a plain number: the kernels would be compiled once more for an enumeration
+    return ElementEnergy(int(law.kind), law.constants, bulk.local, bulk.compliance, evenness)
 
 
 @dataclass
@@ -175,7 +150,7 @@ class Internal:
         if into is not None:
             into.data[:] = 0.0
         min_j = self._elements(x, energy, into)
-        return max(min_j, _SMALLEST) if energy.family == point_law.LINEAR else min_j
+        return max(min_j, _SMALLEST) if material.small_strain else min_j
 
     def stored(self, material: Material, x: Array) -> StoredEnergy:
         """Energy that all elements store at unknowns ``x``, shape (n,)."""
@@ -184,10 +159,10 @@ class Internal:
         smallest(self.phases, lambda e: float(stored_energy(e, shapes, energy, x, out)))
         return StoredEnergy(*(float(part) for part in out.sum(axis=0)))
 
-    def _energy(self, material: Material) -> Energy:
+    def _energy(self, material: Material) -> ElementEnergy:
         """Return what the compiled loops are told of a material."""
         uneven = self._unevenness(material, material.mu0)
-        return Energy(*law_of(material), *self._split(material), uneven)
+        return _element_energy(material.law(), self._split(material), uneven)
 
     def _split(self, material: Material) -> BulkSplit:
         """Bulk modulus at every quadrature point, and compliance of the pressures."""
@@ -218,7 +193,7 @@ class Internal:
         linear body knows nothing.
         """
         J = np.ones(self.space.weights.shape)
-        if material.family != "linear-elastic":
+        if not material.small_strain:
             shapes = self.space.shapes
             smallest(self.phases, lambda e: float(assembly.volume_ratios(e, shapes, x, J)))
         return J
@@ -228,7 +203,9 @@ class Internal:
         without_pressure = x.copy()
         without_pressure[self.space.n_displacement :] = 0.0
         uneven = self._unevenness(material, material.mu0_gradient()[name])
-        self._elements(without_pressure, Energy(*law_rate(material, name), 0.0, 0.0, uneven))
+        self._elements(
+            without_pressure, _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
+        )
         out = self.gathered()
         out[self.space.n_displacement :] = 0.0
         return out + self._volume_derivative(material, x, name)
@@ -238,7 +215,7 @@ class Internal:
 
         None at small strain, which has no limit points.
         """
-        return 0.0 if material.family == "linear-elastic" else self.evenness * mu
+        return 0.0 if material.small_strain else self.evenness * mu
 
     def _split_rate(self, material: Material, name: str) -> BulkSplit:
         """Rate of :meth:`_split` with a constant."""
@@ -259,7 +236,7 @@ class Internal:
             return out
 
         def residual(local: float, compliance: float) -> Array:
-            self._elements(x, Energy(*zero, local, compliance, 0.0))
+            self._elements(x, _element_energy(zero, BulkSplit(local, compliance), 0.0))
             return self.gathered()
 
         plain = residual(0.0, 0.0)
@@ -269,7 +246,7 @@ class Internal:
             out += rate.compliance * (residual(0.0, 1.0) - plain)
         return out
 
-    def _elements(self, x: Array, energy: Energy, into: Tangent | None = None) -> float:
+    def _elements(self, x: Array, energy: ElementEnergy, into: Tangent | None = None) -> float:
         shapes, sums = self.space.shapes, _NOWHERE if into is None else into.sums
 
         def loop(elements: Elements) -> float:

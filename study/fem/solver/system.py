@@ -161,7 +161,7 @@ class System:
     @property
     def small_strain(self) -> bool:
         """Whether the material is linear: contact then belongs to the reference state."""
-        return self.material.family == "linear-elastic"
+        return self.material.small_strain
 
     @property
     def pattern(self) -> Pattern:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from study.calibration.fit import Fit
     from study.calibration.lack_of_fit import LackOfFit, Pattern
     from study.calibration.profile_likelihood import Profile
-    from study.material.conversions import Converted
+    from study.material.convention import Converted
 
 
 @dataclass(frozen=True)

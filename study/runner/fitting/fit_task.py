@@ -21,6 +21,7 @@ from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.forward import closed_form, finite_element
+from study.material.registry import ENERGIES
 from study.runner.fitting.fit_summary import described
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
@@ -139,14 +140,12 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     simulated = any(method == "inverse-fem" for method, _ in _parts_of(problem))
     if not simulated or section.get("constants"):
         return None
-    if section["model"] in ("neo-hookean", "linear-elastic"):
+    simpler = ENERGIES[section["model"]].simpler(int(section.get("order") or 1))
+    if simpler is None:
         return None
     kept = {k: v for k, v in section.items() if k not in ("order", "constants")}
-    order = int(section.get("order") or 1)
-    simpler: dict[str, Any] = {**kept, "model": "neo-hookean"}
-    if section["model"] == "reduced-polynomial" and order > 2:
-        simpler = {**kept, "model": section["model"], "order": order - 1}
-    material = _written(simpler)
+    model, order = simpler
+    material = _written({**kept, "model": model} | ({} if order is None else {"order": order}))
     return FitProblem(
         problem.method, {**problem.config, "material": material}, problem.shares_scored_problem
     )
@@ -225,13 +224,8 @@ def start_values(
     if neo_hookean is None:
         first = measured[0]
         neo_hookean = closed_form.neo_hookean_start(config, first.displacement_mm, first.force_N)
-    c10 = float(neo_hookean["C10"])
-    terms = max(1, sum(n.startswith("mu") for n in names))
-    values = {**neo_hookean, "C10": c10, "youngs_modulus": 6 * c10}
-    values |= {f"mu{k}": 2 * c10 / terms for k in range(1, terms + 1)}
-    # alternating exponents: equal ones would make the terms indistinguishable
-    exponents = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
-    values |= {f"alpha{k}": exponents[(k - 1) % 6] for k in range(1, terms + 1)}
+    energy, shear_modulus = ENERGIES[section["model"]], 2 * float(neo_hookean["C10"])
+    values = {**neo_hookean, **energy.starting_values(names, shear_modulus)}
     return names, np.array([values.get(n, 0.0) for n in names])
 
 

@@ -105,7 +105,7 @@ def _sharp(problem: Problem) -> str:
         f"of {problem.model.element_order} elements needs a smooth solution)"
     )
     size = _edge_size(problem)
-    large = problem.material.family != "linear-elastic"
+    large = not problem.material.small_strain
     if large and size is not None and depth > _DEEP * size:
         why += (
             f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "

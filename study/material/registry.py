@@ -1,0 +1,100 @@
+"""Every energy by the name that a study file says."""
+
+from __future__ import annotations
+
+from study.errors import Fault, InputError, nearest
+from study.material.energy import Energy
+from study.material.linear_elastic import LinearElastic
+from study.material.ogden import Ogden
+from study.material.polynomial import MooneyRivlin, NeoHookean, Polynomial, ReducedPolynomial
+
+ENERGIES: dict[str, Energy] = {
+    energy.name: energy
+    for energy in (
+        LinearElastic(),
+        NeoHookean(),
+        MooneyRivlin(),
+        ReducedPolynomial(),
+        Polynomial(),
+        Ogden(),
+    )
+}
+
+#: Names of all energies.
+MODELS: tuple[str, ...] = tuple(ENERGIES)
+
+
+def energy_named(model: str) -> Energy:
+    """Find an energy by its name.
+
+    Raises
+    ------
+    InputError
+        If there is no such energy; the message names the nearest one.
+    """
+    if model not in ENERGIES:
+        raise InputError(Fault("material.model", f"no energy {model!r}", nearest(model, MODELS)))
+    return ENERGIES[model]
+
+
+def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
+    """Names of an energy's constants, in order.
+
+    Parameters
+    ----------
+    model : str
+        Name of the energy.
+    order : int, optional
+        Number of terms, for energies that have a choice (default 1).
+
+    Raises
+    ------
+    InputError
+        If the energy is unknown, or its order is not a positive whole number.
+
+    Examples
+    --------
+    >>> constant_names("reduced-polynomial", 3)
+    ('C10', 'C20', 'C30')
+    >>> constant_names("polynomial", 2)
+    ('C10', 'C01', 'C20', 'C11', 'C02')
+    >>> constant_names("ogden", 2)
+    ('mu1', 'alpha1', 'mu2', 'alpha2')
+    """
+    energy = energy_named(model)
+    terms = 1 if order is None else order
+    if isinstance(terms, bool) or int(terms) != terms or not 1 <= terms <= 9:
+        raise InputError(
+            Fault("material.order", f"must be a whole number from 1 to 9, got {order!r}")
+        )
+    if not energy.has_order and order not in (None, 1):
+        raise InputError(Fault("material.order", f"{model} has no order, got {order!r}"))
+    return energy.constant_names(int(terms))
+
+
+def is_constant(name: str) -> bool:
+    """Whether any energy has a constant of this name."""
+    return any(energy.has_constant(name) for energy in ENERGIES.values())
+
+
+def is_constant_key(key: str) -> bool:
+    """Whether a study file may write this key for a constant of any energy.
+
+    Examples
+    --------
+    >>> is_constant_key("C20"), is_constant_key("mu"), is_constant_key("mu1")
+    (True, True, False)
+    """
+    return any(energy.has_key(key) for energy in ENERGIES.values())
+
+
+def is_dimensionless(name: str) -> bool:
+    """Whether a constant, or its key in a study file, is a plain number in an energy that has it.
+
+    Examples
+    --------
+    >>> is_dimensionless("alpha2"), is_dimensionless("mu2")
+    (True, False)
+    """
+    having = (e for e in ENERGIES.values() if e.has_constant(name) or e.has_key(name))
+    return any(energy.is_dimensionless(name) for energy in having)
