@@ -12,6 +12,7 @@ from study.design.spec import Config
 from study.material.material import Material
 from study.material.stability import stability
 from study.setup import setup
+from study.setup.test_kind import Test
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
 PLAUSIBLE_MPA = (1e-4, 10.0)
@@ -161,7 +162,8 @@ def is_homogeneous(config: Mapping[str, Any]) -> bool:
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     """
     test, shape = config["test"], config["specimen"]["shape"]
-    return setup.is_homogeneous(test["kind"], test["interface"], test["base"], shape)
+    loading = Test(test["kind"], None, test["interface"], test["base"])
+    return setup.is_homogeneous(loading, shape)
 
 
 def plausibility(config: Mapping[str, Any]) -> tuple[str, ...]:

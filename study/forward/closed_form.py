@@ -7,7 +7,6 @@ respect to the constants is analytic, so a fit costs microseconds.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,16 +18,14 @@ from study.errors import Fault, InputError
 from study.forward import halfspace
 from study.material.homogeneous import response
 from study.material.material import Material
-from study.setup.geometry import Block, Cylinder, Specimen
+from study.setup.geometry import Specimen, Surface
 from study.setup.setup import Setup
 
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
     """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
-    if isinstance(specimen, Cylinder):
-        return specimen.height_mm, math.pi * specimen.radius_mm**2
-    if isinstance(specimen, Block):
-        return specimen.height_mm, specimen.width_mm * specimen.depth_mm
+    if not isinstance(specimen, Surface):
+        return specimen.height_mm, specimen.area_mm2
     from study.surface.surface import body
 
     found = body(specimen)
@@ -95,7 +92,7 @@ def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
     pressed = setup.test.indenter
-    if setup.test.kind != "indentation" or pressed is None:
+    if pressed is None:
         return compression(setup.specimen, unit, d).force_N
     nu = float(config["material"].get("poisson_ratio") or 0.5)
     height = setup.height_mm
@@ -104,7 +101,7 @@ def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
         np.maximum(d, 0.0),
         height_mm=np.inf if height is None else height,
         poisson_ratio=nu,
-        bonded=setup.test.held_below == "bonded",
+        bonded=setup.test.base == "bonded",
     )
     # E = 4 (1 + nu) C10
     force = 4 * (1 + nu) * per_modulus

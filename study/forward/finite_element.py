@@ -88,7 +88,7 @@ def load_compiled(problem: Any) -> None:
     if key in _LOADED:
         return
     _LOADED.add(key)
-    test = replace(problem.test, steps=1, displacement_mm=problem.test.displacement_mm / 50)
+    test = replace(problem.test, steps=1, displacement_mm=problem.test.depth_mm / 50)
     model = replace(problem.model, mesh="coarse", mesh_size_mm=None)
     solve(replace(problem, test=test, model=model), gradients=False)
 

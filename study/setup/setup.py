@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -11,10 +12,12 @@ from pydantic import Field
 from study.errors import Fault, InputError
 from study.material.material import Material
 from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
+from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
 from study.setup.quantity import Length
 from study.setup.section import DERIVED, Kind, keys_of, section
-from study.setup.test_kind import Test, TestSection
+from study.setup.test_kind import Contact, FaceCondition, MeshGrading, Test, TestKind
+from study.setup.test_section import TEST_KINDS, TestSection
 from study.setup.text import word
 
 Space = Literal["axisymmetric", "3d"]
@@ -64,16 +67,6 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One forward simulation."""
-
-    specimen: Specimen
-    test: Test
-    material: Material
-    model: Model
-
-
-@dataclass(frozen=True)
 class Setup:
     """What is tested and how it is discretized; the material is not part of it.
 
@@ -86,9 +79,9 @@ class Setup:
     """
 
     specimen: Specimen
-    test: TestSection
+    test: Test
     model: Model
-    height_mm: float | None
+    height_mm: float | None = None
 
     @classmethod
     def of(cls, resolved: Mapping[str, Any]) -> Setup:
@@ -101,10 +94,34 @@ class Setup:
         )
 
     @property
+    def kind(self) -> TestKind:
+        """Rules of the kind of its test."""
+        return TEST_KINDS[self.test.kind]
+
+    @cached_property
+    def faces(self) -> tuple[FaceCondition, ...]:
+        """Motions that the test prescribes."""
+        return self.kind.faces(self.test)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Rigid bodies that the surface may meet."""
+        return self.kind.contacts(self.test)
+
+    @cached_property
+    def grading(self) -> MeshGrading:
+        """Where elements are small."""
+        return self.kind.grading(self.test)
+
+    @property
+    def has_middle_plane(self) -> bool:
+        """Whether the lower half is the mirror image of the upper one."""
+        return self.kind.has_middle_plane(self.test)
+
+    @property
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere; see :func:`is_homogeneous`."""
-        test, shape = self.test, self.specimen.shape
-        return is_homogeneous(test.kind, test.interface, test.held_below, shape)
+        return is_homogeneous(self.test, self.specimen.shape)
 
     @property
     def has_close_equilibria(self) -> bool:
@@ -115,7 +132,11 @@ class Setup:
         0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
         """
         linear_solid = self.model.space == "3d" and self.model.element_order == "linear"
-        return linear_solid and self.test.kind == "indentation"
+        return linear_solid and self.kind.strains_locally
+
+    def step_rule(self, settings: StepSettings, height_mm: float) -> StepRule:
+        """Load steps of the test on a specimen of some height."""
+        return self.kind.steps(self.test, height_mm, settings)
 
     def problem(self, material: Material, displacement_mm: float | None = None) -> Problem:
         """Problem of this setup.
@@ -135,17 +156,28 @@ class Setup:
         return Problem(self.specimen, self.test.to_depth(displacement_mm), material, self.model)
 
 
-def is_homogeneous(kind: str, interface: str, base: str, shape: str) -> bool:
-    """Whether a deformation is the same everywhere: compression between frictionless plates.
+@dataclass(frozen=True)
+class Problem:
+    """One forward simulation: a setup and a material."""
+
+    specimen: Specimen
+    test: Test
+    material: Material
+    model: Model
+
+    @cached_property
+    def setup(self) -> Setup:
+        """All but the material: what a mesh and its constraints depend on."""
+        return Setup(self.specimen, self.test, self.model)
+
+
+def is_homogeneous(test: Test, shape: str) -> bool:
+    """Whether a deformation is the same everywhere, as between frictionless plates.
 
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     Whether a surface is a cylinder only its file knows.
     """
-    return (
-        kind == "compression"
-        and interface == base == "frictionless"
-        and shape in ("cylinder", "block")
-    )
+    return shape in ("cylinder", "block") and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
 def problem_of(
@@ -191,10 +223,11 @@ def model_of(resolved: Mapping[str, Any]) -> Model:
     return _made("model", Model, resolved)
 
 
-def loading_of(resolved: Mapping[str, Any]) -> TestSection:
-    """Test of its resolved table."""
+def loading_of(resolved: Mapping[str, Any]) -> Test:
+    """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
-    return _made("test", TestSection, {**resolved, "indenter": pressed and indenter_of(pressed)})
+    table = {**resolved, "indenter": pressed and indenter_of(pressed)}
+    return _made("test", TestSection, table).loading()
 
 
 def indenter_of(resolved: Mapping[str, Any]) -> Indenter:

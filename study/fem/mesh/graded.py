@@ -29,8 +29,9 @@ from study.fem.mesh.structured import (
     quarter_disc_of_quadrilaterals,
     rectangle,
 )
-from study.setup.geometry import Block, Cone, Cylinder, Flat
-from study.setup.setup import Problem
+from study.setup.geometry import Block, Cylinder
+from study.setup.setup import Setup
+from study.setup.test_kind import AroundContact
 
 #: gmsh's numbers: frontal triangles, Delaunay tetrahedra
 _FRONTAL = 6
@@ -54,7 +55,7 @@ class Sizes(Protocol):
         """C function of these numbers and a place."""
 
 
-def indentation_mesh(problem: Problem) -> Mesh:
+def indentation_mesh(setup: Setup) -> Mesh:
     """Mesh of an indented cylinder or block.
 
     Raises
@@ -62,16 +63,16 @@ def indentation_mesh(problem: Problem) -> Mesh:
     MeshError
         If gmsh fails or leaves elements too flat to be used.
     """
-    specimen, model = problem.specimen, problem.model
+    specimen, model = setup.specimen, setup.model
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("a graded mesh needs a cylinder or a block")
-    height, field = specimen.height_mm, sizes_of(problem)
-    ring = _edge_of(problem.test.indenter)
+    height, field, contact = specimen.height_mm, sizes_of(setup), contact_of(setup)
+    ring = contact.indenter.face_radius_mm
     solid = model.space == "3d"
     if model.element_shape == "tensor" and solid and has_room(specimen, ring):
         points, cells = punched(specimen, field)
     elif model.element_shape == "tensor":
-        points, cells = _grid(problem, specimen, field, ring)
+        points, cells = _grid(setup, specimen, field, ring)
     elif model.space == "axisymmetric":
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
     else:
@@ -79,41 +80,39 @@ def indentation_mesh(problem: Problem) -> Mesh:
     return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
-def graded_size(problem: Problem) -> float:
+def graded_size(setup: Setup) -> float:
     """Element size of an indented cylinder or block, as ``mesh_size`` names it."""
-    return sizes_of(problem).size_mm
+    return sizes_of(setup).size_mm
 
 
-def sizes_of(problem: Problem) -> SizeField:
+def contact_of(setup: Setup) -> AroundContact:
+    """Indenter and depth that sizes are made for.
+
+    Raises
+    ------
+    MeshError
+        If the test has no indenter.
+    """
+    if not isinstance(setup.grading, AroundContact):
+        raise MeshError("a mesh graded around a contact needs an indenter")
+    return setup.grading
+
+
+def sizes_of(setup: Setup) -> SizeField:
     """Sizes of the elements of an indented cylinder or block."""
-    specimen, test = problem.specimen, problem.test
-    if not isinstance(specimen, Cylinder | Block) or test.indenter is None:
-        raise MeshError("an indentation mesh needs a cylinder or a block, and an indenter")
-    return size_field(
-        problem.model, test.indenter, test.displacement_mm, specimen.height_mm, _extent(specimen)
-    )
-
-
-def _extent(specimen: Cylinder | Block) -> float:
-    if isinstance(specimen, Cylinder):
-        return min(specimen.radius_mm, specimen.height_mm)
-    return min(specimen.width_mm / 2, specimen.depth_mm / 2, specimen.height_mm)
-
-
-def _edge_of(indenter: object) -> float:
-    """Radius at which a line of nodes follows the edge of a flat end; 0 where there is none."""
-    if isinstance(indenter, Flat):
-        return indenter.radius_mm - indenter.edge_radius_mm
-    return 0.0
+    specimen = setup.specimen
+    if not isinstance(specimen, Cylinder | Block):
+        raise MeshError("an indentation mesh needs a cylinder or a block")
+    extent = min(specimen.half_width_mm, specimen.height_mm)
+    return size_field(setup.model, contact_of(setup), specimen.height_mm, extent)
 
 
 def _grid(
-    problem: Problem, specimen: Cylinder | Block, field: SizeField, ring: float
+    setup: Setup, specimen: Cylinder | Block, field: SizeField, ring: float
 ) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
-    space, order = problem.model.space, problem.model.element_order
-    cone = isinstance(problem.test.indenter, Cone)
-    wide, tall = UNDER_CONE[order] if cone else (1.0, 1.0)
+    space, order = setup.model.space, setup.model.element_order
+    wide, tall = UNDER_CONE[order] if contact_of(setup).indenter.is_pointed else (1.0, 1.0)
     top = np.array([field.top_mm])
 
     def along_top(rho: Array) -> Array:

@@ -227,7 +227,7 @@ class Logbook:
 
     @property
     def _whole_mm(self) -> float:
-        return self.problem.test.displacement_mm
+        return self.problem.test.depth_mm
 
     def curve(self, work_Nmm: Array) -> Curve:
         """Force-displacement curve with its gradients."""
@@ -299,7 +299,7 @@ class Logbook:
                 f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self.complete:
-            reached, asked = state.displacement_mm, self.problem.test.displacement_mm
+            reached, asked = state.displacement_mm, self.problem.test.depth_mm
             said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or reason}"]
             if lost:
                 said.append(_OUT_OF_REACH)

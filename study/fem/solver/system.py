@@ -31,7 +31,7 @@ from study.fem.solver.linear_solver import LinearSolver, make_solver
 from study.fem.solver.reused_factorization import KeptFactors
 from study.material.material import Material
 from study.setup.geometry import Surface
-from study.setup.setup import Problem
+from study.setup.setup import Problem, Setup
 
 
 @dataclass(frozen=True)
@@ -77,18 +77,18 @@ class Assembly:
     contact: list[ContactState]
 
 
-def _local_bulk(problem: Problem) -> float:
+def _local_bulk(setup: Setup) -> float:
     """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
-    model, test = problem.model, problem.test
+    model = setup.model
     solid = model.space == "3d" and model.element_order == "quadratic"
-    return LOCAL_BULK if solid and test.kind == "indentation" else 0.0
+    return LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
 
 
-def _evenness(problem: Problem) -> float:
+def _evenness(setup: Setup) -> float:
     """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
-    model = problem.model
+    model = setup.model
     mixed = model.element_shape == "simplex" and model.formulation != "displacement"
-    if not mixed or problem.test.kind != "indentation":
+    if not mixed or not setup.kind.strains_locally:
         return 0.0
     if model.element_order == "linear":
         return EVENNESS
@@ -123,11 +123,11 @@ class System:
         cls, problem: Problem, mesh: Mesh, *, solver: str = "auto", folding: bool = True
     ) -> System:
         """Discretize, constrain and analyze a problem on a mesh."""
-        start = time.perf_counter()
-        space = discretize(mesh, problem.model, stretched=problem.test.kind == "indentation")
-        held = constraints(problem, space, mesh)
+        start, setup = time.perf_counter(), problem.setup
+        space = discretize(mesh, setup.model, stretched=setup.kind.strains_locally)
+        held = constraints(setup, space, mesh)
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
-        whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
+        whole = setup.model.space == "axisymmetric" or isinstance(setup.specimen, Surface)
         sector = 1.0 if whole else 4.0
         direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
         height = mesh.height_mm
@@ -135,13 +135,13 @@ class System:
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space, _local_bulk(problem), _evenness(problem)),
+            internal=Internal.on(space, _local_bulk(setup), _evenness(setup)),
             constraints=held,
             contact=contact_points(problem, space, mesh, folding=folding),
             force_scale=sector * (2.0 if mesh.half_height else 1.0),
             area_mm2=float(space.weights.sum()) * sector / (height - bottom),
             height_mm=height,
-            touch_mm=touch_radius(problem),
+            touch_mm=touch_radius(setup),
             material=problem.material,
             tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
