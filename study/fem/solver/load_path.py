@@ -13,7 +13,8 @@ from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
 from study.fem.solver.options import Options
 from study.fem.solver.sensitivity import StepGradients, step_gradients
 from study.fem.solver.solution import Logbook, Solution
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.setup.setup import Problem
 
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it

@@ -19,7 +19,8 @@ from study.fem.solver.energy_balance import (
 )
 from study.fem.solver.internal_force import StoredEnergy
 from study.fem.solver.sensitivity import Rate, StepGradients
-from study.fem.solver.system import Assembly, State, System
+from study.fem.solver.state import Assembly, State
+from study.fem.solver.system import System
 from study.setup.geometry import Surface
 from study.setup.setup import Problem
 from study.surface.surface import body
