@@ -7,9 +7,6 @@ respect to the constants is analytic, so a fit costs microseconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from study.arrays import Array
@@ -19,7 +16,8 @@ from study.forward import halfspace
 from study.material.homogeneous import response
 from study.material.material import Material
 from study.setup.geometry import Specimen, Surface
-from study.setup.setup import Setup
+from study.setup.material_section import MaterialSection
+from study.setup.setup import ResolvedTables, Setup
 
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
@@ -66,7 +64,7 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
 
 
 def neo_hookean_start(
-    config: Mapping[str, Any], displacement_mm: Array, force_N: Array
+    config: ResolvedTables, displacement_mm: Array, force_N: Array
 ) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
@@ -86,7 +84,7 @@ def neo_hookean_start(
     return {"C10": c10}
 
 
-def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
+def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
@@ -94,7 +92,7 @@ def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
     pressed = setup.test.indenter
     if pressed is None:
         return compression(setup.specimen, unit, d).force_N
-    nu = float(config["material"].get("poisson_ratio") or 0.5)
+    nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(
         pressed,

@@ -5,17 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from study.errors import Fault, InputError
 from study.material.material import Material
 from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
-from study.setup.quantity import Length
-from study.setup.section import DERIVED, Kind, keys_of, section
+from study.setup.quantity import Length, finite
+from study.setup.section import DERIVED, section, section_of
 from study.setup.test_kind import Contact, FaceCondition, MeshGrading, Test, TestKind
 from study.setup.test_section import TEST_KINDS, TestSection
 from study.setup.text import word
@@ -25,6 +24,9 @@ Order = Literal["linear", "quadratic"]
 Shape = Literal["simplex", "tensor"]
 Formulation = Literal["mixed", "displacement"]
 MeshName = Literal["coarse", "medium", "fine"]
+
+#: Tables of a problem by their names, in internal units.
+ResolvedTables = Mapping[str, Mapping[str, object]]
 
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
 MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
@@ -84,7 +86,7 @@ class Setup:
     height_mm: float | None = None
 
     @classmethod
-    def of(cls, resolved: Mapping[str, Any]) -> Setup:
+    def of(cls, resolved: ResolvedTables) -> Setup:
         """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
         return cls(
             specimen_of(resolved["specimen"]),
@@ -181,7 +183,7 @@ def is_homogeneous(test: Test, shape: str) -> bool:
 
 
 def problem_of(
-    resolved: Mapping[str, Any],
+    resolved: ResolvedTables,
     constants: Mapping[str, float] | None = None,
     displacement_mm: float | None = None,
 ) -> Problem:
@@ -211,41 +213,32 @@ def mesh_level(model: Model) -> float:
     return float(model.mesh_ratio**steps)
 
 
-def specimen_of(resolved: Mapping[str, Any]) -> Specimen:
+def specimen_of(resolved: Mapping[str, object]) -> Specimen:
     """Specimen of its resolved table; a surface found on this machine is read from there."""
     if resolved.get("path"):
         resolved = {**resolved, "file": resolved["path"]}
-    return _made("specimen", SPECIMENS[resolved["shape"]], resolved)
+    return section_of("specimen", SPECIMENS[str(resolved["shape"])], resolved)
 
 
-def model_of(resolved: Mapping[str, Any]) -> Model:
+def model_of(resolved: Mapping[str, object]) -> Model:
     """Discretization of its resolved table."""
-    return _made("model", Model, resolved)
+    return section_of("model", Model, resolved)
 
 
-def loading_of(resolved: Mapping[str, Any]) -> Test:
+def loading_of(resolved: Mapping[str, object]) -> Test:
     """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
-    table = {**resolved, "indenter": pressed and indenter_of(pressed)}
-    return _made("test", TestSection, table).loading()
+    made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
+    table = {**resolved, "indenter": made}
+    return section_of("test", TestSection, table).loading()
 
 
-def indenter_of(resolved: Mapping[str, Any]) -> Indenter:
+def indenter_of(resolved: Mapping[str, object]) -> Indenter:
     """Indenter of its resolved table."""
-    return _made("test.indenter", INDENTERS[resolved["shape"]], resolved)
+    return section_of("test.indenter", INDENTERS[str(resolved["shape"])], resolved)
 
 
-def known_height_mm(resolved: Mapping[str, Any]) -> float | None:
+def known_height_mm(resolved: Mapping[str, object]) -> float | None:
     """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
     height = resolved.get("height_mm")
-    return None if height is None else float(height)
-
-
-def _made(where: str, kind: type[Kind], resolved: Mapping[str, Any]) -> Kind:
-    """Section of a resolved table, which may hold more: where a file lies, its checksum."""
-    known = keys_of(kind)
-    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
-    missing = [k.name for k in known if k.is_required and k.name not in values]
-    if missing:
-        raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
-    return kind(**values)
+    return None if height is None else finite(height)

@@ -10,7 +10,8 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from study.arrays import Array, Ints
 from study.errors import MeshError
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.rings import has_room, punched
-from study.fem.mesh.size_field import SizeField, size_field
+from study.fem.mesh.size_field import CFunction, SizeField, size_field
 from study.fem.mesh.structured import (
     equivalent_radius,
     extrude,
@@ -51,7 +52,7 @@ class Sizes(Protocol):
     def numbers(self) -> tuple[float, ...]:
         """All that the size at a place depends on."""
 
-    def callback(self, dim: int) -> Any:
+    def callback(self, dim: int) -> CFunction:
         """C function of these numbers and a place."""
 
 
@@ -156,7 +157,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
+def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -181,7 +182,7 @@ def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
         gmsh.finalize()
 
 
-def generated(gmsh: Any, dim: int) -> tuple[Array, Ints]:
+def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
     """Mesh the model; points (n, 3) and simplices with consecutive numbers."""
     gmsh.option.setNumber("Mesh.Algorithm", _FRONTAL)
     gmsh.option.setNumber("Mesh.Algorithm3D", _DELAUNAY)
@@ -277,12 +278,14 @@ def _tetrahedra(outline: Array, height: float, field: SizeField, ring: float) ->
     return points, turned(points, cells)
 
 
-def _quarter(gmsh: Any, outline: Array, height: float, ring: float, field: SizeField) -> None:
+def _quarter(
+    gmsh: ModuleType, outline: Array, height: float, ring: float, field: SizeField
+) -> None:
     """Quarter prism over an outline; the edge of a flat end is a curve on its top."""
-    geo, lines = gmsh.model.geo, {}  # type: Any, dict[tuple[int, int], int]
+    geo, lines = gmsh.model.geo, dict[tuple[int, int], int]()
     low = [geo.addPoint(0, 0, 0), *(geo.addPoint(x, y, 0) for x, y in outline)]
     high = [geo.addPoint(0, 0, height), *(geo.addPoint(x, y, height) for x, y in outline)]
-    arc = _arc(geo, ring, height, field) if 0 < ring < outline[:, 0].max() else []
+    arc = _arc(gmsh, ring, height, field) if 0 < ring < outline[:, 0].max() else []
     faces = [_face(gmsh, low, lines)]
     n = len(low)
     for i in range(n):
@@ -301,16 +304,16 @@ def _quarter(gmsh: Any, outline: Array, height: float, ring: float, field: SizeF
     geo.addVolume([geo.addSurfaceLoop(faces)])
 
 
-def _arc(geo: Any, ring: float, height: float, field: SizeField) -> list[int]:
+def _arc(gmsh: ModuleType, ring: float, height: float, field: SizeField) -> list[int]:
     """Points of the polygon that follows a circle about the axis, from x to y."""
     segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
     theta = np.linspace(0, np.pi / 2, segments + 1)
     places = ring * np.column_stack([np.cos(theta), np.sin(theta)])
     places[0, 1] = places[-1, 0] = 0.0
-    return [int(geo.addPoint(x, y, height)) for x, y in places]
+    return [int(gmsh.model.geo.addPoint(x, y, height)) for x, y in places]
 
 
-def _face(gmsh: Any, corners: list[int], lines: dict[tuple[int, int], int]) -> int:
+def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int]) -> int:
     """Plane face through points; lines between two points are made once and shared."""
     loop = []
     for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,6 +50,14 @@ _RING_FINER = 3.0
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH = 0.4
 _LARGEST = 0.3
+
+
+class CFunction(Protocol):
+    """Compiled function that a library in C may call."""
+
+    @property
+    def ctypes(self) -> object:
+        """Pointer to it, as ctypes hands it over."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +103,7 @@ class SizeField:
     def at(self, rho: ArrayLike, z: ArrayLike) -> Array:
         """Size at radius ``rho`` from the axis and height ``z``, of their common shape."""
         both = np.broadcast_arrays(np.asarray(rho, float), np.asarray(z, float))
-        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self.numbers())
+        sizes = _sizes(both[0].ravel(), both[1].ravel(), np.array(self.numbers()))
         return np.asarray(sizes.reshape(both[0].shape))
 
     @classmethod
@@ -110,7 +118,7 @@ class SizeField:
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
         )  # fmt: skip
 
-    def callback(self, dim: int) -> Any:
+    def callback(self, dim: int) -> CFunction:
         """C function that tells gmsh the size at a place."""
         return size_callback(dim)
 
@@ -127,11 +135,11 @@ class SizeField:
 
 
 @part()
-def _size(
-    rho: float, z: float, top: float, finest: float, largest: float, feature: float, ring: float,
-    zone: float, contact: float, growth: float, even: float, halvings: float,
-) -> float:  # fmt: skip
-    """Size at one place; the arguments are the fields of :class:`SizeField`."""
+def _size(rho: float, z: float, numbers: Array) -> float:
+    """Size at one place; the numbers are those of :meth:`SizeField.numbers`."""
+    top, finest, largest = numbers[0], numbers[1], numbers[2]
+    feature, ring, zone, contact = numbers[3], numbers[4], numbers[5], numbers[6]
+    growth, even, halvings = numbers[7], numbers[8], numbers[9]
     depth = z - top
     from_feature = math.hypot(rho - ring, depth)
     if ring > 0.0:
@@ -144,25 +152,20 @@ def _size(
         rings = max(from_feature / finest, 0.5**halvings)
         if rings < 1.0:
             size *= 0.5 ** math.ceil(-math.log2(rings))
-    return size
+    return float(size)
 
 
 @kernel()
-def _sizes(
-    rho: Array, z: Array, top: float, finest: float, largest: float, feature: float, ring: float,
-    zone: float, contact: float, growth: float, even: float, halvings: float,
-) -> Array:  # fmt: skip
+def _sizes(rho: Array, z: Array, numbers: Array) -> Array:
     """Sizes at places, shape (n,)."""
     out = np.empty(rho.size)
     for i in range(rho.size):
-        out[i] = _size(
-            rho[i], z[i], top, finest, largest, feature, ring, zone, contact, growth, even, halvings
-        )
+        out[i] = _size(rho[i], z[i], numbers)
     return out
 
 
 @functools.cache
-def size_callback(dim: int) -> Any:
+def size_callback(dim: int) -> CFunction:
     """C function of a mesh generator's size: it asks at tens of thousands of places.
 
     Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
@@ -172,13 +175,13 @@ def size_callback(dim: int) -> Any:
 
     @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
     def size(
-        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: Any
+        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: object
     ) -> float:
-        n = carray(numbers, (10,), np.float64)
         rho, height = (x, y) if plane else (math.hypot(x, y), z)
-        return float(_size(rho, height, n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9]))
+        return float(_size(rho, height, carray(numbers, (10,), np.float64)))
 
-    return size
+    made: CFunction = size
+    return made
 
 
 def reference_field(

@@ -8,7 +8,7 @@ again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. M
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -125,7 +125,7 @@ def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]
         return generated(gmsh, 3)
 
 
-def _enclose(gmsh: Any, found: Body) -> None:
+def _enclose(gmsh: ModuleType, found: Body) -> None:
     """Faces and the volume between them, from the triangles."""
     mesh, n = gmsh.model.mesh, len(found.points)
     tag = gmsh.model.addDiscreteEntity(2)
