@@ -30,8 +30,10 @@ def height_and_area(specimen: Specimen) -> tuple[float, float]:
     return found.height_mm, found.volume_mm3 / found.height_mm
 
 
-def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates.
+def uniaxial(
+    specimen: Specimen, material: Material, displacement_mm: Array, sense: float = -1.0
+) -> Curve:
+    """Force of a cylinder or block in uniaxial stress, as between frictionless plates.
 
     Parameters
     ----------
@@ -40,27 +42,34 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
     material : Material
         Of the specimen.
     displacement_mm : ndarray, shape (n,)
-        Displacements, from 0 to below the height.
+        Displacements from 0; below the height where they shorten the specimen.
+    sense : {-1, 1}
+        Whether a displacement shortens or lengthens the specimen: that of the kind of test.
 
     Returns
     -------
     Curve
-        With ``force_gradient`` in N per MPa for every constant.
+        Force in the sense of the displacement, with ``force_gradient`` in N per MPa for every
+        constant.
 
     Raises
     ------
     InputError
-        If a displacement reaches the height of the specimen.
+        If a displacement reaches the height of a specimen that is shortened.
     """
     height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
-    if d.max(initial=0.0) >= height:
+    if sense < 0 and d.max(initial=0.0) >= height:
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
-        raise InputError(Fault("test.displacement", rule))
-    stretch = 1 - d / height
-    state = response(material, "uniaxial", stretch)
-    gradient = {name: -area * slope for name, slope in state.gradient.items()}
-    return Curve(d, -area * state.stress, force_gradient=gradient)
+        raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
+    state = response(material, "uniaxial", 1 + sense * d / height)
+    gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
+    return Curve(d, sense * area * state.stress, force_gradient=gradient)
+
+
+def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
+    """Force of a cylinder or block compressed between frictionless plates: :func:`uniaxial`."""
+    return uniaxial(specimen, material, displacement_mm)
 
 
 def neo_hookean_start(
@@ -91,7 +100,7 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     setup = Setup.of(config)
     pressed = setup.test.indenter
     if pressed is None:
-        return compression(setup.specimen, unit, d).force_N
+        return uniaxial(setup.specimen, unit, d, setup.kind.sense).force_N
     nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(

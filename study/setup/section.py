@@ -15,7 +15,6 @@ from typing import Any, TypeVar, dataclass_transform
 from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator, ValidationInfo
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema
 
 from study.errors import Fault, InputError, UnitError
 
@@ -92,9 +91,7 @@ class Reads:
             return self(value)
         return value if self.given is None else self.given(value)
 
-    def __get_pydantic_core_schema__(
-        self, source: object, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> object:
         """Have pydantic read a value of this kind so."""
         return PlainValidator(self.validated).__get_pydantic_core_schema__(source, handler)
 

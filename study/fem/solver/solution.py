@@ -191,7 +191,8 @@ class Logbook:
         self.rows.insert(at, row)
         self.states.insert(at, loaded)
         self.reached.insert(at, state.displacement_mm)
-        self.reactions.insert(at, _base_reaction(self.system, assembly))
+        sense = self.problem.setup.kind.sense
+        self.reactions.insert(at, _base_reaction(self.system, assembly, sense))
         self.iterations.insert(at, spent)
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
@@ -311,8 +312,8 @@ class Logbook:
         return "; ".join(said)
 
 
-def _base_reaction(system: System, assembly: Assembly) -> float:
-    """Axial reaction below: equal to the force at equilibrium."""
+def _base_reaction(system: System, assembly: Assembly, sense: float) -> float:
+    """Axial reaction below, against the loading: equal to the force at equilibrium."""
     sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     held, dim = system.constraints, system.space.dim
     still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
@@ -321,7 +322,7 @@ def _base_reaction(system: System, assembly: Assembly) -> float:
         if points.surface.speed == 0:  # the plate that stands still
             axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
             carried -= float(axial.sum())
-    return sector * carried
+    return -sense * sector * carried
 
 
 def _pinned(system: System, assembly: Assembly, force: float) -> float:
