@@ -65,7 +65,7 @@ class Case:
         test = Test("compression", displacement, "bonded", "bonded", steps=self.steps)
         gel = Material("neo-hookean", {"C10": C10}, bulk_modulus=BULK)
         model = Model(self.space, "quadratic", mesh_size_mm=self.mesh_size_mm)  # type: ignore[arg-type]
-        mesh = build_mesh(Problem(Cylinder(RADIUS_MM, HEIGHT_MM), test, gel, model))
+        mesh = build_mesh(Problem(Cylinder(RADIUS_MM, HEIGHT_MM), test, gel, model).setup)
         cells = oriented(mesh.points, mesh.cells)
         return Task(mesh.points, cells, displacement, self.steps, C10, BULK, TOLERANCE)
 

@@ -51,7 +51,7 @@ def problems() -> dict[str, Problem]:
 
 def rows(problem: Problem) -> Iterator[tuple[object, ...]]:
     """Solve with every number of load steps; what is printed, one row a curve."""
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
 
     def curve(steps: int, options: Options, material: Material = GEL) -> tuple[Curve, float]:
         test = replace(problem.test, steps=steps)

@@ -75,13 +75,13 @@ _UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")
 MAX_LENGTH = 80
 
 
-def parse(text: str, dimension: str) -> float:
+def parse(text: object, dimension: str) -> float:
     """Value of a text such as ``"50 mm"`` in the internal unit of its dimension.
 
     Parameters
     ----------
     text : str
-        A number and its unit.
+        A number and its unit; anything else is refused.
     dimension : str
         One of :data:`INTERNAL`.
 

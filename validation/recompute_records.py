@@ -111,9 +111,12 @@ def _job(
 def _sticks(test: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
     from study.setup.setup import loading_of
+    from study.setup.test_kind import IndenterContact
+    from study.setup.test_section import TEST_KINDS
 
     made = loading_of(test).to_depth(1.0)
-    return made.kind == "indentation" and made.interface == "bonded" and not made.holds_face
+    contacts = TEST_KINDS[made.kind].contacts(made)
+    return any(isinstance(one, IndenterContact) and one.is_bonded for one in contacts)
 
 
 def _unfit(record: Any) -> str:

@@ -145,9 +145,12 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
     """
     from study.fem.mesh.mesher import mesh_size
 
-    series, size = [own], mesh_size(problem)
+    series, size = [own], mesh_size(problem.setup)
     for level in range(1, MESHES):
-        if level > 1 and expected_unknowns(sized(problem, size / RATIO**level)) > THIRD_UNKNOWNS:
+        if (
+            level > 1
+            and expected_unknowns(sized(problem, size / RATIO**level).setup) > THIRD_UNKNOWNS
+        ):
             break
         finer = ask(sized(problem, size / RATIO**level))
         if finer["status"] != "converged":

@@ -16,10 +16,9 @@ from study.errors import InputError
 from study.fem.checks import check, instability
 from study.fem.cost import expected_unknowns
 from study.fem.mesh.mesher import mesh_size
-from study.fem.mesh.size_field import sharp_edge
 from study.material.material import Material
 from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
-from study.setup.load_steps import StepRule, StepSettings
+from study.setup.load_steps import StepSettings
 from study.setup.setup import Model, Problem
 from study.setup.test_kind import Interface, Test
 
@@ -74,13 +73,13 @@ def affordable(problem: Problem, rng: Generator) -> Problem | None:
         return None
     if rng.random() < 0.5:
         medium = with_mesh(problem, "medium")
-        if expected_unknowns(medium) < MOST_UNKNOWNS[space]:
+        if expected_unknowns(medium.setup) < MOST_UNKNOWNS[space]:
             return medium
     coarse = with_mesh(problem, "coarse")
-    size = mesh_size(coarse)
+    size = mesh_size(coarse.setup)
     for factor in _COARSER:
         wider = coarse if factor == 1 else sized(coarse, factor * size)
-        if expected_unknowns(wider) < MOST_UNKNOWNS[space]:
+        if expected_unknowns(wider.setup) < MOST_UNKNOWNS[space]:
             return wider
     return None
 
@@ -100,7 +99,7 @@ def sized(problem: Problem, size_mm: float) -> Problem:
 def pieces(problem: Problem) -> int:
     """Load steps that the step rule makes of those that are asked for."""
     test = problem.test
-    rule = StepRule.of(problem, problem.specimen.height_mm, StepSettings())
+    rule = problem.setup.step_rule(StepSettings(), problem.specimen.height_mm)
     length = test.displacement_mm / test.steps
     depths = length * np.arange(1, test.steps + 1)
     return int(sum(math.ceil(length / rule.largest_mm(float(d)) - 1e-9) for d in depths))
@@ -130,13 +129,17 @@ def _finest(problem: Problem) -> Problem:
 
     At a sharp edge no finer than that: the smaller an element is there, the sooner it collapses.
     """
-    fine, most = mesh_size(problem), REFERENCE_UNKNOWNS[problem.model.space]
+    fine, most = mesh_size(problem.setup), REFERENCE_UNKNOWNS[problem.model.space]
     size = fine / 1.5
-    while expected_unknowns(sized(problem, size)) > most:
+    while expected_unknowns(sized(problem, size).setup) > most:
         size *= 1.1
-    if sharp_edge(problem.test.indenter):
+    pressed = problem.test.indenter
+    if pressed is not None and pressed.is_sharp_edged:
         return sized(problem, size)
-    while size > fine / FINEST and expected_unknowns(sized(problem, size / 1.1)) < ENOUGH_UNKNOWNS:
+    while (
+        size > fine / FINEST
+        and expected_unknowns(sized(problem, size / 1.1).setup) < ENOUGH_UNKNOWNS
+    ):
         size /= 1.1
     return sized(problem, size)
 

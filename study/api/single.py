@@ -82,7 +82,7 @@ def _judge(problem: Problem) -> None:
     import numpy as np
 
     height = float(getattr(problem.specimen, "height_mm", 0.0))
-    depth = problem.test.displacement_mm
+    depth = problem.test.depth_mm
     compressed = problem.test.kind == "compression" and depth < height
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
 

@@ -15,7 +15,7 @@ from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
 from study.setup.setup import Model
-from study.setup.test_kind import TestSection
+from study.setup.test_section import TestSection
 from study.setup.text import MAX_NAME
 
 #: tables that a preset set may be named after

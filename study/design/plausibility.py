@@ -14,6 +14,8 @@ from study.material.material import Material
 from study.material.registry import ENERGIES
 from study.material.stability import stability
 from study.setup import setup
+from study.setup.test_kind import Test
+from study.setup.test_section import TEST_KINDS
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
 PLAUSIBLE_MPA = (1e-4, 10.0)
@@ -58,6 +60,9 @@ def _check_moduli(material: Config, faults: Faults, places: Mapping[str, str]) -
 
 def _check_displacement(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
     depth, height = config["test"]["displacement_mm"], config["specimen"].get("height_mm")
+    kind = TEST_KINDS.get(config["test"]["kind"])
+    if kind is not None and kind.sense > 0:
+        return  # what is lengthened has no end
     if depth is not None and height is not None and depth >= height:
         rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
         faults.add(f"{places['test']}.displacement", rule, "make it smaller than specimen.height")
@@ -158,7 +163,8 @@ def is_homogeneous(config: Mapping[str, Any]) -> bool:
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     """
     test, shape = config["test"], config["specimen"]["shape"]
-    return setup.is_homogeneous(test["kind"], test["interface"], test["base"], shape)
+    loading = Test(test["kind"], None, test["interface"], test["base"])
+    return setup.is_homogeneous(loading, shape)
 
 
 def plausibility(config: Mapping[str, Any]) -> tuple[str, ...]:

@@ -23,9 +23,10 @@ from study.fem.mesh.rings import BULGE, CORE, around, has_room, inward
 from study.fem.mesh.size_field import SizeField
 from study.fem.mesh.solid import expected_unknowns as inside
 from study.fem.mesh.structured import CORNER_FRACTION, GROWTH, equivalent_radius
-from study.setup.geometry import Block, Cone, Flat, Specimen, Surface
-from study.setup.load_steps import StepRule, StepSettings
-from study.setup.setup import Problem
+from study.setup.geometry import Block, Indenter, Specimen, Surface
+from study.setup.load_steps import StepSettings
+from study.setup.setup import Setup
+from study.setup.test_kind import AroundContact, IndenterContact, TowardsPlates
 from study.surface.surface import height_of
 
 #: part of the machine's memory that one solution may take
@@ -82,48 +83,50 @@ def machine_MB() -> float:  # noqa: N802
         return float("inf")
 
 
-def size_faults(problem: Problem) -> Iterator[Fault]:
+def size_faults(setup: Setup) -> Iterator[Fault]:
     """Say where a mesh would need more memory than there is, and which size would fit."""
-    there, solid = machine_MB(), problem.model.space == "3d"
-    rule = too_large(expected_unknowns(problem), there, solid=solid)
+    there, solid = machine_MB(), setup.model.space == "3d"
+    rule = too_large(expected_unknowns(setup), there, solid=solid)
     if not rule:
         return
-    size = mesh_size(problem)
-    low, high = size, height_of(problem.specimen)
+    size = mesh_size(setup)
+    low, high = size, height_of(setup.specimen)
     while high / low > 1.02:
         middle = (low * high) ** 0.5
-        finer = replace(problem, model=replace(problem.model, mesh_size_mm=middle))
+        finer = replace(setup, model=replace(setup.model, mesh_size_mm=middle))
         fits = not too_large(expected_unknowns(finer), there, solid=solid)
         low, high = (low, middle) if fits else (middle, high)
     mend = f'write mesh_size = "{1.05 * high:.2g} mm" or more'
-    if isinstance(problem.specimen, Surface):
+    if isinstance(setup.specimen, Surface):
         mend += ", or check specimen.unit"
     yield Fault("model.mesh_size", f"{size:.3g} mm gives {rule}", mend)
 
 
-def expected_unknowns(problem: Problem) -> float:
+def expected_unknowns(setup: Setup) -> float:
     """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
-    if isinstance(problem.specimen, Surface):
-        return inside(problem)
-    model = problem.model
-    compressed = problem.test.kind == "compression"
-    cells = _between_plates(problem) if compressed else _under_indenter(problem)
+    if isinstance(setup.specimen, Surface):
+        return inside(setup)
+    model = setup.model
+    grading = setup.grading
+    if isinstance(grading, AroundContact):
+        cells = _under_indenter(setup, grading.indenter)
+    else:
+        cells = _between_plates(setup, grading)
     dim = 2 if model.space == "axisymmetric" else 3
     pair = _UNKNOWNS[(dim, model.element_shape, model.element_order)]
     return cells * pair[0 if model.formulation == "mixed" else 1]
 
 
-def _between_plates(problem: Problem) -> float:
+def _between_plates(setup: Setup, grading: TowardsPlates) -> float:
     """Cells of a structured mesh: see :func:`study.fem.mesh.mesher.compressed_mesh`."""
-    test, specimen, h = problem.test, problem.specimen, mesh_size(problem)
-    bonded = [plate == "bonded" for plate in (test.interface, test.base)]
+    specimen, h, bonded = setup.specimen, mesh_size(setup), (grading.top, grading.base)
     half = height_of(specimen) / 2
     high = sum(_line(half, h, graded=plate) for plate in bonded)
-    if bonded[0] == bonded[1]:
+    if setup.has_middle_plane:
         high /= 2  # the half above the middle plane
-    simplex, rim = problem.model.element_shape == "simplex", any(bonded)
+    simplex, rim = setup.model.element_shape == "simplex", any(bonded)
     radius = equivalent_radius(specimen)
-    if problem.model.space == "axisymmetric":
+    if setup.model.space == "axisymmetric":
         return high * _line(radius, h, graded=rim) * (2 if simplex else 1)
     if isinstance(specimen, Block):
         plane = _line(specimen.width_mm / 2, h, graded=rim)
@@ -150,12 +153,12 @@ def _disc(inner: float, line: float) -> float:
     return inner**2 + 2 * inner * max(line - inner, 1.0)
 
 
-def _under_indenter(problem: Problem) -> float:
+def _under_indenter(setup: Setup, indenter: Indenter) -> float:
     """Cells of a graded mesh: see :func:`study.fem.mesh.graded.indentation_mesh`."""
-    specimen, field = problem.specimen, sizes_of(problem)
-    radius, flat = equivalent_radius(specimen), problem.model.space == "axisymmetric"
-    if problem.model.element_shape == "tensor":
-        return _grid(problem, field, radius)
+    specimen, field = setup.specimen, sizes_of(setup)
+    radius, flat = equivalent_radius(specimen), setup.model.space == "axisymmetric"
+    if setup.model.element_shape == "tensor":
+        return _grid(setup, indenter, field, radius)
     rho = _places(radius, field.ring_mm, field)
     z = height_of(specimen) - _places(height_of(specimen), 0.0, field)
     h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
@@ -164,10 +167,10 @@ def _under_indenter(problem: Problem) -> float:
     return (_PER_SQUARE if flat else _PER_CUBE) * total
 
 
-def _grid(problem: Problem, field: SizeField, radius: float) -> float:
+def _grid(setup: Setup, indenter: Indenter, field: SizeField, radius: float) -> float:
     """Quadrilaterals or hexahedra between lines."""
-    specimen, pressed = problem.specimen, problem.test.indenter
-    wide, tall = UNDER_CONE[problem.model.element_order] if isinstance(pressed, Cone) else (1, 1)
+    specimen = setup.specimen
+    wide, tall = UNDER_CONE[setup.model.element_order] if indenter.is_pointed else (1, 1)
     top = np.array([field.top_mm])
 
     def along_top(length: float) -> float:
@@ -177,10 +180,10 @@ def _grid(problem: Problem, field: SizeField, radius: float) -> float:
         return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
 
     high = _steps(height_of(specimen), 0.0, field, along_axis)
-    solid = problem.model.space == "3d"
-    if solid and isinstance(pressed, Flat) and has_room(specimen, field.ring_mm):
+    solid = setup.model.space == "3d"
+    if solid and indenter.has_face and has_room(specimen, field.ring_mm):
         return high * _rings(specimen, field)
-    if problem.model.space == "axisymmetric":
+    if setup.model.space == "axisymmetric":
         return high * along_top(radius)
     if isinstance(specimen, Block):
         return high * along_top(specimen.width_mm / 2) * along_top(specimen.depth_mm / 2)
@@ -268,38 +271,38 @@ class Estimate:
     memory_MB: float
 
 
-def estimate(problem: Problem) -> Estimate:
+def estimate(setup: Setup) -> Estimate:
     """Predict the cost of a problem from its mesh and the measured cost of an iteration.
 
     The seconds are those of one of two workers that are both busy.
     """
-    dofs = expected_unknowns(problem)
+    dofs = expected_unknowns(setup)
     if dofs < _COUNTED:
-        dofs = unknowns(problem, build_mesh(problem))
-    seconds = _load_steps(problem, height_of(problem.specimen)) * _iteration(problem, dofs)
-    memory = memory_MB(dofs, solid=problem.model.space == "3d")
+        dofs = unknowns(setup, build_mesh(setup))
+    seconds = _load_steps(setup, height_of(setup.specimen)) * _iteration(setup, dofs)
+    memory = memory_MB(dofs, solid=setup.model.space == "3d")
     return Estimate(int(dofs), float(seconds), memory)
 
 
-def _iteration(problem: Problem, dofs: float) -> float:
+def _iteration(setup: Setup, dofs: float) -> float:
     """Seconds of a Newton iteration.
 
     Between plates 0.06 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
     1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 9 ms at
     2.9k axisymmetric, and 0.06 s at 5.5k, 0.15 s at 11k, 0.53 s at 27k quadratic solid unknowns.
     """
-    solid, indented = problem.model.space == "3d", problem.test.kind == "indentation"
+    solid, indented = setup.model.space == "3d", isinstance(setup.grading, AroundContact)
     if not solid:
         return float(3e-4 + 3.1e-6 * dofs if indented else 1e-3 + 0.06 * (dofs / 21e3) ** 1.2)
     if not indented:
         return float(0.5 * (dofs / 28e3) ** 1.95)
-    share = 1.0 if problem.model.element_order == "quadratic" else _LINEAR
+    share = 1.0 if setup.model.element_order == "quadratic" else _LINEAR
     return float(0.103 * share * (dofs / 8.2e3) ** 1.38)
 
 
-def unknowns(problem: Problem, mesh: Mesh) -> int:
+def unknowns(setup: Setup, mesh: Mesh) -> int:
     """Free displacements and pressures of a problem on a mesh, without discretizing it."""
-    model, dim, cells = problem.model, mesh.points.shape[1], mesh.cells
+    model, dim, cells = setup.model, mesh.points.shape[1], mesh.cells
     vertices, n = len(mesh.points), len(cells)
     tensor, quadratic = model.element_shape == "tensor", model.element_order == "quadratic"
     mixed = model.formulation == "mixed"
@@ -311,7 +314,7 @@ def unknowns(problem: Problem, mesh: Mesh) -> int:
         nodes += n  # bubbles
     pressures = (dim + 1 if quadratic else 1) * n if tensor else vertices
     # a held plane has about twice as many nodes in each direction as vertices
-    held = constraints(problem, _Vertices(mesh.points), mesh).dofs.size
+    held = constraints(setup, _Vertices(mesh.points), mesh).dofs.size
     held *= 2 ** (dim - 1) if quadratic else 1
     return int(dim * nodes + (pressures if mixed else 0) - held)
 
@@ -332,12 +335,12 @@ def _distinct(cells: NDArray[np.int64], parts: Sequence[tuple[int, ...]]) -> int
     return len(np.unique(groups, axis=0))
 
 
-def _load_steps(problem: Problem, height_mm: float) -> float:
+def _load_steps(setup: Setup, height_mm: float) -> float:
     """Newton iterations of a run: requested steps, each cut to what the step rule allows."""
-    test = problem.test
-    rule = StepRule.of(problem, height_mm, StepSettings())
-    targets = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
-    length = test.displacement_mm / test.steps
+    test = setup.test
+    rule = setup.step_rule(StepSettings(), height_mm)
+    targets = test.depth_mm * np.arange(1, test.steps + 1) / test.steps
+    length = test.depth_mm / test.steps
     pieces = sum(np.ceil(length / rule.largest_mm(depth) - 1e-9) for depth in targets)
-    touching = test.kind == "indentation" and not test.holds_face
+    touching = any(isinstance(contact, IndenterContact) for contact in setup.contacts)
     return float(pieces * (_CONTACT_ITERATIONS if touching else _ITERATIONS))

@@ -12,7 +12,8 @@ from study.errors import Fault, InputError
 from study.fem.element.function_space import Discretization, deformation_gradient
 from study.fem.mesh.graded import turned
 from study.fem.solver.solution import Solution
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.material.stress import first_piola
 
 #: VTK's cell types by (dimension, corners, nodes that are drawn)

@@ -7,10 +7,6 @@ respect to the constants is analytic, so a fit costs microseconds.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from study.arrays import Array
@@ -19,24 +15,25 @@ from study.errors import Fault, InputError
 from study.forward import halfspace
 from study.material.homogeneous import response
 from study.material.material import Material
-from study.setup.geometry import Block, Cylinder, Specimen
-from study.setup.setup import Setup
+from study.setup.geometry import Specimen, Surface
+from study.setup.material_section import MaterialSection
+from study.setup.setup import ResolvedTables, Setup
 
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
     """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
-    if isinstance(specimen, Cylinder):
-        return specimen.height_mm, math.pi * specimen.radius_mm**2
-    if isinstance(specimen, Block):
-        return specimen.height_mm, specimen.width_mm * specimen.depth_mm
+    if not isinstance(specimen, Surface):
+        return specimen.height_mm, specimen.area_mm2
     from study.surface.surface import body
 
     found = body(specimen)
     return found.height_mm, found.volume_mm3 / found.height_mm
 
 
-def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates.
+def uniaxial(
+    specimen: Specimen, material: Material, displacement_mm: Array, sense: float = -1.0
+) -> Curve:
+    """Force of a cylinder or block in uniaxial stress, as between frictionless plates.
 
     Parameters
     ----------
@@ -45,31 +42,38 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
     material : Material
         Of the specimen.
     displacement_mm : ndarray, shape (n,)
-        Displacements, from 0 to below the height.
+        Displacements from 0; below the height where they shorten the specimen.
+    sense : {-1, 1}
+        Whether a displacement shortens or lengthens the specimen: that of the kind of test.
 
     Returns
     -------
     Curve
-        With ``force_gradient`` in N per MPa for every constant.
+        Force in the sense of the displacement, with ``force_gradient`` in N per MPa for every
+        constant.
 
     Raises
     ------
     InputError
-        If a displacement reaches the height of the specimen.
+        If a displacement reaches the height of a specimen that is shortened.
     """
     height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
-    if d.max(initial=0.0) >= height:
+    if sense < 0 and d.max(initial=0.0) >= height:
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
-        raise InputError(Fault("test.displacement", rule))
-    stretch = 1 - d / height
-    state = response(material, "uniaxial", stretch)
-    gradient = {name: -area * slope for name, slope in state.gradient.items()}
-    return Curve(d, -area * state.stress, force_gradient=gradient)
+        raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
+    state = response(material, "uniaxial", 1 + sense * d / height)
+    gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
+    return Curve(d, sense * area * state.stress, force_gradient=gradient)
+
+
+def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
+    """Force of a cylinder or block compressed between frictionless plates: :func:`uniaxial`."""
+    return uniaxial(specimen, material, displacement_mm)
 
 
 def neo_hookean_start(
-    config: Mapping[str, Any], displacement_mm: Array, force_N: Array
+    config: ResolvedTables, displacement_mm: Array, force_N: Array
 ) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
@@ -89,22 +93,22 @@ def neo_hookean_start(
     return {"C10": c10}
 
 
-def _force_per_C10(config: Mapping[str, Any], d: Array) -> Array:  # noqa: N802
+def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
     pressed = setup.test.indenter
-    if setup.test.kind != "indentation" or pressed is None:
-        return compression(setup.specimen, unit, d).force_N
-    nu = float(config["material"].get("poisson_ratio") or 0.5)
+    if pressed is None:
+        return uniaxial(setup.specimen, unit, d, setup.kind.sense).force_N
+    nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(
         pressed,
         np.maximum(d, 0.0),
         height_mm=np.inf if height is None else height,
         poisson_ratio=nu,
-        bonded=setup.test.held_below == "bonded",
+        bonded=setup.test.base == "bonded",
     )
     # E = 4 (1 + nu) C10
     force = 4 * (1 + nu) * per_modulus

@@ -12,14 +12,16 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from study.curve import Curve
 from study.forward.model import Prediction
 from study.setup.load_steps import StepSettings
-from study.setup.setup import problem_of
+from study.setup.setup import Problem, ResolvedTables, problem_of
 
-Config = Mapping[str, Any]
+if TYPE_CHECKING:  # they load compiled kernels
+    from study.fem.solver.options import Options
+    from study.fem.solver.solution import Solution
 
 
 class Anchors:
@@ -27,12 +29,12 @@ class Anchors:
 
     def __init__(self) -> None:
         self._group = ""
-        self._solution: Any = None
+        self._solution: Solution | None = None
         self._seconds = 0.0
 
     def predict(
         self,
-        config: Config,
+        config: ResolvedTables,
         constants: Mapping[str, float] | None,
         depth_mm: float,
         anchor: Mapping[str, Any] | None,
@@ -59,7 +61,7 @@ class Anchors:
             return _cold(config, constants, depth_mm, gradients=False)
         return Prediction(found, self._seconds)
 
-    def _prepare(self, config: Config, depth_mm: float, anchor: Mapping[str, Any]) -> None:
+    def _prepare(self, config: ResolvedTables, depth_mm: float, anchor: Mapping[str, Any]) -> None:
         if anchor["group"] == self._group:
             return
         self._solution = None  # its memory goes before the next one comes
@@ -69,7 +71,11 @@ class Anchors:
 
 
 def _cold(
-    config: Config, constants: Mapping[str, float] | None, depth_mm: float, *, gradients: bool
+    config: ResolvedTables,
+    constants: Mapping[str, float] | None,
+    depth_mm: float,
+    *,
+    gradients: bool,
 ) -> Prediction:
     problem = problem_of(config, constants, depth_mm)
     load_compiled(problem)
@@ -82,18 +88,18 @@ def _cold(
 _LOADED: set[tuple[str, ...]] = set()
 
 
-def load_compiled(problem: Any) -> None:
+def load_compiled(problem: Problem) -> None:
     """Solve a small relative of a problem, once for each kind."""
     key = (problem.model.space, problem.material.law().kind.name, problem.test.kind)
     if key in _LOADED:
         return
     _LOADED.add(key)
-    test = replace(problem.test, steps=1, displacement_mm=problem.test.displacement_mm / 50)
+    test = replace(problem.test, steps=1, displacement_mm=problem.test.depth_mm / 50)
     model = replace(problem.model, mesh="coarse", mesh_size_mm=None)
     solve(replace(problem, test=test, model=model), gradients=False)
 
 
-def mesh_facts(solution: Any) -> dict[str, Any]:
+def mesh_facts(solution: Solution) -> dict[str, object]:
     """Describe the mesh of a solution for the record."""
     return {
         "dofs": int(solution.dofs),
@@ -103,21 +109,37 @@ def mesh_facts(solution: Any) -> dict[str, Any]:
     }
 
 
-def solve(problem: Any, *, cutbacks: float | None = None, **asked: Any) -> Any:
+def solve(
+    problem: Problem,
+    *,
+    gradients: bool = True,
+    warm: Solution | None = None,
+    cutbacks: float | None = None,
+    options: Options | None = None,
+) -> Solution:
     """Forward solution; the solver is loaded on first use.
 
     Parameters
     ----------
+    problem : Problem
+        What is simulated.
+    gradients : bool
+        Whether dF/dconstant is computed.
+    warm : Solution, optional
+        Earlier solution of the same problem with other constants.
     cutbacks : float, optional
         Smallest load step over the largest one, where that is not the solver's own.
+    options : Options, optional
+        Tolerances and step rule.
     """
     from study.fem.solver.options import Options
     from study.fem.solver.solve import solve as forward_solve
 
-    options = asked.pop("options", None) or Options()
+    options = options or Options()
     if cutbacks is not None:
         options = replace(options, steps=StepSettings(smallest=cutbacks), snaps=False)
-    return forward_solve(problem, options=replace(options, curve_error=CURVE_ERROR), **asked)
+    options = replace(options, curve_error=CURVE_ERROR)
+    return forward_solve(problem, gradients=gradients, warm=warm, options=options)
 
 
 def without_gradients(curve: Curve) -> Curve:

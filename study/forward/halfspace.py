@@ -91,7 +91,7 @@ def _half_space(indenter: Indenter, depth: Array) -> tuple[Array, Array]:
 def _contact(indenter: Indenter, deepest: float) -> tuple[float, float]:
     """Radius at which contact begins, and the largest one that a depth can bring, mm."""
     if isinstance(indenter, Flat):
-        return indenter.radius_mm - indenter.edge_radius_mm, indenter.radius_mm
+        return indenter.face_radius_mm, indenter.radius_mm
     if isinstance(indenter, Cone):
         run = deepest * math.tan(math.radians(indenter.half_angle_deg))
         free = 2 * (run + indenter.tip_radius_mm)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
 
 
 @dataclass(frozen=True)
 class Prediction:
     """A forward solution and what it would have cost alone, in seconds."""
 
-    solution: Any
+    solution: Solution
     cold_seconds: float

@@ -121,7 +121,7 @@ def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float
         depth_mm = depth_mm or 0.2 * height
     try:
         problem = problem_of({**config, "material": section}, {"C10": 0.005}, depth_mm)
-        found = estimate(problem)
+        found = estimate(problem.setup)
         return float(found.seconds), float(found.memory_MB)
     except (InputError, ValueError, RuntimeError):
         return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
+from study.errors import Fault
 from study.setup.quantity import Coordinate, LengthOrZero, measured, unit_of_length
 from study.setup.section import Reads, section
 from study.setup.text import relative_path, word
@@ -24,6 +28,21 @@ class Cylinder:
     height_mm: Annotated[float, _CYLINDER] = Field(validation_alias="height")
     shape: Literal["cylinder"] = "cylinder"
 
+    @property
+    def area_mm2(self) -> float:
+        """Cross-section."""
+        return math.pi * self.radius_mm**2
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume."""
+        return float(np.pi * self.radius_mm**2 * self.height_mm)
+
+    @property
+    def half_width_mm(self) -> float:
+        """Distance from the axis to the side."""
+        return self.radius_mm
+
 
 @section
 class Block:
@@ -33,6 +52,21 @@ class Block:
     depth_mm: Annotated[float, _BLOCK] = Field(validation_alias="depth")
     height_mm: Annotated[float, _BLOCK] = Field(validation_alias="height")
     shape: Literal["block"] = "block"
+
+    @property
+    def area_mm2(self) -> float:
+        """Cross-section."""
+        return self.width_mm * self.depth_mm
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume."""
+        return self.width_mm * self.depth_mm * self.height_mm
+
+    @property
+    def half_width_mm(self) -> float:
+        """Distance from the axis to the nearest side."""
+        return min(self.width_mm, self.depth_mm) / 2
 
 
 @section
@@ -78,6 +112,44 @@ class Flat:
     )
     edge_radius_mm: LengthOrZero = Field(default=0.0, validation_alias="edge_radius")
     shape: Literal["flat"] = "flat"
+    has_face: ClassVar[bool] = True
+    is_pointed: ClassVar[bool] = False
+
+    @property
+    def face_radius_mm(self) -> float:
+        """Radius of the plane face, up to where an edge begins to be round."""
+        return self.radius_mm - self.edge_radius_mm
+
+    @property
+    def is_sharp_edged(self) -> bool:
+        """Whether the face ends in a sharp edge."""
+        return self.edge_radius_mm == 0
+
+    @property
+    def rounding_mm(self) -> float:
+        """Radius of the rounded edge of the face."""
+        return self.edge_radius_mm
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """Contact radius on a half-space: that of the punch."""
+        return self.radius_mm
+
+    def reach_mm(self, depth_mm: float) -> float:
+        """Largest radius that can be touched at a depth."""
+        return self.radius_mm
+
+    def step_length_mm(self, depth_mm: float) -> float:
+        """Length that load steps are measured by.
+
+        The rounded edge takes part within the first fractions of its radius.
+        """
+        return max(self.edge_radius_mm, 0.1 * self.radius_mm)
+
+    def faults(self) -> Iterator[Fault]:
+        """Dimensions that make no such body."""
+        if not 0 <= self.edge_radius_mm <= self.radius_mm:
+            rule = f"{self.edge_radius_mm:g} mm is not between 0 and the radius"
+            yield Fault("test.indenter.edge_radius", rule, "round the edge less")
 
 
 @section
@@ -92,6 +164,36 @@ class Cone:
         default=None, validation_alias="shaft_radius"
     )
     shape: Literal["cone"] = "cone"
+    has_face: ClassVar[bool] = False
+    is_pointed: ClassVar[bool] = True
+    face_radius_mm: ClassVar[float] = 0.0
+    is_sharp_edged: ClassVar[bool] = False
+
+    @property
+    def rounding_mm(self) -> float:
+        """Radius of the tip."""
+        return self.tip_radius_mm
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """Contact radius on a half-space (Sneddon 1965); that of the tip's sphere at first."""
+        sharp = 2 / np.pi * depth_mm * np.tan(np.radians(self.half_angle_deg))
+        wide = max(sharp, np.sqrt(self.tip_radius_mm * depth_mm) if self.tip_radius_mm > 0 else 0.0)
+        return float(min(wide, self.shaft_radius_mm or np.inf))
+
+    def reach_mm(self, depth_mm: float) -> float:
+        """Largest radius that can be touched at a depth, at most a tip's radius too large."""
+        cone = depth_mm * np.tan(np.radians(self.half_angle_deg)) + self.tip_radius_mm
+        return float(min(cone, self.shaft_radius_mm or np.inf))
+
+    def step_length_mm(self, depth_mm: float) -> float:
+        """Length that load steps are measured by."""
+        return max(self.tip_radius_mm, 0.05 * depth_mm)
+
+    def faults(self) -> Iterator[Fault]:
+        """Dimensions that make no such body."""
+        if not 0 < self.half_angle_deg < 90:
+            rule = f"{self.half_angle_deg:g} deg is not between 0 and 90 deg"
+            yield Fault("test.indenter.half_angle", rule, "it is measured from the axis")
 
 
 @section
@@ -102,6 +204,27 @@ class Sphere:
         validation_alias="radius"
     )
     shape: Literal["sphere"] = "sphere"
+    has_face: ClassVar[bool] = False
+    is_pointed: ClassVar[bool] = False
+    face_radius_mm: ClassVar[float] = 0.0
+    is_sharp_edged: ClassVar[bool] = False
+    rounding_mm: ClassVar[float] = 0.0
+
+    def contact_radius_mm(self, depth_mm: float) -> float:
+        """Contact radius on a half-space (Hertz)."""
+        return float(min(np.sqrt(self.radius_mm * depth_mm), self.radius_mm))
+
+    def reach_mm(self, depth_mm: float) -> float:
+        """Radius that is touched at a depth on a half-space."""
+        return float(np.sqrt(max(min(depth_mm, self.radius_mm) * self.radius_mm, 0.0)))
+
+    def step_length_mm(self, depth_mm: float) -> float:
+        """Length that load steps are measured by."""
+        return max(0.1 * self.radius_mm, 0.2 * depth_mm)
+
+    def faults(self) -> Iterator[Fault]:
+        """No sphere has any."""
+        return iter(())
 
 
 Specimen = Cylinder | Block | Surface

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from study.setup.geometry import Cone, Flat, Sphere
-from study.setup.setup import Problem
-
 
 @dataclass(frozen=True)
 class StepSettings:
@@ -18,7 +15,7 @@ class StepSettings:
     Parameters
     ----------
     largest : float
-        Largest step of a compression over the specimen's height.
+        Largest step between plates over the specimen's height.
     first_touch, largest_touch : float
         First and largest step of an indentation over the indenter's own length.
     sticking : float
@@ -44,24 +41,22 @@ class StepSettings:
 
 @dataclass(frozen=True)
 class StepRule:
-    """Step settings with the lengths of one problem (mm)."""
+    """Step settings with the lengths of one test (mm).
+
+    Parameters
+    ----------
+    settings : StepSettings
+        As fractions.
+    first_mm, base_mm : float
+        First step, and the largest one at no depth.
+    deeper : float
+        Largest step over the depth reached, where that is more.
+    """
 
     settings: StepSettings
     first_mm: float
     base_mm: float
-    deeper: float
-
-    @classmethod
-    def of(cls, problem: Problem, height_mm: float, settings: StepSettings) -> StepRule:
-        """Rule of a problem; ``height_mm`` is that of the specimen."""
-        if problem.test.kind == "compression" or problem.test.interface == "bonded":
-            largest = settings.largest * height_mm
-            if problem.test.kind == "indentation":
-                largest = min(largest, settings.sticking * _length(problem))
-            return cls(settings, largest, largest, 0.0)
-        own = _length(problem)
-        first, largest = settings.first_touch * own, settings.largest_touch * own
-        return cls(settings, first, largest, settings.deeper)
+    deeper: float = 0.0
 
     def largest_mm(self, depth_mm: float) -> float:
         """Largest step at a depth."""
@@ -77,16 +72,3 @@ class StepRule:
         if iterations <= rule.easy:
             return min(self.largest_mm(depth_mm), max(step_mm, last_mm * rule.growth))
         return 0.7 * last_mm if iterations > rule.hard else step_mm
-
-
-def _length(problem: Problem) -> float:
-    """Length that steps of an indenter are measured by."""
-    pressed, depth = problem.test.indenter, problem.test.displacement_mm
-    if isinstance(pressed, Cone):
-        return max(pressed.tip_radius_mm, 0.05 * depth)
-    if isinstance(pressed, Flat):
-        # the rounded edge takes part within the first fractions of its radius
-        return max(pressed.edge_radius_mm, 0.1 * pressed.radius_mm)
-    if isinstance(pressed, Sphere):
-        return max(0.1 * pressed.radius_mm, 0.2 * depth)
-    return depth

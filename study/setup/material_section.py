@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, cast
 
 from pydantic import Field
 
@@ -12,14 +12,14 @@ from study.errors import Fault, InputError
 from study.material.material import Material
 from study.material.registry import constant_names
 from study.setup.quantity import Pressure, number
-from study.setup.section import Bad, Reads, section
+from study.setup.section import Bad, Reads, section, section_of
 from study.setup.text import flag
 
 
-def _poisson_ratio(value: Any) -> float:
+def _poisson_ratio(value: object) -> float:
     if value == 0.5 and not isinstance(value, bool):
         raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
-    return float(number(-1.0, 0.5)(value))
+    return number(-1.0, 0.5)(value)
 
 
 @section
@@ -53,16 +53,12 @@ class MaterialSection:
     compressibility: Compressibility
 
     @classmethod
-    def of(cls, resolved: Mapping[str, Any]) -> MaterialSection:
+    def of(cls, resolved: Mapping[str, object]) -> MaterialSection:
         """Material of its resolved table, in internal units."""
-        resistance = Compressibility(
-            poisson_ratio=resolved.get("poisson_ratio"),
-            bulk_modulus_MPa=resolved.get("bulk_modulus_MPa"),
-            incompressible=bool(resolved.get("incompressible", False)),
-        )
-        return cls(
-            resolved["model"], resolved.get("order"), resolved.get("constants") or {}, resistance
-        )
+        resistance = section_of("material", Compressibility, resolved)
+        order = cast("int | None", resolved.get("order"))
+        constants = cast("Mapping[str, float]", resolved.get("constants") or {})
+        return cls(str(resolved["model"]), order, constants, resistance)
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from collections.abc import Callable
+from numbers import Real
+from typing import Annotated
 
 from study import units
 from study.errors import UnitError
-from study.setup.section import Bad, Read, Reads
+from study.setup.section import Bad, Reads
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Value as a message shows it, cut short."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -18,10 +20,10 @@ def shown(value: Any) -> str:
 
 def quantity(
     dimension: str, low: float = 0.0, high: float = math.inf, *, closed: bool = False
-) -> Read:
+) -> Callable[[object], float]:
     """Reader of a value with its unit, between ``low`` (excluded unless closed) and ``high``."""
 
-    def read(value: Any) -> float:
+    def read(value: object) -> float:
         number = units.parse(value, dimension)
         unit = units.INTERNAL[dimension]
         if number < low or (number == low and not closed):
@@ -58,19 +60,19 @@ def measured(
     return Reads(quantity(dimension, low, high, closed=closed), dimension, mend, finite)
 
 
-def finite(value: Any) -> float:
+def finite(value: object) -> float:
     """Take a number given in Python; a problem checks the range that it needs."""
-    if isinstance(value, (bool, str)) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise Bad(f"must be a finite number, got {shown(value)}")
     return float(value)
 
 
 def number(
     low: float = -math.inf, high: float = math.inf, *, closed: bool = False, mend: str = ""
-) -> Read:
+) -> Callable[[object], float]:
     """Reader of a finite plain number between ``low`` and ``high``."""
 
-    def read(value: Any) -> float:
+    def read(value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             hint = "it has no unit and no quotes" if isinstance(value, str) else ""
             raise Bad(f"must be a plain number, got {shown(value)}", mend or hint)
@@ -85,12 +87,13 @@ def number(
     return read
 
 
-def integer(low: int, high: int) -> Read:
+def integer(low: int, high: int) -> Callable[[object], int]:
     """Reader of a whole number from ``low`` to ``high``."""
 
-    def read(value: Any) -> int:
-        whole = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not whole or not math.isfinite(value) or value != int(value):
+    def read(value: object) -> int:
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise Bad(f"must be a whole number, got {shown(value)}")
+        if not math.isfinite(value) or value != int(value):
             raise Bad(f"must be a whole number, got {shown(value)}")
         if not low <= value <= high:
             raise Bad(f"must be a whole number from {low} to {high}, got {shown(value)}")
@@ -99,7 +102,7 @@ def integer(low: int, high: int) -> Read:
     return read
 
 
-def unit_of_length(value: Any) -> str:
+def unit_of_length(value: object) -> str:
     """Read the name of a unit of length."""
     if not isinstance(value, str):
         raise Bad(f"must be a text, got {shown(value)}", 'for example unit = "mm"')

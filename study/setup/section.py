@@ -16,9 +16,10 @@ from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator, Va
 from pydantic.dataclasses import dataclass as pydantic_dataclass
 from pydantic.fields import FieldInfo
 
-from study.errors import UnitError
+from study.errors import Fault, InputError, UnitError
 
-Read = Callable[[Any], Any]
+#: Reader of a raw value; who declares a key knows what it makes.
+Read = Callable[[object], Any]
 Kind = TypeVar("Kind")
 
 #: Context of a validation: the values are those of a file, written by hand.
@@ -77,20 +78,20 @@ class Reads:
     mend: str = ""
     given: Read | None = None
 
-    def __call__(self, value: Any) -> Any:
+    def __call__(self, value: object) -> object:
         """Value in internal units."""
         try:
             return self.read(value)
         except UnitError as error:
             raise Bad(error.faults[0].rule, error.faults[0].mend) from error
 
-    def validated(self, value: Any, info: ValidationInfo) -> Any:
+    def validated(self, value: object, info: ValidationInfo) -> object:
         """Value of a file, read; or one given in Python."""
         if info.context is FROM_FILE:
             return self(value)
         return value if self.given is None else self.given(value)
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> object:
         """Have pydantic read a value of this kind so."""
         return PlainValidator(self.validated).__get_pydantic_core_schema__(source, handler)
 
@@ -164,7 +165,7 @@ def _key(name: str, declared: FieldInfo) -> Key:
 
 def _reads_of(declared: FieldInfo) -> Reads | None:
     """How a field is read; also where it may be None."""
-    options: Iterable[Any] = typing.get_args(declared.annotation)
+    options: Iterable[object] = typing.get_args(declared.annotation)
     inner = (mark for option in options for mark in typing.get_args(option))
     return next((mark for mark in (*declared.metadata, *inner) if isinstance(mark, Reads)), None)
 
@@ -174,12 +175,12 @@ def written_keys(kind: type) -> tuple[str, ...]:
     return tuple(key.written for key in keys_of(kind) if not key.is_derived)
 
 
-def values_of(value: object) -> dict[str, Any]:
+def values_of(value: object) -> dict[str, object]:
     """Values of a section by their names, in internal units; sections within it stay."""
     return {key.name: getattr(value, key.name) for key in keys_of(type(value))}
 
 
-def read_section(kind: type[Kind], table: Mapping[str, Any]) -> Kind:
+def read_section(kind: type[Kind], table: Mapping[str, object]) -> Kind:
     """Read one table of a file.
 
     Parameters
@@ -197,3 +198,28 @@ def read_section(kind: type[Kind], table: Mapping[str, Any]) -> Kind:
     validator = kind.__pydantic_validator__  # type: ignore[attr-defined]
     found: Kind = validator.validate_python(table, by_alias=True, by_name=False, context=FROM_FILE)
     return found
+
+
+def section_of(where: str, kind: type[Kind], resolved: Mapping[str, object]) -> Kind:
+    """Make a section of a resolved table, which may hold more: where a file lies, its checksum.
+
+    Parameters
+    ----------
+    where : str
+        Table of the study file, for messages.
+    kind : type
+        Class made by :func:`section`.
+    resolved : mapping
+        Values in internal units by the names of the fields; None counts as left out.
+
+    Raises
+    ------
+    InputError
+        If a value is missing.
+    """
+    known = keys_of(kind)
+    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
+    missing = [k.name for k in known if k.is_required and k.name not in values]
+    if missing:
+        raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
+    return kind(**values)

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from functools import cached_property
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from study.errors import Fault, InputError
 from study.material.material import Material
 from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
+from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
-from study.setup.quantity import Length
-from study.setup.section import DERIVED, Kind, keys_of, section
-from study.setup.test_kind import Test, TestSection
+from study.setup.quantity import Length, finite
+from study.setup.section import DERIVED, section, section_of
+from study.setup.test_kind import Contact, FaceCondition, MeshGrading, Test, TestKind
+from study.setup.test_section import TEST_KINDS, TestSection
 from study.setup.text import word
 
 Space = Literal["axisymmetric", "3d"]
@@ -22,6 +24,9 @@ Order = Literal["linear", "quadratic"]
 Shape = Literal["simplex", "tensor"]
 Formulation = Literal["mixed", "displacement"]
 MeshName = Literal["coarse", "medium", "fine"]
+
+#: Tables of a problem by their names, in internal units.
+ResolvedTables = Mapping[str, Mapping[str, object]]
 
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
 MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
@@ -64,16 +69,6 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One forward simulation."""
-
-    specimen: Specimen
-    test: Test
-    material: Material
-    model: Model
-
-
-@dataclass(frozen=True)
 class Setup:
     """What is tested and how it is discretized; the material is not part of it.
 
@@ -86,12 +81,12 @@ class Setup:
     """
 
     specimen: Specimen
-    test: TestSection
+    test: Test
     model: Model
-    height_mm: float | None
+    height_mm: float | None = None
 
     @classmethod
-    def of(cls, resolved: Mapping[str, Any]) -> Setup:
+    def of(cls, resolved: ResolvedTables) -> Setup:
         """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
         return cls(
             specimen_of(resolved["specimen"]),
@@ -101,10 +96,34 @@ class Setup:
         )
 
     @property
+    def kind(self) -> TestKind:
+        """Rules of the kind of its test."""
+        return TEST_KINDS[self.test.kind]
+
+    @cached_property
+    def faces(self) -> tuple[FaceCondition, ...]:
+        """Motions that the test prescribes."""
+        return self.kind.faces(self.test)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Rigid bodies that the surface may meet."""
+        return self.kind.contacts(self.test)
+
+    @cached_property
+    def grading(self) -> MeshGrading:
+        """Where elements are small."""
+        return self.kind.grading(self.test)
+
+    @property
+    def has_middle_plane(self) -> bool:
+        """Whether the lower half is the mirror image of the upper one."""
+        return self.kind.has_middle_plane(self.test)
+
+    @property
     def is_homogeneous(self) -> bool:
         """Whether the deformation is the same everywhere; see :func:`is_homogeneous`."""
-        test, shape = self.test, self.specimen.shape
-        return is_homogeneous(test.kind, test.interface, test.held_below, shape)
+        return is_homogeneous(self.test, self.specimen.shape)
 
     @property
     def has_close_equilibria(self) -> bool:
@@ -115,7 +134,11 @@ class Setup:
         0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
         """
         linear_solid = self.model.space == "3d" and self.model.element_order == "linear"
-        return linear_solid and self.test.kind == "indentation"
+        return linear_solid and self.kind.strains_locally
+
+    def step_rule(self, settings: StepSettings, height_mm: float) -> StepRule:
+        """Load steps of the test on a specimen of some height."""
+        return self.kind.steps(self.test, height_mm, settings)
 
     def problem(self, material: Material, displacement_mm: float | None = None) -> Problem:
         """Problem of this setup.
@@ -135,21 +158,32 @@ class Setup:
         return Problem(self.specimen, self.test.to_depth(displacement_mm), material, self.model)
 
 
-def is_homogeneous(kind: str, interface: str, base: str, shape: str) -> bool:
-    """Whether a deformation is the same everywhere: compression between frictionless plates.
+@dataclass(frozen=True)
+class Problem:
+    """One forward simulation: a setup and a material."""
+
+    specimen: Specimen
+    test: Test
+    material: Material
+    model: Model
+
+    @cached_property
+    def setup(self) -> Setup:
+        """All but the material: what a mesh and its constraints depend on."""
+        return Setup(self.specimen, self.test, self.model)
+
+
+def is_homogeneous(test: Test, shape: str) -> bool:
+    """Whether a deformation is the same everywhere, as between frictionless plates.
 
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     Whether a surface is a cylinder only its file knows.
     """
-    return (
-        kind == "compression"
-        and interface == base == "frictionless"
-        and shape in ("cylinder", "block")
-    )
+    return shape in ("cylinder", "block") and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
 def problem_of(
-    resolved: Mapping[str, Any],
+    resolved: ResolvedTables,
     constants: Mapping[str, float] | None = None,
     displacement_mm: float | None = None,
 ) -> Problem:
@@ -179,40 +213,32 @@ def mesh_level(model: Model) -> float:
     return float(model.mesh_ratio**steps)
 
 
-def specimen_of(resolved: Mapping[str, Any]) -> Specimen:
+def specimen_of(resolved: Mapping[str, object]) -> Specimen:
     """Specimen of its resolved table; a surface found on this machine is read from there."""
     if resolved.get("path"):
         resolved = {**resolved, "file": resolved["path"]}
-    return _made("specimen", SPECIMENS[resolved["shape"]], resolved)
+    return section_of("specimen", SPECIMENS[str(resolved["shape"])], resolved)
 
 
-def model_of(resolved: Mapping[str, Any]) -> Model:
+def model_of(resolved: Mapping[str, object]) -> Model:
     """Discretization of its resolved table."""
-    return _made("model", Model, resolved)
+    return section_of("model", Model, resolved)
 
 
-def loading_of(resolved: Mapping[str, Any]) -> TestSection:
-    """Test of its resolved table."""
+def loading_of(resolved: Mapping[str, object]) -> Test:
+    """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
-    return _made("test", TestSection, {**resolved, "indenter": pressed and indenter_of(pressed)})
+    made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
+    table = {**resolved, "indenter": made}
+    return section_of("test", TestSection, table).loading()
 
 
-def indenter_of(resolved: Mapping[str, Any]) -> Indenter:
+def indenter_of(resolved: Mapping[str, object]) -> Indenter:
     """Indenter of its resolved table."""
-    return _made("test.indenter", INDENTERS[resolved["shape"]], resolved)
+    return section_of("test.indenter", INDENTERS[str(resolved["shape"])], resolved)
 
 
-def known_height_mm(resolved: Mapping[str, Any]) -> float | None:
+def known_height_mm(resolved: Mapping[str, object]) -> float | None:
     """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
     height = resolved.get("height_mm")
-    return None if height is None else float(height)
-
-
-def _made(where: str, kind: type[Kind], resolved: Mapping[str, Any]) -> Kind:
-    """Section of a resolved table, which may hold more: where a file lies, its checksum."""
-    known = keys_of(kind)
-    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
-    missing = [k.name for k in known if k.is_required and k.name not in values]
-    if missing:
-        raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
-    return kind(**values)
+    return None if height is None else finite(height)

@@ -1,70 +1,74 @@
-"""Tests: a compression between plates or an indentation, as a section and as a value."""
+"""Tests as data: what moves, what touches, where elements are small, which corners are singular.
+
+A test (:class:`Test`) says what one specimen goes through. Its kind (:class:`TestKind`) turns that
+into conditions, contacts and sizes, and is all that the finite-element model knows of it. A kind
+is added as a module beside :mod:`study.setup.compression` and an entry of
+:data:`study.setup.test_section.TEST_KINDS`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
 
-from pydantic import Field
-
+from study.arrays import Array
 from study.errors import Fault, InputError
-from study.setup.geometry import Flat, Indenter
-from study.setup.quantity import Length, integer
-from study.setup.section import Reads, section
-from study.setup.text import word
+from study.setup.geometry import Indenter
+from study.setup.load_steps import StepRule, StepSettings
 
-Kind = Literal["compression", "indentation"]
 Interface = Literal["frictionless", "bonded"]
-
-_CONDITIONS = "frictionless", "bonded"
-_SYNONYMS = {"lubricated": "frictionless"}
+Face = Literal["top", "base"]
 
 
-@section
-class TestSection:
-    """How a specimen is loaded, as far as the file says it.
+@dataclass(frozen=True)
+class Test:
+    """How a specimen is loaded.
 
     Parameters
     ----------
-    kind : {"compression", "indentation"}
-        Between plates, or by a rigid body.
-    interface : {"frictionless", "bonded"}
-        What holds the specimen where it is loaded.
-    base : {"frictionless", "bonded"}, optional
-        What holds it below: as above in compression, bonded in indentation, unless given.
-    displacement_mm : float, optional
-        Final displacement; the end of the measured range may give it.
+    kind : str
+        One of :data:`study.setup.test_section.TEST_KINDS`.
+    displacement_mm : float or None
+        Final displacement, positive; None where the measurements have yet to say it.
+    interface, base : {"frictionless", "bonded"}
+        What holds the specimen where it is loaded, and below.
     steps : int
         Displacements at which the force is asked for.
     indenter : Flat, Cone or Sphere, optional
-        Of an indentation.
+        Of a kind that takes one.
     """
 
     __test__ = False  # not a pytest class
 
-    kind: Annotated[Kind, word("compression", "indentation", mend="compression, ...")]
-    interface: Annotated[
-        Interface, word(*_CONDITIONS, synonyms=_SYNONYMS, mend="frictionless or bonded")
-    ] = "frictionless"
-    base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
-    displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
-    steps: Annotated[int, Reads(integer(1, 10_000))] = 10
-    indenter: Annotated[Any, Reads(lambda table: table)] = None
+    kind: str
+    displacement_mm: float | None
+    interface: Interface = "frictionless"
+    base: Interface = "frictionless"
+    steps: int = 10
+    indenter: Indenter | None = None
 
     @property
-    def held_below(self) -> Interface:
-        """Condition of the base, also where the file leaves it to the kind of the test."""
-        if self.base is not None:
-            return self.base
-        return "bonded" if self.kind == "indentation" else self.interface
+    def depth_mm(self) -> float:
+        """Final displacement.
+
+        Raises
+        ------
+        InputError
+            If it is not known.
+        """
+        if self.displacement_mm is None:
+            mend = "give it, or a measurements.range that ends where the test should"
+            raise InputError(Fault("test.displacement", "the test needs a displacement", mend))
+        return float(self.displacement_mm)
 
     def to_depth(self, displacement_mm: float | None = None) -> Test:
-        """Test with its displacement.
+        """Return the test with its displacement.
 
         Parameters
         ----------
         displacement_mm : float, optional
-            Where the section has none.
+            Where the test has none.
 
         Raises
         ------
@@ -72,27 +76,180 @@ class TestSection:
             If neither gives one.
         """
         depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
-        if depth is None:
-            mend = "give it, or a measurements.range that ends where the test should"
-            raise InputError(Fault("test.displacement", "the test needs a displacement", mend))
-        pressed: Indenter | None = self.indenter if self.kind == "indentation" else None
-        return Test(self.kind, float(depth), self.interface, self.held_below, self.steps, pressed)
+        known = replace(self, displacement_mm=depth)
+        return replace(known, displacement_mm=known.depth_mm)
 
 
 @dataclass(frozen=True)
-class Test:
-    """How the specimen is loaded; the displacement is positive into the specimen."""
+class FaceCondition:
+    """Motion that a test prescribes for the nodes of a face.
 
-    __test__ = False  # not a pytest class
+    Parameters
+    ----------
+    face : {"top", "base"}
+        Highest or lowest plane of the specimen.
+    axial : float
+        Motion along the axis, upwards, per unit of the test's displacement.
+    is_held : bool
+        Whether nodes keep their place across the axis; they slide otherwise.
+    within_mm : float, optional
+        Only nodes within this radius of the axis.
+    """
 
-    kind: Kind
-    displacement_mm: float
-    interface: Interface = "frictionless"
-    base: Interface = "frictionless"
-    steps: int = 10
-    indenter: Indenter | None = None
+    face: Face
+    axial: float
+    is_held: bool
+    within_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class PlateContact:
+    """Free surface that may fold onto, or come to lie in, the plane of a plate.
+
+    Parameters
+    ----------
+    face : {"top", "base"}
+        Where the plate is.
+    is_bonded : bool
+        Whether the plate holds the face that lies in it from the start.
+    """
+
+    face: Face
+    is_bonded: bool
+
+
+@dataclass(frozen=True)
+class IndenterContact:
+    """Loaded surface that a rigid body of revolution may meet.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        Comes down along the axis by the test's displacement.
+    is_bonded : bool
+        Whether it keeps hold of every point that it has touched.
+    """
+
+    indenter: Indenter
+    is_bonded: bool
+
+
+Contact = PlateContact | IndenterContact
+
+
+@dataclass(frozen=True)
+class TowardsPlates:
+    """Elements of one size, smaller towards the rims of bonded faces.
+
+    Parameters
+    ----------
+    top, base : bool
+        Whether the face is bonded.
+    """
+
+    top: bool
+    base: bool
+
+
+@dataclass(frozen=True)
+class AroundContact:
+    """Elements that grow from the contact with an indenter outwards.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        At whose contact elements are smallest.
+    depth_mm : float
+        Depth that the sizes are made for.
+    """
+
+    indenter: Indenter
+    depth_mm: float
+
+
+MeshGrading = TowardsPlates | AroundContact
+
+
+@dataclass(frozen=True)
+class ClampedCorner:
+    """Right angle between a bonded and a free face."""
+
+
+@dataclass(frozen=True)
+class SharpEdge:
+    """Edge of a rigid face, where the pressure goes as the inverse root of the distance.
+
+    Parameters
+    ----------
+    name : str
+        As a sentence calls it.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True)
+class RoundedEdge:
+    """Edge of a rigid face that looks sharp to elements as large as its radius.
+
+    Parameters
+    ----------
+    radius_mm : float
+        Of the rounding.
+    """
+
+    radius_mm: float
+
+
+@dataclass(frozen=True)
+class ContactRim:
+    """Rim of a smooth contact, which a mesh places to within an element."""
+
+
+Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
+
+
+class TestKind(Protocol):
+    """A kind of test: everything that sets it apart from others, as data."""
 
     @property
-    def holds_face(self) -> bool:
-        """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
-        return self.interface == "bonded" and isinstance(self.indenter, Flat)
+    def takes_indenter(self) -> bool:
+        """Whether a test of this kind needs an indenter."""
+
+    @property
+    def strains_locally(self) -> bool:
+        """Whether single places are stretched several times: elements are stabilized there."""
+
+    @property
+    def sense(self) -> float:
+        """Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens."""
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Condition of the base where a file leaves it out."""
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Prescribed motions."""
+
+    def contacts(self, test: Test) -> tuple[Contact, ...]:
+        """Rigid bodies that the surface may meet."""
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Whether the lower half is the mirror image of the upper one."""
+
+    def grading(self, test: Test) -> MeshGrading:
+        """Where elements are small."""
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Load steps of a specimen of some height."""
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Whether a cylinder or block deforms the same everywhere, in uniaxial stress."""
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """Axial stretches in which the material must be stable, shape (n,)."""
+
+    def singularities(self, test: Test) -> tuple[Singularity, ...]:
+        """Corners and edges that limit the order of the force."""
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Say why a specimen of this height and half-width cannot go through the test."""

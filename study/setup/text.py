@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Any
 
 from study.errors import nearest
 from study.setup.quantity import shown
-from study.setup.section import Bad, Read, Reads
+from study.setup.section import Bad, Reads
 
 MAX_NAME = 80
 MAX_TEXT = 4000
@@ -25,11 +24,11 @@ def quoted(key: str) -> str:
     return key if plain else ascii(key[:MAX_NAME])
 
 
-def choice(*names: str, synonyms: Mapping[str, str] | None = None) -> Read:
+def choice(*names: str, synonyms: Mapping[str, str] | None = None) -> Callable[[object], str]:
     """Reader of one of several words; a synonym becomes the word it stands for."""
     words = {name: name for name in names} | dict(synonyms or {})
 
-    def read(value: Any) -> str:
+    def read(value: object) -> str:
         if not isinstance(value, str):
             raise Bad(f"must be a text, got {shown(value)}", nearest("", words))
         if value not in words:
@@ -45,14 +44,14 @@ def word(*names: str, synonyms: Mapping[str, str] | None = None, mend: str = "")
     return Reads(read, mend=mend, given=read)
 
 
-def flag(value: Any) -> bool:
+def flag(value: object) -> bool:
     """Read true or false."""
     if not isinstance(value, bool):
         raise Bad(f"must be true or false, got {shown(value)}")
     return value
 
 
-def text(value: Any) -> str:
+def text(value: object) -> str:
     """Read a text without control characters."""
     if not isinstance(value, str):
         raise Bad(f"must be a text, got {shown(value)}", "put it in quotes")
@@ -63,7 +62,7 @@ def text(value: Any) -> str:
     return value.strip()
 
 
-def name(value: Any) -> str:
+def name(value: object) -> str:
     """Read a name that may stand in a table, a page or a CSV file.
 
     A leading ``=``, ``+``, ``-`` or ``@`` is a formula for a spreadsheet (CWE-1236), and no
@@ -84,7 +83,7 @@ def name(value: Any) -> str:
     return stripped
 
 
-def slug(value: Any) -> str:
+def slug(value: object) -> str:
     """Read a name that is also a folder's: letters, digits, dash, underscore, dot."""
     plain = name(value)
     if not re.fullmatch(r"[A-Za-z0-9._-]*[A-Za-z0-9_-]", plain):
@@ -94,7 +93,7 @@ def slug(value: Any) -> str:
     return plain
 
 
-def names(value: Any) -> tuple[str, ...]:
+def names(value: object) -> tuple[str, ...]:
     """Read a list of names; one name may stand alone."""
     items = value if isinstance(value, list) else [value]
     if len(items) > 100:
@@ -102,7 +101,7 @@ def names(value: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name(item) for item in items))
 
 
-def relative_path(value: Any) -> str:
+def relative_path(value: object) -> str:
     """Read a path below the data root."""
     if not isinstance(value, str) or not value.strip():
         raise Bad(f"must be a path, got {shown(value)}")

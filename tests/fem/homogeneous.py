@@ -12,7 +12,8 @@ from study.fem.solver.internal_force import Tangent
 from study.fem.solver.linear_solver import make_solver
 from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
 from study.fem.solver.reused_factorization import KeptFactors
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.material.material import Material
 from study.setup.geometry import Cylinder
 from tests.fem.problems import compression, cube, grid, irregular

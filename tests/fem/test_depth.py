@@ -114,7 +114,7 @@ def test_quadratic_tetrahedra_of_a_softening_energy_reach_their_depth(mesh: str)
 def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
     """Elements of the size of the contact all over the tip took 6 GB at a fiftieth of 2 mm."""
     deep, shallow = (
-        build_mesh(in_block(NEO_HOOKEAN, depth, order, "coarse")).cells.shape[0]
+        build_mesh(in_block(NEO_HOOKEAN, depth, order, "coarse").setup).cells.shape[0]
         for depth in (4.0, 0.04)
     )
     assert shallow < 2 * deep
@@ -122,7 +122,7 @@ def test_a_shallow_needle_needs_no_larger_mesh(order: str) -> None:
 
 def test_quadratic_tetrahedra_are_looked_at_in_more_points_under_an_indenter() -> None:
     problem = in_block(SOFTENING, 4.0, "quadratic", "coarse")
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     usual, stretched = (
         discretize(mesh, problem.model, stretched=much).weights for much in (False, True)
     )
@@ -146,7 +146,7 @@ def test_linear_triangles_of_any_size_reach_their_depth(alpha: float, size: floa
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])
 def test_uneven_volume_has_the_tangent_of_its_residual(space: str) -> None:
     problem = in_block(SOFTENING, 1.0, "linear", "coarse", space)
-    pair = discretize(build_mesh(problem), problem.model)
+    pair = discretize(build_mesh(problem.setup), problem.model)
     x, v = np.random.default_rng(3).normal(size=(2, pair.n))
     x *= 4e-3  # an element of a quarter of a millimeter keeps its volume
 
@@ -228,7 +228,7 @@ def test_a_corner_goes_with_its_mid_sides(own: list[bool], closed: bool, led: bo
 def test_every_corner_has_the_mid_sides_of_its_edges() -> None:
     test = Test("indentation", 0.5, "frictionless", "bonded", 2, Sphere(3.0))
     problem = Problem(Block(20, 20, 10), test, NEO_HOOKEAN, Model("3d", mesh="coarse"))
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
     (points,) = contact_points(problem, space, mesh)
     assert points.middles is not None

@@ -12,7 +12,8 @@ from study.errors import InputError
 from study.fem.solver.newton import NewtonSettings, solve_step
 from study.fem.solver.options import Options
 from study.fem.solver.solve import solve
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.material.homogeneous import uniaxial
 from study.material.material import Material
 from study.material.polynomial import ReducedPolynomial

@@ -104,7 +104,7 @@ def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
     test = Loading("indentation", depth, "frictionless", "bonded", steps=4, indenter=indenter)
     first = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
     problem = Problem(Block(60.0, 60.0, 40.0), test, first, model)
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     base = solve(problem, mesh=mesh)
     second = replace(problem, material=first.with_constants([5.4e-3]))
     later = solve(second, gradients=False, warm=base, mesh=mesh).curve.stiffness_N_per_mm

@@ -176,7 +176,7 @@ def test_taylor_through_contact(material: Material) -> None:
 def test_stiffness_under_a_curved_surface() -> None:
     """dF/dd by differences of neighboring depths with the same active set."""
     h, problem = 1e-5, indentation(NEEDLE, 1.0, steps=3, mesh="coarse")
-    mesh = build_mesh(problem)  # that of a neighboring depth would be another one
+    mesh = build_mesh(problem.setup)  # that of a neighboring depth would be another one
     forces = [
         solve(indentation(NEEDLE, d, steps=3), gradients=False, mesh=mesh).curve.force_N[-1]
         for d in (1.0 - h, 1.0 + h)

@@ -51,8 +51,8 @@ def volume(mesh: Mesh) -> float:
 def test_nodes_move_the_body_stays_and_the_elements_stay_sound(
     space: str, shape: str, test: str
 ) -> None:
-    regular = build_mesh(problem(space, shape, test))
-    moved = build_mesh(seeded(problem(space, shape, test), 7))
+    regular = build_mesh(problem(space, shape, test).setup)
+    moved = build_mesh(seeded(problem(space, shape, test), 7).setup)
     assert np.array_equal(moved.cells, regular.cells)
     assert (moved.size_mm, moved.half_height) == (regular.size_mm, regular.half_height)
     # planes stay exactly: constraints and contact look nodes up by their coordinates
@@ -75,9 +75,9 @@ def test_nodes_move_the_body_stays_and_the_elements_stay_sound(
 
 def test_a_seed_gives_its_mesh_and_no_other() -> None:
     one = problem("axisymmetric", "simplex", "plates")
-    names = [build_mesh(seeded(one, seed)).digest() for seed in (1, 1, 2)]
+    names = [build_mesh(seeded(one, seed).setup).digest() for seed in (1, 1, 2)]
     assert names[0] == names[1] != names[2]
-    assert build_mesh(one).digest() not in names
+    assert build_mesh(one.setup).digest() not in names
 
 
 @pytest.mark.parametrize("body", ["disc", "sphere"])
@@ -86,7 +86,7 @@ def test_a_specimen_from_a_file_keeps_its_surface(body: str, tmp_path: Path) -> 
     specimen = Surface(write(tmp_path / "body.stl", shape))
     found = replace(problem("3d", "simplex", "plates", specimen), test=Test("compression", 1.0))
     found = replace(found, model=replace(found.model, mesh="medium", mesh_size_mm=size))
-    regular, moved = build_mesh(found), build_mesh(seeded(found, 3))
+    regular, moved = build_mesh(found.setup), build_mesh(seeded(found, 3).setup)
     step = np.linalg.norm(moved.points - regular.points, axis=1)
     assert np.mean(step > 0) > 0.15  # all nodes inside, and on faces those that lie in one plane
     assert volume(moved) == pytest.approx(volume(regular), rel=1e-9)
@@ -95,8 +95,10 @@ def test_a_specimen_from_a_file_keeps_its_surface(body: str, tmp_path: Path) -> 
 
 def test_the_edge_of_a_flat_end_keeps_its_nodes() -> None:
     for space, count in (("axisymmetric", 1), ("3d", 5)):
-        regular = build_mesh(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)))
-        moved = build_mesh(seeded(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)), 3))
+        regular = build_mesh(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)).setup)
+        moved = build_mesh(
+            seeded(problem(space, "simplex", "flat", Block(60.0, 60.0, 40.0)), 3).setup
+        )
         on_top = regular.points[:, -1] == regular.height_mm
         rho = np.linalg.norm(regular.points[:, :-1], axis=1)
         edge = on_top & (np.abs(rho - 7.0) < 1e-6)

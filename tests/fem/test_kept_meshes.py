@@ -20,34 +20,34 @@ NEEDLE = Problem(
 
 
 def test_a_material_or_the_number_of_steps_asks_for_no_new_mesh() -> None:
-    made = build_mesh(NEEDLE)
-    assert build_mesh(replace(NEEDLE, material=YEOH)) is made
-    assert build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, steps=3))) is made
+    made = build_mesh(NEEDLE.setup)
+    assert build_mesh(replace(NEEDLE, material=YEOH).setup) is made
+    assert build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, steps=3)).setup) is made
 
 
 def test_whatever_shapes_a_mesh_asks_for_another() -> None:
-    made = build_mesh(NEEDLE)
+    made = build_mesh(NEEDLE.setup)
     deeper = replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=2.0))
     finer = replace(NEEDLE, model=replace(NEEDLE.model, mesh="medium"))
     seeded = replace(NEEDLE, model=replace(NEEDLE.model, mesh_seed=3))
-    names = {build_mesh(one).digest() for one in (NEEDLE, deeper, finer, seeded)}
+    names = {build_mesh(one.setup).digest() for one in (NEEDLE, deeper, finer, seeded)}
     assert len(names) == 4
-    assert build_mesh(NEEDLE).digest() == made.digest()
+    assert build_mesh(NEEDLE.setup).digest() == made.digest()
 
 
 def test_only_a_few_are_kept_and_none_can_be_changed() -> None:
-    made = build_mesh(NEEDLE)
+    made = build_mesh(NEEDLE.setup)
     with pytest.raises(ValueError, match="read-only"):
         made.points += 1.0
     for depth in np.linspace(0.5, 0.9, 2 * _KEPT):
-        build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=float(depth))))
+        build_mesh(replace(NEEDLE, test=replace(NEEDLE.test, displacement_mm=float(depth))).setup)
     assert len(_MADE) == _KEPT
-    again = build_mesh(NEEDLE)
+    again = build_mesh(NEEDLE.setup)
     assert again is not made
     assert again.digest() == made.digest()
 
 
 def test_meshes_can_be_forgotten() -> None:
-    made = build_mesh(NEEDLE)
+    made = build_mesh(NEEDLE.setup)
     forget_meshes()
-    assert build_mesh(NEEDLE) is not made
+    assert build_mesh(NEEDLE.setup) is not made

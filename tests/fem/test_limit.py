@@ -30,7 +30,7 @@ def needle(material: Material, depth: float) -> Problem:
 def test_the_smallest_stiffness_is_an_eigenvalue() -> None:
     """Of the displacements' block, with the pressures as they follow."""
     problem = compression(Cylinder(25, 30), 3.0, material=GEL, mesh="coarse")
-    system = System.build(problem, build_mesh(problem))
+    system = System.build(problem, build_mesh(problem.setup))
     state = system.start()
     found = smallest_stiffness(system, state)
     system.assemble(state)

@@ -87,7 +87,7 @@ def test_residuals_have_exact_rates_with_the_constants(material: Material) -> No
     problem = indentation(
         NEEDLE, 0.6, mesh="coarse", space="3d", element_order="quadratic", material=material
     )
-    system = System.build(problem, build_mesh(problem))
+    system = System.build(problem, build_mesh(problem.setup))
     internal, n_u = system.internal, system.space.n_displacement
     assert internal.local_bulk == LOCAL_BULK > 0
     x = np.random.default_rng(3).normal(size=system.space.n)
@@ -168,11 +168,13 @@ def test_which_elements_have_a_local_bulk_modulus() -> None:
     for space in ("axisymmetric", "3d"):
         for order in ("linear", "quadratic"):
             problem = indentation(NEEDLE, 0.6, mesh="coarse", space=space, element_order=order)
-            shares[space, order] = System.build(problem, build_mesh(problem)).internal.local_bulk
+            shares[space, order] = System.build(
+                problem, build_mesh(problem.setup)
+            ).internal.local_bulk
     assert [key for key, share in shares.items() if share] == [("3d", "quadratic")]
 
 
 def test_none_without_a_bound() -> None:
     problem = indentation(NEEDLE, 0.6, mesh="coarse")
-    space = System.build(problem, build_mesh(problem)).space
+    space = System.build(problem, build_mesh(problem.setup)).space
     assert Internal.on(space).pointwise_bulk(of_ratio(0.4995)) == 0.0

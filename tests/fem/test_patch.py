@@ -8,7 +8,8 @@ import pytest
 from study.fem.solver.newton import NewtonSettings, solve_step
 from study.fem.solver.options import Options
 from study.fem.solver.solve import solve
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.material.material import Material
 from study.setup.geometry import Cylinder
 from tests.fem.homogeneous import held

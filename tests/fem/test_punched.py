@@ -71,7 +71,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("problem", SHAPES.values(), ids=SHAPES)
 def test_elements_are_sound_and_fill_the_specimen(problem: Problem) -> None:
-    mesh, specimen = build_mesh(problem), problem.specimen
+    mesh, specimen = build_mesh(problem.setup), problem.specimen
     corners = _volumes(mesh, mesh.points)
     assert corners.min() > 0
     space = discretize(mesh, problem.model)
@@ -91,9 +91,9 @@ def test_elements_are_sound_and_fill_the_specimen(problem: Problem) -> None:
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 def test_what_is_held_is_the_disc(specimen: Specimen, order: str) -> None:
     problem = punch(specimen, element_order=order)
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
-    prescribed = constraints(problem, space, mesh)
+    prescribed = constraints(problem.setup, space, mesh)
     driven = prescribed.dofs[prescribed.rate == -1.0] // 3
     under = np.isin(space.facets, driven).all(axis=1)
     segments = on_circle(mesh, 3.0).size - 1
@@ -105,7 +105,7 @@ def test_what_is_held_is_the_disc(specimen: Specimen, order: str) -> None:
 
 
 def test_a_series_is_refined_everywhere_alike() -> None:
-    meshes = [build_mesh(punch(mesh=level)) for level in LEVELS]
+    meshes = [build_mesh(punch(mesh=level).setup) for level in LEVELS]
     assert [mesh.size_mm for mesh in meshes] == pytest.approx([0.225, 0.15, 0.1])
     counts = [len(mesh.cells) for mesh in meshes]
     assert counts[1] / counts[0] == pytest.approx(1.5**3, rel=0.1)
@@ -123,8 +123,8 @@ def test_a_series_is_refined_everywhere_alike() -> None:
 @pytest.mark.parametrize("mesh", LEVELS)
 def test_unknowns_are_expected(specimen: Specimen, edge: float, mesh: str) -> None:
     problem = punch(specimen, pressed=Flat(3, edge), mesh=mesh)
-    real = unknowns(problem, build_mesh(problem))
-    assert expected_unknowns(problem) == pytest.approx(real, rel=0.2)
+    real = unknowns(problem.setup, build_mesh(problem.setup))
+    assert expected_unknowns(problem.setup) == pytest.approx(real, rel=0.2)
 
 
 def test_linear_hexahedra_converge_from_above() -> None:
@@ -157,7 +157,7 @@ def test_a_frictionless_punch_meets_the_same_disc() -> None:
 
 
 def test_a_seed_leaves_the_circle_where_it_is() -> None:
-    regular, moved = (build_mesh(punch(mesh="medium", mesh_seed=seed)) for seed in (None, 3))
+    regular, moved = (build_mesh(punch(mesh="medium", mesh_seed=seed).setup) for seed in (None, 3))
     assert moved.digest() != regular.digest()
     np.testing.assert_array_equal(on_circle(moved, 3.0), on_circle(regular, 3.0))
     assert force(punch(mesh="medium", mesh_seed=3)) == pytest.approx(

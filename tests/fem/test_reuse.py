@@ -41,7 +41,7 @@ def dense(pattern: Pattern, data: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def system() -> System:
     problem = solid(16.0)
-    found = System.build(problem, build_mesh(problem))
+    found = System.build(problem, build_mesh(problem.setup))
     found.assemble(found.start())
     return found
 

@@ -33,7 +33,7 @@ def punch(size: float, shape: str, order: str = "quadratic", edge: float = 0.0) 
 
 def around_edge(problem: Problem) -> Array:
     """Mesh points around the edge, in elements."""
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     return np.asarray((mesh.points - [1.0, 1.0]) / mesh.size_mm)
 
 
@@ -88,7 +88,7 @@ def test_lines_start_with_the_size_they_are_given(length: float) -> None:
 @pytest.mark.parametrize("order", ["linear", "quadratic"])
 def test_the_closed_disc_touches_and_no_point_of_it_is_left_out(order: str, shape: str) -> None:
     problem = punch(0.05, shape, order)
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     space = discretize(mesh, problem.model)
     face, beside = contact_points(problem, space, mesh)
     on_top = np.flatnonzero(np.abs(space.nodes[:, 1] - 1.0) < 1e-12)
@@ -114,6 +114,6 @@ def test_the_force_comes_from_above_with_every_node_in_contact(shape: str) -> No
 
 def test_a_rounded_edge_is_met_as_before() -> None:
     problem = punch(0.05, "simplex", edge=0.1)
-    mesh = build_mesh(problem)
+    mesh = build_mesh(problem.setup)
     (points,) = contact_points(problem, discretize(mesh, problem.model), mesh)
     assert points.nodes.shape[1] == 3  # Gauss points on quadratic edges

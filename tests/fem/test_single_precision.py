@@ -75,7 +75,7 @@ def test_forces_and_their_derivatives_are_those_of_double_precision(
 def tangent() -> tuple[Pattern, np.ndarray]:
     """Pattern and entries of a small solid's tangent."""
     asked = problem(PRESS, "3d", GEL)
-    system = System.build(asked, build_mesh(asked))
+    system = System.build(asked, build_mesh(asked.setup))
     system.assemble(system.start())
     return system.pattern, system.data
 

@@ -10,9 +10,12 @@ import pytest
 from study.fem.mesh.size_field import SizeField, size_callback, size_field
 from study.setup.geometry import Cone, Flat
 from study.setup.setup import Model
+from study.setup.test_kind import AroundContact
 
-CONE = size_field(Model("3d", "quadratic"), Cone(30.0, 1.0), 3.0, 40.0, 25.0)
-PUNCH = size_field(Model("axisymmetric", "quadratic"), Flat(3.0, 0.0), 0.1, 40.0, 25.0)
+CONE = size_field(Model("3d", "quadratic"), AroundContact(Cone(30.0, 1.0), 3.0), 40.0, 25.0)
+PUNCH = size_field(
+    Model("axisymmetric", "quadratic"), AroundContact(Flat(3.0, 0.0), 0.1), 40.0, 25.0
+)
 
 
 @pytest.mark.parametrize("field", [CONE, PUNCH, SizeField.uniform(2.5)])

@@ -26,7 +26,7 @@ BY_RATIO = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ra
 
 def needle(depth: float = 0.6, **changes: object) -> System:
     problem = indentation(NEEDLE, depth, mesh="coarse", **changes)  # type: ignore[arg-type]
-    return System.build(problem, build_mesh(problem))
+    return System.build(problem, build_mesh(problem.setup))
 
 
 def test_creeping_finds_the_same_equilibrium() -> None:

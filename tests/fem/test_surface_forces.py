@@ -180,7 +180,7 @@ def test_a_round_top_is_pressed_by_contact(tmp_path: Path) -> None:
 
 def test_straight_sides_lose_no_volume(tmp_path: Path) -> None:
     ball = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
-    mesh = build_mesh(compressed(ball, 0.1, "frictionless", 1.5))
+    mesh = build_mesh(compressed(ball, 0.1, "frictionless", 1.5).setup)
     edges = mesh.points[mesh.cells[:, 1:]] - mesh.points[mesh.cells[:, :1]]
     exact = sum(np.linalg.det(ball_part) for ball_part in _parts(sphere(5, 4))) / 6
     assert np.linalg.det(edges).sum() / 6 == pytest.approx(exact, rel=1e-6)
@@ -193,13 +193,13 @@ def test_elements_that_cannot_follow_the_shape(tmp_path: Path) -> None:
     assert found.status == "mesh-failed"
     assert "follows the shape" in found.message
     size = float(found.message.split("a mesh_size of ")[1].split()[0])
-    build_mesh(compressed(ball, 0.1, "frictionless", 0.9 * size))  # what is advised works
+    build_mesh(compressed(ball, 0.1, "frictionless", 0.9 * size).setup)  # what is advised works
 
 
 def test_seeds_move_nodes_and_keep_the_body(block: Surface) -> None:
     problem = compressed(block, 0.6, "frictionless", 3.0)
     seeded = replace(problem, model=replace(problem.model, mesh_seed=1))
-    assert build_mesh(problem).digest() != build_mesh(seeded).digest()
+    assert build_mesh(problem.setup).digest() != build_mesh(seeded.setup).digest()
     stress = -float(uniaxial(GEL, 0.9))
     assert force(seeded)[0] == pytest.approx(80 * stress, rel=1e-6)
 
@@ -210,13 +210,15 @@ def _parts(shape: Shape) -> np.ndarray:
 
 
 def test_sizes_scale_in_a_refinement_series(disc: Surface) -> None:
-    meshes = [build_mesh(compressed(disc, 0.6, "frictionless", h)) for h in (4.0, 2.0)]
+    meshes = [build_mesh(compressed(disc, 0.6, "frictionless", h).setup) for h in (4.0, 2.0)]
     # eight times the elements, less what the surface costs a coarse mesh
     assert 4 < len(meshes[1].cells) / len(meshes[0].cells) < 9
     problem = compressed(disc, 0.6, "frictionless", 2.0)
-    assert 2 / 3 < expected_unknowns(problem) / unknowns(problem, meshes[1]) < 1.6
+    assert 2 / 3 < expected_unknowns(problem.setup) / unknowns(problem.setup, meshes[1]) < 1.6
     named = [replace(problem, model=Model(space="3d", mesh=m)) for m in ("coarse", "medium")]  # type: ignore[arg-type]
-    assert build_mesh(named[0]).size_mm / build_mesh(named[1]).size_mm == pytest.approx(1.5)
+    assert build_mesh(named[0].setup).size_mm / build_mesh(named[1].setup).size_mm == pytest.approx(
+        1.5
+    )
 
 
 @pytest.mark.parametrize(("bonded", "base"), [("bonded", "bonded"), ("bonded", "frictionless")])
@@ -224,10 +226,10 @@ def test_as_many_elements_as_quarters_have(disc: Surface, bonded: str, base: str
     parts = 8 if base == bonded else 4  # the quarter between like plates is cut in half
     for size in (3.4, 1.8):
         whole = compressed(disc, 0.6, bonded, size, base=base)
-        mesh = build_mesh(whole)
-        quarter = build_mesh(replace(whole, specimen=Cylinder(10, 12)))
+        mesh = build_mesh(whole.setup)
+        quarter = build_mesh(replace(whole, specimen=Cylinder(10, 12)).setup)
         assert 0.8 < len(mesh.cells) / (parts * len(quarter.cells)) < 1.2
-        assert 2 / 3 < expected_unknowns(whole) / unknowns(whole, mesh) < 1.5
+        assert 2 / 3 < expected_unknowns(whole.setup) / unknowns(whole.setup, mesh) < 1.5
 
 
 def test_sizes_are_read_from_the_table(disc: Surface) -> None:

@@ -30,7 +30,7 @@ def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> Sys
     model = Model(space, "quadratic", formulation=formulation, mesh_size_mm=size)
     test = Test("compression", 2.0, "bonded", "bonded")
     problem = Problem(Cylinder(25.0, 50.0), test, GEL, model)
-    return System.build(problem, build_mesh(problem))
+    return System.build(problem, build_mesh(problem.setup))
 
 
 @pytest.mark.usefixtures("small_slabs")
@@ -60,7 +60,7 @@ def under_a_needle() -> System:
     """A graded mesh: many elements in little room, and large ones around it."""
     test = Test("indentation", 5.0, "frictionless", "bonded", indenter=Cone(30.0, 1.0))
     problem = Problem(Cylinder(25.0, 50.0), test, GEL, Model("3d", "quadratic", mesh="coarse"))
-    return System.build(problem, build_mesh(problem))
+    return System.build(problem, build_mesh(problem.setup))
 
 
 @pytest.mark.parametrize(

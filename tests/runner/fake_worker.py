@@ -38,7 +38,7 @@ def solve(problem: Problem, **options: Any) -> SimpleNamespace:
 
 def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
     assert isinstance(problem.specimen, Cylinder)
-    size, test = mesh_size(problem), problem.test
+    size, test = mesh_size(problem.setup), problem.test
     d = test.displacement_mm * np.arange(1, test.steps + 1) / test.steps
     exact = closed_form.compression(problem.specimen, problem.material, d)
     factor = BONDED * (1 + 1e-3 * size) if test.interface == "bonded" else 1.0

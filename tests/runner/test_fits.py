@@ -83,7 +83,7 @@ def _size() -> float:
     from study.fem.mesh.mesher import mesh_size
     from study.setup.setup import problem_of
 
-    return mesh_size(problem_of(config("neo-hookean", "bonded"), {"C10": 1.0}))
+    return mesh_size(problem_of(config("neo-hookean", "bonded"), {"C10": 1.0}).setup)
 
 
 def test_a_solver_that_stops_is_a_rejected_step_and_a_status(

@@ -67,7 +67,7 @@ def _half(problem: Problem) -> float:
 
 def test_references_are_finer_quadratic_and_affordable() -> None:
     for problem in DRAWN[:24]:
-        assert expected_unknowns(problem) < MOST_UNKNOWNS[problem.model.space]
+        assert expected_unknowns(problem.setup) < MOST_UNKNOWNS[problem.model.space]
         for one in references(problem):
             assert one.model.element_order == "quadratic"
             assert one.model.space == (
@@ -76,9 +76,9 @@ def test_references_are_finer_quadratic_and_affordable() -> None:
             assert (one.specimen, one.test, one.material) == (
                 problem.specimen, problem.test, problem.material,
             )  # fmt: skip
-            assert expected_unknowns(one) <= REFERENCE_UNKNOWNS[one.model.space]
+            assert expected_unknowns(one.setup) <= REFERENCE_UNKNOWNS[one.model.space]
             if one.model.element_shape == "simplex":  # solid bricks are dear
-                assert mesh_size(one) < mesh_size(problem)
+                assert mesh_size(one.setup) < mesh_size(problem.setup)
 
 
 # What is found, with a solver whose errors are known
@@ -92,7 +92,7 @@ def solver(
     """Solver with a relative error of the last force; its meshes have 1 / h^2 elements."""
 
     def ask(problem: Problem) -> sweep.Found:
-        size, own = mesh_size(problem), problem.model.element_order == "linear"
+        size, own = mesh_size(problem.setup), problem.model.element_order == "linear"
         force = np.linspace(0.2, 1, 6)
         force[-1] *= 1 + error(problem)
         return {
@@ -109,7 +109,7 @@ def of_mesh(problem: Problem) -> float:
     """10 % on the problem's own mesh, of second order, and right on the reference."""
     if problem.model.element_order == "quadratic":
         return 0.0
-    return 0.1 * (mesh_size(problem) / mesh_size(PROBLEM)) ** 2
+    return 0.1 * (mesh_size(problem.setup) / mesh_size(PROBLEM.setup)) ** 2
 
 
 def hidden(problem: Problem) -> float:

@@ -64,7 +64,7 @@ def _picture(
     from study.fem.mesh.mesher import build_mesh
 
     model = {**config["model"], "mesh": None, "mesh_size_mm": size}
-    mesh = build_mesh(problem_of({**config, "model": model}))
+    mesh = build_mesh(problem_of({**config, "model": model}).setup)
     label = f"{_SHAPES[mesh.cells.shape[1]]}, {size:.3g} mm, {len(mesh.cells)} elements"
     return mesh.digest(), (label, np.asarray(mesh.points), np.asarray(mesh.cells))
 
@@ -74,8 +74,8 @@ def near(config: Mapping[str, Any]) -> Array:
     made = problem_of(config)
     height, area = height_and_area(made.specimen)
     radius = float(np.sqrt(area / np.pi))
-    if made.test.kind == "indentation":
-        reach = min(max(3 * made.test.displacement_mm, 0.1 * radius), radius, height)
+    if made.test.indenter is not None:
+        reach = min(max(3 * made.test.depth_mm, 0.1 * radius), radius, height)
         return np.array([[0.0, height - reach], [reach, height]])
     reach = 0.4 * min(radius, height / 2)
     return np.array([[radius - reach, height - reach], [radius, height]])

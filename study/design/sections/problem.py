@@ -22,7 +22,7 @@ from study.setup.material_section import Compressibility
 from study.setup.quantity import integer, number, quantity, shown
 from study.setup.section import values_of, written_keys
 from study.setup.setup import Model
-from study.setup.test_kind import TestSection
+from study.setup.test_section import TestSection
 from study.setup.text import choice
 
 PRESSURE = quantity("pressure")

@@ -82,9 +82,9 @@ def in_its_frame(x: Array, displacement_mm: float) -> Array:
     return seen
 
 
-def gripping(points: ContactPoints, interface: str, dim: int) -> tuple[ContactPoints, ...]:
+def gripping(points: ContactPoints, dim: int, *, is_bonded: bool) -> tuple[ContactPoints, ...]:
     """Points that meet an indenter, with a set of ties for every axis where it is bonded."""
-    if interface != "bonded":
+    if not is_bonded:
         return (points,)
     ties = (
         TiedPoints(

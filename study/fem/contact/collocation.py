@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError
 from study.fem.contact.adhesion import gripping
-from study.fem.contact.constraints import _rates
+from study.fem.contact.constraints import prescribed_rates
 from study.fem.contact.contact import STIFFNESS, SWITCHING, ContactPoints, Plate, RigidSurface
 from study.fem.contact.rigid_surface import Press, profile, profile_height
 from study.fem.element.function_space import (
@@ -22,22 +22,20 @@ from study.fem.element.function_space import (
     at_level,
 )
 from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.size_field import contact_radius, sharp_edge
-from study.setup.geometry import Flat, Indenter, Surface
-from study.setup.setup import Problem
+from study.setup.geometry import Indenter, Surface
+from study.setup.setup import Problem, Setup
+from study.setup.test_kind import IndenterContact, PlateContact
 from study.surface.surface import height_of
 
 #: allowance of a corner over the size of its facets
 CORNER_ALLOWANCE = 0.2
 
 
-def touch_radius(problem: Problem) -> float:
+def touch_radius(setup: Setup) -> float:
     """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
-    pressed = problem.test.indenter
-    if problem.test.kind == "compression" or pressed is None or problem.test.holds_face:
-        return 0.0
-    height = height_of(problem.specimen)
-    return min(contact_radius(pressed, problem.test.displacement_mm), 0.1 * height)
+    pressed = [c.indenter for c in setup.contacts if isinstance(c, IndenterContact)]
+    limit, depth = 0.1 * height_of(setup.specimen), setup.test.depth_mm
+    return max((min(one.contact_radius_mm(depth), limit) for one in pressed), default=0.0)
 
 
 def contact_points(
@@ -47,26 +45,34 @@ def contact_points(
 
     Parameters
     ----------
+    problem : Problem
+        Its test says what touches, its material how stiff contact is.
+    space : Discretization
+        Nodes and boundary facets.
+    mesh : Mesh
+        That the space is made of.
     folding : bool
-        Whether the free side of a compressed specimen is kept from passing through plates.
+        Whether the free side between plates is kept from passing through them.
     """
-    if isinstance(problem.specimen, Surface):
-        return whole_contact(problem, space, mesh, folding=folding)
-    if problem.test.kind == "indentation":
-        return _under_indenter(problem, space, mesh)
-    return _side_contact(problem, space, mesh) if folding else ()
+    whole = isinstance(problem.specimen, Surface)
+    found: list[ContactPoints] = []
+    for pair in problem.setup.contacts:
+        if isinstance(pair, IndenterContact):
+            under = _under_indenter_anywhere if whole else _under_indenter
+            found += under(problem, pair, space, mesh)
+        elif folding:
+            onto = _onto_plane if whole else _side_onto_plate
+            found += [p for p in onto(problem, pair, space, mesh) if p.size]
+    return tuple(found)
 
 
 def _under_indenter(
-    problem: Problem, space: Discretization, mesh: Mesh
+    problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
-    test = problem.test
-    if test.indenter is None or test.holds_face:
-        return ()
-    press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
-    if sharp_edge(test.indenter):
-        return _under_sharp_edge(problem, space, mesh, press)
-    return gripping(_on_top(problem, space, mesh, press), test.interface, space.dim)
+    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    if pair.indenter.is_sharp_edged:
+        return _under_sharp_edge(problem, space, mesh, press, pair.indenter.face_radius_mm)
+    return gripping(_on_top(problem, space, mesh, press), space.dim, is_bonded=pair.is_bonded)
 
 
 def _on_top(
@@ -96,7 +102,7 @@ def meeting(
 
 
 def _under_sharp_edge(
-    problem: Problem, space: Discretization, mesh: Mesh, press: Press
+    problem: Problem, space: Discretization, mesh: Mesh, press: Press, face_mm: float
 ) -> tuple[ContactPoints, ...]:
     """Points of the closed disc under a flat face meet its plane, the others the whole punch.
 
@@ -105,9 +111,8 @@ def _under_sharp_edge(
     it, not out by the nearer side. Quadratic edges touch with their nodes here: they can lie
     in the plane exactly, and the force then comes from above as an energy does.
     """
-    pressed = problem.test.indenter
     rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
-    under = rho <= pressed.radius_mm * (1 + _SAME)  # type: ignore[union-attr]
+    under = rho <= face_mm * (1 + _SAME)
     below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
     beside = _on_top(problem, space, mesh, press)
     parts = (
@@ -142,7 +147,8 @@ def _with_corners(
     """
     if facets.shape[1] != 6:
         return points
-    if not isinstance(problem.test.indenter, Flat):
+    pressed = problem.test.indenter
+    if pressed is None or not pressed.has_face:
         return replace(points, middles=_middles(space, points, facets))
     corners = np.isin(points.nodes[:, 0], facets[:, :3])
     # a corner of six facets of area A has the weight A / 2
@@ -233,15 +239,21 @@ def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array
     return np.repeat(edges, 2, axis=0), np.tile(N, (len(edges), 1)), weights.ravel()
 
 
-def _side_contact(problem: Problem, space: Discretization, mesh: Mesh) -> tuple[ContactPoints, ...]:
-    """Points of the free side that could fold onto a bonded plate."""
-    half, height = mesh.half_height, mesh.height_mm
-    tests = [(problem.test.interface, Plate(height, -1, 0.5 if half else 1.0))]
-    if not half:
-        tests.append((problem.test.base, Plate(0.0, 1, 0.0)))
-    bonded = [plate for interface, plate in tests if interface == "bonded"]
-    found = [_side_points(problem, space, mesh, plate) for plate in bonded]
-    return tuple(points for points in found if points.size)
+def _side_onto_plate(
+    problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    """Points of the free side that could fold onto a bonded plate; another one is plane."""
+    if not pair.is_bonded or (mesh.half_height and pair.face == "base"):
+        return ()
+    return (_side_points(problem, space, mesh, _plate(problem, pair, mesh)),)
+
+
+def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
+    """Plane of a plate, which moves as the face that it holds; half as far in a half model."""
+    is_top = pair.face == "top"
+    axial = next(f.axial for f in problem.setup.faces if f.face == pair.face)
+    speed = (0.0 - axial) * (0.5 if mesh.half_height else 1.0)
+    return Plate(mesh.height_mm if is_top else 0.0, -1 if is_top else 1, speed)
 
 
 def _side_points(
@@ -263,27 +275,29 @@ _HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 
-def whole_contact(
-    problem: Problem, space: Discretization, mesh: Mesh, *, folding: bool
+def _under_indenter_anywhere(
+    problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
-    """Points of the whole surface that may meet the plates or the indenter."""
-    test = problem.test
-    if test.kind == "indentation":
-        if test.indenter is None:
-            return ()
-        held = _in_plate(space, mesh, 0.0)
-        corners = mesh.points[space.facets[~held][:, :3]]
-        touch = touch_mm(test.indenter, corners, mesh.height_mm)
-        press = Press(profile(test.indenter, far_mm=1e3 * mesh.height_mm), touch)
-        points = meeting(problem, space, mesh, press, ~held)
-        return gripping(points, test.interface, space.dim)
-    axial = np.array(sorted(_rates(problem, space, mesh)), dtype=np.int64)
-    nodes = np.unique(axial[axial % space.dim == space.dim - 1] // space.dim)
-    plates = [Plate(mesh.height_mm, -1, 1.0)]
-    if problem.specimen.clamp_below_mm is None:  # type: ignore[union-attr]
-        plates.append(Plate(0.0, 1, 0.0))
-    found = [_on_plate(problem, space, mesh, plate, nodes) for plate in plates] if folding else []
-    return tuple(points for points in found if points.size)
+    """Points of a whole surface, its base left out, that may meet an indenter."""
+    held = _in_plate(space, mesh, 0.0)
+    corners = mesh.points[space.facets[~held][:, :3]]
+    touch = touch_mm(pair.indenter, corners, mesh.height_mm)
+    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
+    points = meeting(problem, space, mesh, press, ~held)
+    return gripping(points, space.dim, is_bonded=pair.is_bonded)
+
+
+def _onto_plane(
+    problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    """Points of a whole surface that may come to lie in a plate; a clamp stands for the base."""
+    specimen = problem.specimen
+    clamped = isinstance(specimen, Surface) and specimen.clamp_below_mm is not None
+    if clamped and pair.face == "base":
+        return ()
+    held = np.array(sorted(prescribed_rates(problem.setup, space, mesh)), dtype=np.int64)
+    nodes = np.unique(held[held % space.dim == space.dim - 1] // space.dim)
+    return (_on_plate(problem, space, mesh, _plate(problem, pair, mesh), nodes),)
 
 
 def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from study.arrays import Array, Ints
-from study.errors import InputError
 from study.fem.element.function_space import _SAME, Nodes, at_level
 from study.fem.mesh.mesh import Mesh
-from study.setup.geometry import Flat, Surface
-from study.setup.setup import Problem
+from study.setup.geometry import Surface
+from study.setup.setup import Setup
+from study.setup.test_kind import FaceCondition
 from study.surface.surface import body
 
 
@@ -36,16 +36,11 @@ class Constraints:
         return cls(dofs, rates, np.array(pins, dtype=np.int64))
 
 
-def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
+def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
-    if isinstance(problem.specimen, Surface):
-        # it builds on this module
-
-        return whole_constraints(problem, space, mesh)
-    if problem.test.kind == "compression":
-        rate = plate_rates(problem, space, mesh)
-    else:
-        rate = base_rates(problem, space, mesh) | _bonded_punch(problem, space, mesh)
+    rate = prescribed_rates(setup, space, mesh)
+    if isinstance(setup.specimen, Surface):  # of the whole specimen: what is left may move
+        return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):
         symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
@@ -53,61 +48,38 @@ def constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
     return Constraints.of(rate)
 
 
-def plate_rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Plates above and below, or the middle plane instead of the one below."""
-    dim, half = space.dim, mesh.half_height
-    top = at_level(space, mesh, mesh.height_mm)
-    base = at_level(space, mesh, mesh.height_mm / 2 if half else 0.0)
-    rate = {int(n) * dim + dim - 1: (-0.5 if half else -1.0) for n in top}
-    rate |= {int(n) * dim + dim - 1: 0.0 for n in base}
-    if problem.test.interface == "bonded":
-        rate |= _sideways(top, dim)
-    if problem.test.base == "bonded" and not half:
-        rate |= _sideways(base, dim)
-    return rate
+def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Unknowns that the test's faces and the clamp of a surface prescribe.
+
+    A face that a surface does not have, as it is round there, is left to contact.
+    """
+    specimen, dim, rate = setup.specimen, space.dim, dict[int, float]()
+    for face in setup.faces:
+        rate |= _face_rates(face, space, mesh)
+    if not isinstance(specimen, Surface):
+        return rate
+    if not body(specimen).touches("top"):
+        rate = _without_top(rate, space, mesh)
+    return rate | {int(n) * dim + i: 0.0 for n in _clamped(specimen, space) for i in range(dim)}
 
 
-def base_rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Support of an indented specimen."""
-    dim = space.dim
-    base = at_level(space, mesh, 0.0)
-    rate = {int(n) * dim + dim - 1: 0.0 for n in base}
-    return rate | (_sideways(base, dim) if problem.test.base == "bonded" else {})
-
-
-def _bonded_punch(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Nodes under a flat indenter that sticks: a prescribed displacement."""
-    pressed = problem.test.indenter
-    if problem.test.interface != "bonded" or not isinstance(pressed, Flat):
-        return {}
-    top, dim = at_level(space, mesh, mesh.height_mm), space.dim
-    rho = np.linalg.norm(space.nodes[top][:, : dim - 1], axis=1)
-    held = top[rho <= (pressed.radius_mm - pressed.edge_radius_mm) * (1 + _SAME)]
-    return {int(n) * dim + dim - 1: -1.0 for n in held} | _sideways(held, dim)
+def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Unknowns of one face; in a half model the middle plane stands for the one below."""
+    dim, half, is_top = space.dim, mesh.half_height, face.face == "top"
+    level = mesh.height_mm if is_top else mesh.height_mm / 2 if half else 0.0
+    nodes = at_level(space, mesh, level)
+    if face.within_mm is not None:
+        rho = np.linalg.norm(space.nodes[nodes][:, : dim - 1], axis=1)
+        nodes = nodes[rho <= face.within_mm * (1 + _SAME)]
+    axial = 0.5 * face.axial if half else face.axial
+    rate = {int(n) * dim + dim - 1: axial for n in nodes}
+    is_plane_of_symmetry = half and not is_top
+    return rate | (_sideways(nodes, dim) if face.is_held and not is_plane_of_symmetry else {})
 
 
 def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
     """Hold nodes across the axis."""
     return {int(n) * dim + i: 0.0 for n in nodes for i in range(dim - 1)}
-
-
-def whole_constraints(problem: Problem, space: Nodes, mesh: Mesh) -> Constraints:
-    """Held and driven unknowns, and the pins that keep the specimen in its place."""
-    rate = _rates(problem, space, mesh)
-    return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
-
-
-def _rates(problem: Problem, space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Unknowns that plates, base and clamp prescribe."""
-    specimen, dim = problem.specimen, space.dim
-    if not isinstance(specimen, Surface):
-        raise InputError("whole specimens are surfaces")
-    if problem.test.kind == "compression":
-        rate = plate_rates(problem, space, mesh)
-        rate = rate if body(specimen).touches("top") else _without_top(rate, space, mesh)
-    else:
-        rate = base_rates(problem, space, mesh)
-    return rate | {int(n) * dim + i: 0.0 for n in _clamped(specimen, space) for i in range(dim)}
 
 
 def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:

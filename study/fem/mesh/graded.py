@@ -10,7 +10,8 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from study.arrays import Array, Ints
 from study.errors import MeshError
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.rings import has_room, punched
-from study.fem.mesh.size_field import SizeField, size_field
+from study.fem.mesh.size_field import CFunction, SizeField, size_field
 from study.fem.mesh.structured import (
     equivalent_radius,
     extrude,
@@ -29,8 +30,9 @@ from study.fem.mesh.structured import (
     quarter_disc_of_quadrilaterals,
     rectangle,
 )
-from study.setup.geometry import Block, Cone, Cylinder, Flat
-from study.setup.setup import Problem
+from study.setup.geometry import Block, Cylinder
+from study.setup.setup import Setup
+from study.setup.test_kind import AroundContact
 
 #: gmsh's numbers: frontal triangles, Delaunay tetrahedra
 _FRONTAL = 6
@@ -50,11 +52,11 @@ class Sizes(Protocol):
     def numbers(self) -> tuple[float, ...]:
         """All that the size at a place depends on."""
 
-    def callback(self, dim: int) -> Any:
+    def callback(self, dim: int) -> CFunction:
         """C function of these numbers and a place."""
 
 
-def indentation_mesh(problem: Problem) -> Mesh:
+def indentation_mesh(setup: Setup) -> Mesh:
     """Mesh of an indented cylinder or block.
 
     Raises
@@ -62,16 +64,16 @@ def indentation_mesh(problem: Problem) -> Mesh:
     MeshError
         If gmsh fails or leaves elements too flat to be used.
     """
-    specimen, model = problem.specimen, problem.model
+    specimen, model = setup.specimen, setup.model
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("a graded mesh needs a cylinder or a block")
-    height, field = specimen.height_mm, sizes_of(problem)
-    ring = _edge_of(problem.test.indenter)
+    height, field, contact = specimen.height_mm, sizes_of(setup), contact_of(setup)
+    ring = contact.indenter.face_radius_mm
     solid = model.space == "3d"
     if model.element_shape == "tensor" and solid and has_room(specimen, ring):
         points, cells = punched(specimen, field)
     elif model.element_shape == "tensor":
-        points, cells = _grid(problem, specimen, field, ring)
+        points, cells = _grid(setup, specimen, field, ring)
     elif model.space == "axisymmetric":
         points, cells = _triangles(equivalent_radius(specimen), height, field, ring)
     else:
@@ -79,41 +81,39 @@ def indentation_mesh(problem: Problem) -> Mesh:
     return Mesh(points, cells, False, field.size_mm, field.finest_mm)
 
 
-def graded_size(problem: Problem) -> float:
+def graded_size(setup: Setup) -> float:
     """Element size of an indented cylinder or block, as ``mesh_size`` names it."""
-    return sizes_of(problem).size_mm
+    return sizes_of(setup).size_mm
 
 
-def sizes_of(problem: Problem) -> SizeField:
+def contact_of(setup: Setup) -> AroundContact:
+    """Indenter and depth that sizes are made for.
+
+    Raises
+    ------
+    MeshError
+        If the test has no indenter.
+    """
+    if not isinstance(setup.grading, AroundContact):
+        raise MeshError("a mesh graded around a contact needs an indenter")
+    return setup.grading
+
+
+def sizes_of(setup: Setup) -> SizeField:
     """Sizes of the elements of an indented cylinder or block."""
-    specimen, test = problem.specimen, problem.test
-    if not isinstance(specimen, Cylinder | Block) or test.indenter is None:
-        raise MeshError("an indentation mesh needs a cylinder or a block, and an indenter")
-    return size_field(
-        problem.model, test.indenter, test.displacement_mm, specimen.height_mm, _extent(specimen)
-    )
-
-
-def _extent(specimen: Cylinder | Block) -> float:
-    if isinstance(specimen, Cylinder):
-        return min(specimen.radius_mm, specimen.height_mm)
-    return min(specimen.width_mm / 2, specimen.depth_mm / 2, specimen.height_mm)
-
-
-def _edge_of(indenter: object) -> float:
-    """Radius at which a line of nodes follows the edge of a flat end; 0 where there is none."""
-    if isinstance(indenter, Flat):
-        return indenter.radius_mm - indenter.edge_radius_mm
-    return 0.0
+    specimen = setup.specimen
+    if not isinstance(specimen, Cylinder | Block):
+        raise MeshError("an indentation mesh needs a cylinder or a block")
+    extent = min(specimen.half_width_mm, specimen.height_mm)
+    return size_field(setup.model, contact_of(setup), specimen.height_mm, extent)
 
 
 def _grid(
-    problem: Problem, specimen: Cylinder | Block, field: SizeField, ring: float
+    setup: Setup, specimen: Cylinder | Block, field: SizeField, ring: float
 ) -> tuple[Array, Ints]:
     """Quadrilaterals or hexahedra on lines that follow the sizes along the top and the axis."""
-    space, order = problem.model.space, problem.model.element_order
-    cone = isinstance(problem.test.indenter, Cone)
-    wide, tall = UNDER_CONE[order] if cone else (1.0, 1.0)
+    space, order = setup.model.space, setup.model.element_order
+    wide, tall = UNDER_CONE[order] if contact_of(setup).indenter.is_pointed else (1.0, 1.0)
     top = np.array([field.top_mm])
 
     def along_top(rho: Array) -> Array:
@@ -157,7 +157,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 
 @contextmanager
-def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
+def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
     """One model in one quiet, single-threaded session of gmsh."""
     import gmsh
 
@@ -182,7 +182,7 @@ def gmsh_session(field: Sizes, dim: int) -> Iterator[Any]:
         gmsh.finalize()
 
 
-def generated(gmsh: Any, dim: int) -> tuple[Array, Ints]:
+def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
     """Mesh the model; points (n, 3) and simplices with consecutive numbers."""
     gmsh.option.setNumber("Mesh.Algorithm", _FRONTAL)
     gmsh.option.setNumber("Mesh.Algorithm3D", _DELAUNAY)
@@ -278,12 +278,14 @@ def _tetrahedra(outline: Array, height: float, field: SizeField, ring: float) ->
     return points, turned(points, cells)
 
 
-def _quarter(gmsh: Any, outline: Array, height: float, ring: float, field: SizeField) -> None:
+def _quarter(
+    gmsh: ModuleType, outline: Array, height: float, ring: float, field: SizeField
+) -> None:
     """Quarter prism over an outline; the edge of a flat end is a curve on its top."""
-    geo, lines = gmsh.model.geo, {}  # type: Any, dict[tuple[int, int], int]
+    geo, lines = gmsh.model.geo, dict[tuple[int, int], int]()
     low = [geo.addPoint(0, 0, 0), *(geo.addPoint(x, y, 0) for x, y in outline)]
     high = [geo.addPoint(0, 0, height), *(geo.addPoint(x, y, height) for x, y in outline)]
-    arc = _arc(geo, ring, height, field) if 0 < ring < outline[:, 0].max() else []
+    arc = _arc(gmsh, ring, height, field) if 0 < ring < outline[:, 0].max() else []
     faces = [_face(gmsh, low, lines)]
     n = len(low)
     for i in range(n):
@@ -302,16 +304,16 @@ def _quarter(gmsh: Any, outline: Array, height: float, ring: float, field: SizeF
     geo.addVolume([geo.addSurfaceLoop(faces)])
 
 
-def _arc(geo: Any, ring: float, height: float, field: SizeField) -> list[int]:
+def _arc(gmsh: ModuleType, ring: float, height: float, field: SizeField) -> list[int]:
     """Points of the polygon that follows a circle about the axis, from x to y."""
     segments = max(4, int(np.ceil(np.pi / 2 * ring / float(field.at(ring, height)))))
     theta = np.linspace(0, np.pi / 2, segments + 1)
     places = ring * np.column_stack([np.cos(theta), np.sin(theta)])
     places[0, 1] = places[-1, 0] = 0.0
-    return [int(geo.addPoint(x, y, height)) for x, y in places]
+    return [int(gmsh.model.geo.addPoint(x, y, height)) for x, y in places]
 
 
-def _face(gmsh: Any, corners: list[int], lines: dict[tuple[int, int], int]) -> int:
+def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int]) -> int:
     """Plane face through points; lines between two points are made once and shared."""
     loop = []
     for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):

@@ -1,7 +1,7 @@
-"""The mesh of a problem, whatever its specimen and its test.
+"""The mesh of a setup, whatever its specimen and its test.
 
 Points are (r, z) in axisymmetric space and (x, y, z) in 3D, where the quarter with
-x, y >= 0 is meshed (of a specimen given as a surface the whole). The same problem gives the
+x, y >= 0 is meshed (of a specimen given as a surface the whole). The same setup gives the
 same mesh everywhere, and a refinement series has the ratio that was asked for.
 """
 
@@ -23,10 +23,10 @@ from study.fem.mesh.structured import (
     graded_line,
     layers,
     rectangle,
-    volume_mm3,
 )
-from study.setup.geometry import Flat, Surface
-from study.setup.setup import Problem, mesh_level
+from study.setup.geometry import Surface
+from study.setup.setup import Setup, mesh_level
+from study.setup.test_kind import AroundContact, MeshGrading, TowardsPlates
 from study.surface.surface import height_of
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
@@ -37,40 +37,39 @@ _KEPT = 4
 _MADE: dict[tuple[object, ...], Mesh] = {}
 
 
-def mesh_size(problem: Problem) -> float:
+def mesh_size(setup: Setup) -> float:
     """Element size in mm: the given one, or that of the named level."""
-    model = problem.model
-    if isinstance(problem.specimen, Surface):
-        return surface_mesh_size(problem)
-    if problem.test.kind == "indentation":
-        return graded_size(problem)
+    model = setup.model
+    if isinstance(setup.specimen, Surface):
+        return surface_mesh_size(setup)
+    if isinstance(setup.grading, AroundContact):
+        return graded_size(setup)
     if model.mesh_size_mm is not None:
         return model.mesh_size_mm
-    reference = volume_mm3(problem.specimen) ** (1 / 3) / CELLS_PER_LENGTH
+    reference = setup.specimen.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH
     return float(reference * mesh_level(model))
 
 
-def build_mesh(problem: Problem) -> Mesh:
-    """Mesh of a problem, its nodes moved at random where the model has a ``mesh_seed``.
+def build_mesh(setup: Setup) -> Mesh:
+    """Mesh of a setup, its nodes moved at random where the model has a ``mesh_seed``.
 
     Raises
     ------
     MeshError
         If no usable mesh could be made.
     """
-    mesh, seed = _regular_mesh(problem), problem.model.mesh_seed
+    mesh, seed = _regular_mesh(setup), setup.model.mesh_seed
     if seed is None:
         return mesh
 
-    return jittered(mesh, seed, _at_edge(problem, mesh))
+    return jittered(mesh, seed, _at_edge(setup.grading, mesh))
 
 
-def _at_edge(problem: Problem, mesh: Mesh) -> NDArray[np.bool_] | None:
+def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
     """Nodes that follow the edge of a flat end: they are part of what is modelled."""
-    pressed = problem.test.indenter
-    if problem.test.kind != "indentation" or not isinstance(pressed, Flat):
+    if not isinstance(grading, AroundContact) or not grading.indenter.has_face:
         return None
-    ring = pressed.radius_mm - pressed.edge_radius_mm
+    ring = grading.indenter.face_radius_mm
     rho = np.linalg.norm(mesh.points[:, :-1], axis=1)
     on_top = mesh.points[:, -1] >= mesh.height_mm * (1 - 1e-9)
     # in 3D the nodes lie on chords as long as the elements there
@@ -78,13 +77,13 @@ def _at_edge(problem: Problem, mesh: Mesh) -> NDArray[np.bool_] | None:
     return np.asarray(on_top & (np.abs(rho - ring) <= 1.2 * sagitta + 1e-9 * mesh.height_mm))
 
 
-def _regular_mesh(problem: Problem) -> Mesh:
-    """Mesh before nodes are moved: the last few are kept, as materials do not change them."""
-    if isinstance(problem.specimen, Surface):  # the file may have changed
-        return surface_mesh(problem)
-    asked = problem.specimen, replace(problem.test, steps=1), replace(problem.model, mesh_seed=None)
+def _regular_mesh(setup: Setup) -> Mesh:
+    """Mesh before nodes are moved: the last few are kept."""
+    if isinstance(setup.specimen, Surface):  # the file may have changed
+        return surface_mesh(setup)
+    asked = setup.specimen, replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
     if asked not in _MADE:
-        mesh = _made(problem)
+        mesh = _made(setup)
         mesh.points.flags.writeable = mesh.cells.flags.writeable = False  # many will use them
         for oldest in list(_MADE)[: 1 - _KEPT]:
             del _MADE[oldest]
@@ -97,26 +96,24 @@ def forget_meshes() -> None:
     _MADE.clear()
 
 
-def _made(problem: Problem) -> Mesh:
-    if problem.test.kind == "indentation":
-        return indentation_mesh(problem)
-    return compressed_mesh(problem)
+def _made(setup: Setup) -> Mesh:
+    grading = setup.grading
+    if isinstance(grading, AroundContact):
+        return indentation_mesh(setup)
+    return compressed_mesh(setup, grading)
 
 
-def compressed_mesh(problem: Problem) -> Mesh:
-    """Mesh of a compressed specimen; the half above the middle plane where that is a symmetry."""
-    h = mesh_size(problem)
-    half = problem.test.interface == problem.test.base
-    height = height_of(problem.specimen)
-    bonded_top = problem.test.interface == "bonded"
-    bonded_base = problem.test.base == "bonded"
-    z = layers(height, h, half=half, top=bonded_top, base=bonded_base)
-    graded = bonded_top or bonded_base
-    if problem.model.space == "axisymmetric":
-        radius = equivalent_radius(problem.specimen)
+def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:
+    """Mesh of a specimen between plates; the upper half where the middle plane is a symmetry."""
+    h, half = mesh_size(setup), setup.has_middle_plane
+    height = height_of(setup.specimen)
+    z = layers(height, h, half=half, top=bonded.top, base=bonded.base)
+    graded = bonded.top or bonded.base
+    if setup.model.space == "axisymmetric":
+        radius = equivalent_radius(setup.specimen)
         r = graded_line(radius, h, towards_end=graded)
-        points, cells = rectangle(r, z, problem.model.element_shape)
+        points, cells = rectangle(r, z, setup.model.element_shape)
     else:
-        plane, faces = cross_section(problem.specimen, h, graded, problem.model.element_shape)
+        plane, faces = cross_section(setup.specimen, h, graded, setup.model.element_shape)
         points, cells = extrude(plane, faces, z)
     return Mesh(points, cells, half, h)

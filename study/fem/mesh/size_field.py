@@ -9,15 +9,16 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study.arrays import Array
 from study.compilation import callback, carray, kernel, part
-from study.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.setup.geometry import Indenter
 from study.setup.setup import Model, mesh_level
+from study.setup.test_kind import AroundContact
 
 #: elements across the contact radius, and across the radius of a rounded tip or edge
 _PER_CONTACT = 7.0
@@ -49,6 +50,14 @@ _RING_FINER = 3.0
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH = 0.4
 _LARGEST = 0.3
+
+
+class CFunction(Protocol):
+    """Compiled function that a library in C may call."""
+
+    @property
+    def ctypes(self) -> object:
+        """Pointer to it, as ctypes hands it over."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,7 @@ class SizeField:
     def at(self, rho: ArrayLike, z: ArrayLike) -> Array:
         """Size at radius ``rho`` from the axis and height ``z``, of their common shape."""
         both = np.broadcast_arrays(np.asarray(rho, float), np.asarray(z, float))
-        sizes = _sizes(both[0].ravel(), both[1].ravel(), *self.numbers())
+        sizes = _sizes(both[0].ravel(), both[1].ravel(), np.array(self.numbers()))
         return np.asarray(sizes.reshape(both[0].shape))
 
     @classmethod
@@ -109,7 +118,7 @@ class SizeField:
             self.zone_mm, self.contact_mm, self.growth, self.even, float(self.halvings),
         )  # fmt: skip
 
-    def callback(self, dim: int) -> Any:
+    def callback(self, dim: int) -> CFunction:
         """C function that tells gmsh the size at a place."""
         return size_callback(dim)
 
@@ -126,11 +135,11 @@ class SizeField:
 
 
 @part()
-def _size(
-    rho: float, z: float, top: float, finest: float, largest: float, feature: float, ring: float,
-    zone: float, contact: float, growth: float, even: float, halvings: float,
-) -> float:  # fmt: skip
-    """Size at one place; the arguments are the fields of :class:`SizeField`."""
+def _size(rho: float, z: float, numbers: Array) -> float:
+    """Size at one place; the numbers are those of :meth:`SizeField.numbers`."""
+    top, finest, largest = numbers[0], numbers[1], numbers[2]
+    feature, ring, zone, contact = numbers[3], numbers[4], numbers[5], numbers[6]
+    growth, even, halvings = numbers[7], numbers[8], numbers[9]
     depth = z - top
     from_feature = math.hypot(rho - ring, depth)
     if ring > 0.0:
@@ -143,25 +152,20 @@ def _size(
         rings = max(from_feature / finest, 0.5**halvings)
         if rings < 1.0:
             size *= 0.5 ** math.ceil(-math.log2(rings))
-    return size
+    return float(size)
 
 
 @kernel()
-def _sizes(
-    rho: Array, z: Array, top: float, finest: float, largest: float, feature: float, ring: float,
-    zone: float, contact: float, growth: float, even: float, halvings: float,
-) -> Array:  # fmt: skip
+def _sizes(rho: Array, z: Array, numbers: Array) -> Array:
     """Sizes at places, shape (n,)."""
     out = np.empty(rho.size)
     for i in range(rho.size):
-        out[i] = _size(
-            rho[i], z[i], top, finest, largest, feature, ring, zone, contact, growth, even, halvings
-        )
+        out[i] = _size(rho[i], z[i], numbers)
     return out
 
 
 @functools.cache
-def size_callback(dim: int) -> Any:
+def size_callback(dim: int) -> CFunction:
     """C function of a mesh generator's size: it asks at tens of thousands of places.
 
     Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
@@ -171,34 +175,13 @@ def size_callback(dim: int) -> Any:
 
     @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
     def size(
-        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: Any
+        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: object
     ) -> float:
-        n = carray(numbers, (10,), np.float64)
         rho, height = (x, y) if plane else (math.hypot(x, y), z)
-        return float(_size(rho, height, n[0], n[1], n[2], n[3], n[4], n[5], n[6], n[7], n[8], n[9]))
+        return float(_size(rho, height, carray(numbers, (10,), np.float64)))
 
-    return size
-
-
-def contact_radius(indenter: Indenter, depth_mm: float) -> float:
-    """Contact radius on a half-space of the same indenter, mm (Hertz; Sneddon 1965)."""
-    if isinstance(indenter, Flat):
-        return indenter.radius_mm
-    if isinstance(indenter, Sphere):
-        return float(min(np.sqrt(indenter.radius_mm * depth_mm), indenter.radius_mm))
-    sharp = 2 / np.pi * depth_mm * np.tan(np.radians(indenter.half_angle_deg))
-    wide = max(sharp, np.sqrt(indenter.tip_radius_mm * depth_mm) if _round(indenter) else 0.0)
-    return float(min(wide, indenter.shaft_radius_mm or np.inf))
-
-
-def sharp_edge(indenter: Indenter | None) -> bool:
-    """Whether an indenter ends in a flat face with a sharp edge."""
-    return isinstance(indenter, Flat) and indenter.edge_radius_mm == 0
-
-
-def _round(cone: Cone) -> bool:
-    """Whether the contact at small depth is that of the tip's sphere."""
-    return cone.tip_radius_mm > 0
+    made: CFunction = size
+    return made
 
 
 def reference_field(
@@ -208,64 +191,80 @@ def reference_field(
 
     Parameters
     ----------
+    indenter : Flat, Cone or Sphere
+        At whose contact elements are smallest.
     depth_mm : float
         Displacement at the end of the test.
     top_mm, extent_mm : float
         Height of the loaded surface, and the smaller of height and half-width.
     """
-    a = contact_radius(indenter, depth_mm)
+    a, round_mm = indenter.contact_radius_mm(depth_mm), indenter.rounding_mm
     zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
     size, reach = zone, 1.3 * a
-    if isinstance(indenter, Cone) and indenter.tip_radius_mm > 0:
-        size = min(zone, indenter.tip_radius_mm / _PER_TIP)
+    if indenter.has_face:
+        size = min(round_mm / _PER_EDGE if round_mm > 0 else a / _PER_SHARP_EDGE, zone)
+        ring, feature, reach = a - round_mm, 1.5 * round_mm, a
+    elif round_mm > 0:
+        size = min(zone, round_mm / _PER_TIP)
         # pressed in but a little, a tip touches a small part of its own radius
-        feature = min(_TIP_ZONE * indenter.tip_radius_mm, reach)
-    elif isinstance(indenter, Flat):
-        edge = indenter.edge_radius_mm
-        size = min(edge / _PER_EDGE if edge > 0 else a / _PER_SHARP_EDGE, zone)
-        ring, feature, reach = a - edge, 1.5 * edge, a
+        feature = min(_TIP_ZONE * round_mm, reach)
     largest = _LARGEST * extent_mm
     return SizeField(top_mm, size, size, largest, feature, ring, zone, reach, _GROWTH)
 
 
-def size_field(
-    model: Model, indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
-) -> SizeField:
-    """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level."""
+def size_field(model: Model, contact: AroundContact, top_mm: float, extent_mm: float) -> SizeField:
+    """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level.
+
+    Parameters
+    ----------
+    model : Model
+        Discretization.
+    contact : AroundContact
+        Indenter and depth.
+    top_mm, extent_mm : float
+        Height of the loaded surface, and the smaller of height and half-width.
+    """
+    indenter, depth_mm = contact.indenter, contact.depth_mm
     reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
-    if sharp_edge(indenter) and model.space == "axisymmetric":
-        reference = _about_sharp_edge(reference, indenter, depth_mm)
-    if isinstance(indenter, Flat) and (model.space, model.element_shape) == ("3d", "tensor"):
-        reference = _of_rings(reference, indenter, depth_mm)
-    if isinstance(indenter, Cone) and (model.element_order, model.element_shape) == _STRETCHED:
-        reference = _under_tip(reference, indenter, _TIP_CORE[model.space])
+    if indenter.is_sharp_edged and model.space == "axisymmetric":
+        reference = _about_sharp_edge(reference, contact)
+    if indenter.has_face and (model.space, model.element_shape) == ("3d", "tensor"):
+        reference = _of_rings(reference, contact)
+    if (model.element_order, model.element_shape) == _STRETCHED and not indenter.has_face:
+        reference = _under_tip(reference, indenter.rounding_mm, _TIP_CORE[model.space])
     if model.mesh_size_mm is not None:
         return reference.scaled(model.mesh_size_mm / reference.size_mm)
     return reference.scaled(mesh_level(model))
 
 
-def _about_sharp_edge(field: SizeField, indenter: Indenter, depth_mm: float) -> SizeField:
+def _is_shallow(contact: AroundContact) -> bool:
+    """Whether strains at a sharp edge stay so small that smaller elements do not collapse."""
+    depth_mm = contact.depth_mm
+    return depth_mm <= _SHALLOW * contact.indenter.contact_radius_mm(depth_mm)
+
+
+def _about_sharp_edge(field: SizeField, contact: AroundContact) -> SizeField:
     """Let the error of the edge, of first order, rule that of the smooth rest.
 
     In 3D so slow a growth would cost too much.
     """
-    halvings = int(depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm))
+    halvings = int(_is_shallow(contact))
     return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
 
 
-def _of_rings(field: SizeField, indenter: Flat, depth_mm: float) -> SizeField:
+def _of_rings(field: SizeField, contact: AroundContact) -> SizeField:
     """Sizes of rings of hexahedra around an edge, which are cheap to be small across it.
 
     Linear ones need a slower growth; the singular edge takes as much off the force as they do.
     """
-    shallow = sharp_edge(indenter) and depth_mm <= _SHALLOW * contact_radius(indenter, depth_mm)
+    shallow = contact.indenter.is_sharp_edged and _is_shallow(contact)
     finest = field.finest_mm / (_RING_FINER if shallow else 1.0)
     return replace(field, finest_mm=finest, growth=_RING_GROWTH)
 
 
-def _under_tip(field: SizeField, cone: Cone, core: float) -> SizeField:
+def _under_tip(field: SizeField, tip_mm: float, core: float) -> SizeField:
     """Smaller elements under a rounded tip, where a deep needle stretches them most."""
-    finest = cone.tip_radius_mm / (_PER_TIP * _TIP_FINER)
+    finest = tip_mm / (_PER_TIP * _TIP_FINER)
     if not 0 < finest < field.finest_mm:
         return field
-    return replace(field, finest_mm=finest, feature_mm=core * cone.tip_radius_mm)
+    return replace(field, finest_mm=finest, feature_mm=core * tip_mm)

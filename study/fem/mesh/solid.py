@@ -8,7 +8,7 @@ again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. M
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -18,8 +18,9 @@ from study.fem.mesh.graded import generated, gmsh_session, snapped, turned
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.size_field import SizeField, size_field
 from study.fem.mesh.surface_size_field import SizeTable, expected_cubes, graded_table
-from study.setup.geometry import Flat, Surface
-from study.setup.setup import Problem, mesh_level
+from study.setup.geometry import Surface
+from study.setup.setup import Setup, mesh_level
+from study.setup.test_kind import AroundContact
 from study.surface.surface import Body, body
 
 #: angle between triangles at which an edge counts as sharp (rad)
@@ -39,7 +40,7 @@ _PER_CUBE = 6.0
 _UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 
 
-def surface_mesh(problem: Problem) -> Mesh:
+def surface_mesh(setup: Setup) -> Mesh:
     """Tetrahedra in a specimen given as a surface.
 
     Raises
@@ -49,9 +50,9 @@ def surface_mesh(problem: Problem) -> Mesh:
     MeshError
         If gmsh fails, or the elements are too large to follow the shape.
     """
-    found = _body_of(problem)
-    field = _field(problem, found)
-    plates = _bonded(problem, found)
+    found = _body_of(setup)
+    field = _field(setup, found)
+    plates = _bonded(setup, found)
     sizes = graded_table(found, field.size_mm, plates) if plates else field
     points, cells = _tetrahedra(found, sizes)
     points = snapped(points, [(2, 0.0), (2, found.height_mm)])
@@ -61,21 +62,21 @@ def surface_mesh(problem: Problem) -> Mesh:
     return Mesh(points, cells, False, field.size_mm, sizes.finest_mm)
 
 
-def surface_mesh_size(problem: Problem) -> float:
+def surface_mesh_size(setup: Setup) -> float:
     """Element size in mm: everywhere in compression, under the indenter in indentation."""
-    return _field(problem, _body_of(problem)).size_mm
+    return _field(setup, _body_of(setup)).size_mm
 
 
-def expected_unknowns(problem: Problem) -> float:
+def expected_unknowns(setup: Setup) -> float:
     """Unknowns that the mesh of a problem will have, from volume and sizes alone.
 
     Right within a factor of 1.5. In indentation the sizes are integrated over spheres about
     the point of contact.
     """
-    found = _body_of(problem)
-    field = _field(problem, found)
-    if problem.test.kind == "compression":
-        plates = _bonded(problem, found)
+    found = _body_of(setup)
+    field = _field(setup, found)
+    if not isinstance(setup.grading, AroundContact):
+        plates = _bonded(setup, found)
         uniform = found.volume_mm3 / field.size_mm**3
         cubes = expected_cubes(found, field.size_mm, plates) if plates else uniform
     else:
@@ -83,32 +84,34 @@ def expected_unknowns(problem: Problem) -> float:
         s = np.linspace(0, reach, 2001)
         h = field.at(s, np.full(s.shape, found.height_mm))
         cubes = float(np.trapezoid(2 * np.pi * s**2 / h**3, s))
-    return _PER_CUBE * _UNKNOWNS[problem.model.element_order] * cubes
+    return _PER_CUBE * _UNKNOWNS[setup.model.element_order] * cubes
 
 
-def _body_of(problem: Problem) -> Body:
-    if not isinstance(problem.specimen, Surface):
+def _body_of(setup: Setup) -> Body:
+    if not isinstance(setup.specimen, Surface):
         raise MeshError("a mesh inside a surface needs a surface")
-    return body(problem.specimen)
+    return body(setup.specimen)
 
 
-def _field(problem: Problem, found: Body) -> SizeField:
+def _field(setup: Setup, found: Body) -> SizeField:
     """Sizes of an indented surface; of a compressed one before bonded plates are looked at."""
-    test, model = problem.test, problem.model
-    if test.kind == "compression" or test.indenter is None:
-        per_length = GRADED_PER_LENGTH if _bonded(problem, found) else CELLS_PER_LENGTH
-        usual = found.volume_mm3 ** (1 / 3) / per_length
-        return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
-    extent = min(found.height_mm, found.half_width_mm)
-    return size_field(model, test.indenter, test.displacement_mm, found.height_mm, extent)
+    grading, model = setup.grading, setup.model
+    if isinstance(grading, AroundContact):
+        extent = min(found.height_mm, found.half_width_mm)
+        return size_field(model, grading, found.height_mm, extent)
+    per_length = GRADED_PER_LENGTH if _bonded(setup, found) else CELLS_PER_LENGTH
+    usual = found.volume_mm3 ** (1 / 3) / per_length
+    return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
 
 
-def _bonded(problem: Problem, found: Body) -> tuple[float, ...]:
+def _bonded(setup: Setup, found: Body) -> tuple[float, ...]:
     """Heights of the bonded faces of a compressed surface."""
-    test, plates = problem.test, []
-    if test.kind == "compression" and test.base == "bonded" and found.touches("base"):
+    grading, plates = setup.grading, []
+    if isinstance(grading, AroundContact):
+        return ()
+    if grading.base and found.touches("base"):
         plates.append(0.0)
-    if test.kind == "compression" and test.interface == "bonded" and found.touches("top"):
+    if grading.top and found.touches("top"):
         plates.append(found.height_mm)
     return tuple(plates)
 
@@ -122,7 +125,7 @@ def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]
         return generated(gmsh, 3)
 
 
-def _enclose(gmsh: Any, found: Body) -> None:
+def _enclose(gmsh: ModuleType, found: Body) -> None:
     """Faces and the volume between them, from the triangles."""
     mesh, n = gmsh.model.mesh, len(found.points)
     tag = gmsh.model.addDiscreteEntity(2)
@@ -174,7 +177,7 @@ def _check_volume(points: Array, cells: Ints, volume: float, size: float) -> Non
         raise MeshError(f"{rule}: a mesh_size of {finer:.2g} mm or less follows the shape")
 
 
-def surface_faults(problem: Problem) -> list[Fault]:
+def surface_faults(setup: Setup) -> list[Fault]:
     """Everything that speaks against a test of a specimen given as a surface.
 
     Raises
@@ -182,17 +185,17 @@ def surface_faults(problem: Problem) -> list[Fault]:
     InputError
         If the surface itself has faults.
     """
-    if not isinstance(problem.specimen, Surface):
+    if not isinstance(setup.specimen, Surface):
         return []
-    wrong = list(_model(problem))
+    wrong = list(_model(setup))
     if wrong:
         return wrong
-    found = body(problem.specimen)
-    return [*_plates(problem, found), *_punch(problem)]
+    found = body(setup.specimen)
+    return [*_plates(setup, found), *_punch(setup)]
 
 
-def _model(problem: Problem) -> Iterator[Fault]:
-    model = problem.model
+def _model(setup: Setup) -> Iterator[Fault]:
+    model = setup.model
     if model.space == "axisymmetric":
         rule = "a surface from a file has no axis of symmetry that could be relied on"
         yield Fault("model.space", rule, 'write space = "3d"')
@@ -201,25 +204,26 @@ def _model(problem: Problem) -> Iterator[Fault]:
         yield Fault("model.element_shape", rule, 'write element_shape = "tetrahedron"')
 
 
-def _plates(problem: Problem, found: Body) -> Iterator[Fault]:
-    test, specimen = problem.test, problem.specimen
+def _plates(setup: Setup, found: Body) -> Iterator[Fault]:
+    specimen = setup.specimen
     clamped = isinstance(specimen, Surface) and specimen.clamp_below_mm is not None
     if not clamped and not found.touches("base"):
         rule = "no face of the specimen lies in the plane of its lowest point: nothing holds it"
         mend = "hold it with clamp_below, turn it with axis, or raise plate_tolerance"
         yield Fault("test.base", rule, mend)
-    if test.kind == "compression" and test.interface == "bonded" and not found.touches("top"):
+    bonded = any(f.face == "top" and f.is_held and f.within_mm is None for f in setup.faces)
+    if bonded and not found.touches("top"):
         rule = "no face of the specimen lies in the plane of its highest point: nothing to bond"
         mend = 'use interface = "frictionless", turn it with axis, or raise plate_tolerance'
         yield Fault("test.interface", rule, mend)
 
 
-def _punch(problem: Problem) -> Iterator[Fault]:
-    pressed = problem.test.indenter
-    if problem.test.kind != "indentation" or not isinstance(pressed, Flat):
+def _punch(setup: Setup) -> Iterator[Fault]:
+    pressed = setup.test.indenter
+    if pressed is None or not pressed.has_face:
         return
     why = "a mesh of a surface has no line of nodes along the edge of a flat punch"
-    if problem.test.interface == "bonded":
+    if any(face.within_mm is not None for face in setup.faces):
         yield Fault("test.interface", why, 'use interface = "frictionless" and an edge_radius')
-    elif not pressed.edge_radius_mm:
+    elif pressed.is_sharp_edged:
         yield Fault("test.indenter.edge_radius", why, "round the edge, or use a block or cylinder")

@@ -12,21 +12,11 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.errors import InputError
-from study.setup.geometry import Block, Cylinder, Specimen
-from study.surface.surface import height_of
+from study.setup.geometry import Block, Cylinder, Specimen, Surface
 
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
 GROWTH = 0.35
-
-
-def volume_mm3(specimen: Specimen) -> float:
-    """Volume of a specimen."""
-    if isinstance(specimen, Cylinder):
-        return float(np.pi * specimen.radius_mm**2 * specimen.height_mm)
-    if isinstance(specimen, Block):
-        return specimen.width_mm * specimen.depth_mm * specimen.height_mm
-    raise InputError("compression takes a cylinder or a block")
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
@@ -142,7 +132,9 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 def equivalent_radius(specimen: Specimen) -> float:
     """Radius of the circle with the specimen's cross-section area."""
-    return float(np.sqrt(volume_mm3(specimen) / height_of(specimen) / np.pi))
+    if isinstance(specimen, Surface):
+        raise InputError("a surface has no one radius: take a cylinder or a block")
+    return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
 
 
 def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from study.arrays import Array
 from study.compilation import callback, carray, part
+from study.fem.mesh.size_field import CFunction
 from study.fem.mesh.structured import CORNER_FRACTION, GROWTH
 from study.surface.surface import Body
 
@@ -60,7 +60,7 @@ class SizeTable:
         grid = (*self.origin, self.step_mm, *(float(n) for n in self.sizes.shape))
         return (*grid, *self.sizes.ravel())
 
-    def callback(self, dim: int) -> Any:  # noqa: ARG002
+    def callback(self, dim: int) -> CFunction:
         """C function that tells gmsh the size at a place."""
         return table_callback()
 
@@ -74,12 +74,12 @@ def _cell(x: float, origin: float, step: float, n: int) -> tuple[int, float]:
 
 
 @functools.cache
-def table_callback() -> Any:
+def table_callback() -> CFunction:
     """C function of a size table, with the arguments of :func:`.sizes.size_callback`."""
 
     @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
     def size(
-        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: Any
+        _dim: int, _tag: int, x: float, y: float, z: float, _size_mm: float, numbers: object
     ) -> float:
         head = carray(numbers, (7,), np.float64)
         nx, ny, nz = int(head[4]), int(head[5]), int(head[6])
@@ -95,7 +95,8 @@ def table_callback() -> Any:
                 total += (u if a else 1.0 - u) * (v if b else 1.0 - v) * line
         return total
 
-    return size
+    made: CFunction = size
+    return made
 
 
 def graded_table(found: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:

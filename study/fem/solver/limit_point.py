@@ -18,7 +18,8 @@ from study.arrays import Array
 from study.fem.element.function_space import deformation_gradient
 from study.fem.solver.linear_solver import SingularMatrixError
 from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
-from study.fem.solver.system import State, System
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.material.ellipticity import always_elliptic, ellipticity
 
 #: steps in all, and plain solves that may fail before it is given up

@@ -78,6 +78,15 @@ def make_solver(
 _PER_LENGTH = 0.1
 
 
+class _Factors(Protocol):
+    """Factors as SciPy gives them, without types."""
+
+    nnz: int
+
+    def solve(self, rhs: Array) -> Array:
+        """Back-substitute."""
+
+
 class SuperLU:
     """SciPy's SuperLU in symmetric mode: always there, many times slower in 3D."""
 
@@ -94,7 +103,7 @@ class SuperLU:
         full.sort_indices()
         self._source = full.data.astype(np.int64) - 1
         self._matrix = full
-        self._factors: Any = None
+        self._factors: _Factors | None = None
 
     def factorize(self, data: Array) -> None:
         """Factorize with minimum degree on A + A' and a small pivot threshold."""
@@ -113,6 +122,8 @@ class SuperLU:
 
     def solve(self, right: Array) -> Array:
         """Back-substitution for one or several right-hand sides."""
+        if self._factors is None:
+            raise RuntimeError("solve needs a matrix: factorize first")
         return np.asarray(self._factors.solve(np.asarray(right, dtype=np.float64)))
 
     def sharpen(self) -> None:
@@ -189,18 +200,18 @@ _NO_MEMORY = -2
 
 
 @functools.cache
-def _mkl() -> Any:
+def _mkl() -> ctypes.CDLL:
     """Find the library once: pypardiso searches the whole environment for each solver."""
     import pypardiso
 
-    library = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC).libmkl
+    library: ctypes.CDLL = pypardiso.PyPardisoSolver(mtype=_SYMMETRIC).libmkl
     library.MKL_Get_Max_Threads()  # loads the library of its threads
     threads_sleep_after_work()
     return library
 
 
 @contextmanager
-def _one_thread(mkl: Any) -> Iterator[None]:
+def _one_thread(mkl: ctypes.CDLL) -> Iterator[None]:
     before = mkl.MKL_Set_Num_Threads_Local(1)
     try:
         yield
@@ -208,11 +219,11 @@ def _one_thread(mkl: Any) -> Iterator[None]:
         mkl.MKL_Set_Num_Threads_Local(before)
 
 
-def _whole(value: int) -> Any:
+def _whole(value: int) -> object:
     return ctypes.byref(ctypes.c_int32(value))
 
 
-def _integers(values: NDArray[np.int32]) -> Any:
+def _integers(values: NDArray[np.int32]) -> object:
     return values.ctypes.data_as(ctypes.POINTER(ctypes.c_int32))
 
 
@@ -363,7 +374,7 @@ class Pardiso:
             raise SingularMatrixError(f"phase {phase}: PARDISO says {failed}")
         return np.ascontiguousarray(x)
 
-    def _arguments(self) -> tuple[Any, ...]:
+    def _arguments(self) -> tuple[object, ...]:
         """All but the vectors: they point into this object, which only changes what is there."""
         return (
             self._handle.ctypes.data_as(ctypes.POINTER(ctypes.c_int64)),

@@ -13,8 +13,8 @@ from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
 from study.fem.solver.options import Options
 from study.fem.solver.sensitivity import StepGradients, step_gradients
 from study.fem.solver.solution import Logbook, Solution
-from study.fem.solver.system import State, System
-from study.setup.load_steps import StepRule
+from study.fem.solver.state import State
+from study.fem.solver.system import System
 from study.setup.setup import Problem
 
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it
@@ -70,7 +70,7 @@ class LoadPath:
         self.progress = progress or (lambda _: None)
         self.state, self.previous = system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
-        self.rule = StepRule.of(problem, system.height_mm, options.steps)
+        self.rule = problem.setup.step_rule(options.steps, system.height_mm)
         self.step_mm = self.rule.first_mm
         every = options.curve_error is not None
         self.logbook = Logbook(system, problem, self.wanted, every_step=every)
@@ -84,7 +84,7 @@ class LoadPath:
             if not self._advance(target, _HALVINGS):
                 break
             self.logbook.requested += asked
-            self.progress(target / self.problem.test.displacement_mm)
+            self.progress(target / self.problem.test.depth_mm)
         if self.options.curve_error and self.warm is None and not self.system.sticks:
             self._fill_in(self.options.curve_error)
         return self
@@ -95,7 +95,7 @@ class LoadPath:
         Curves of one problem then have the same points, and their difference is one of forces.
         """
         test = self.problem.test
-        asked = [test.displacement_mm * k / test.steps for k in range(1, test.steps + 1)]
+        asked = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
         added = [d for d in self._warm_steps if d < asked[-1] and self.logbook.every_step]
         near = 1e-9 * self.system.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]

@@ -9,7 +9,8 @@ import numpy as np
 
 from study.arrays import Array, Flags
 from study.fem.solver.linear_solver import SingularMatrixError
-from study.fem.solver.system import Assembly, State, System
+from study.fem.solver.state import Assembly, State
+from study.fem.solver.system import System
 
 #: iterations after which a residual that was never below the next figure is given up
 _HOPELESS = 9

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from study.arrays import Array
 from study.fem.contact.adhesion import TiedPoints
-from study.fem.solver.system import Assembly, State, System
+from study.fem.solver.state import Assembly, State
+from study.fem.solver.system import System
 
 #: how many corrections are tried
 _CORRECTIONS = 12

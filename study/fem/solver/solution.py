@@ -19,7 +19,8 @@ from study.fem.solver.energy_balance import (
 )
 from study.fem.solver.internal_force import StoredEnergy
 from study.fem.solver.sensitivity import Rate, StepGradients
-from study.fem.solver.system import Assembly, State, System
+from study.fem.solver.state import Assembly, State
+from study.fem.solver.system import System
 from study.setup.geometry import Surface
 from study.setup.setup import Problem
 from study.surface.surface import body
@@ -190,7 +191,8 @@ class Logbook:
         self.rows.insert(at, row)
         self.states.insert(at, loaded)
         self.reached.insert(at, state.displacement_mm)
-        self.reactions.insert(at, _base_reaction(self.system, assembly))
+        sense = self.problem.setup.kind.sense
+        self.reactions.insert(at, _base_reaction(self.system, assembly, sense))
         self.iterations.insert(at, spent)
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
@@ -227,7 +229,7 @@ class Logbook:
 
     @property
     def _whole_mm(self) -> float:
-        return self.problem.test.displacement_mm
+        return self.problem.test.depth_mm
 
     def curve(self, work_Nmm: Array) -> Curve:
         """Force-displacement curve with its gradients."""
@@ -299,7 +301,7 @@ class Logbook:
                 f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
             )
         if not self.complete:
-            reached, asked = state.displacement_mm, self.problem.test.displacement_mm
+            reached, asked = state.displacement_mm, self.problem.test.depth_mm
             said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or reason}"]
             if lost:
                 said.append(_OUT_OF_REACH)
@@ -310,8 +312,8 @@ class Logbook:
         return "; ".join(said)
 
 
-def _base_reaction(system: System, assembly: Assembly) -> float:
-    """Axial reaction below: equal to the force at equilibrium."""
+def _base_reaction(system: System, assembly: Assembly, sense: float) -> float:
+    """Axial reaction below, against the loading: equal to the force at equilibrium."""
     sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     held, dim = system.constraints, system.space.dim
     still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
@@ -320,7 +322,7 @@ def _base_reaction(system: System, assembly: Assembly) -> float:
         if points.surface.speed == 0:  # the plate that stands still
             axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
             carried -= float(axial.sum())
-    return sector * carried
+    return -sense * sector * carried
 
 
 def _pinned(system: System, assembly: Assembly, force: float) -> float:

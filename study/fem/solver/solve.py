@@ -86,7 +86,7 @@ def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mes
         return system
     return System.build(
         problem,
-        build_mesh(problem) if mesh is None else mesh,
+        build_mesh(problem.setup) if mesh is None else mesh,
         solver=options.linear_solver,
         folding=options.side_contact,
     )

@@ -14,7 +14,7 @@ from study.arrays import Array
 from study.fem.contact.adhesion import TiedPoints, hold, nothing_held
 from study.fem.contact.collocation import contact_points, touch_radius
 from study.fem.contact.constraints import Constraints, constraints
-from study.fem.contact.contact import ContactPoints, ContactState, Glue, Meeting
+from study.fem.contact.contact import ContactPoints, ContactState, Meeting
 from study.fem.element.function_space import Discretization, discretize
 from study.fem.element.sparsity import Pattern
 from study.fem.mesh.mesh import Mesh
@@ -29,70 +29,70 @@ from study.fem.solver.internal_force import (
 )
 from study.fem.solver.linear_solver import LinearSolver, make_solver
 from study.fem.solver.reused_factorization import KeptFactors
+from study.fem.solver.state import Assembly, Drag, Latest, State
 from study.material.material import Material
 from study.setup.geometry import Surface
-from study.setup.setup import Problem
+from study.setup.setup import Problem, Setup
 
 
-@dataclass(frozen=True)
-class State:
-    """Unknowns at one displacement.
-
-    Parameters
-    ----------
-    displacement_mm : float
-        Displacement of the test.
-    x : ndarray, shape (n,)
-        Displacements node by node, then pressures.
-    multipliers : tuple of ndarray
-        Contact pressures, one array for each set of contact points.
-    closed : tuple of ndarray of bool
-        Imposed active sets; empty where every contact point decides for itself.
-    glue : Glue, optional
-        What a bonded indenter has taken hold of.
-    """
-
-    displacement_mm: float
-    x: Array
-    multipliers: tuple[Array, ...] = ()
-    closed: tuple[NDArray[np.bool_], ...] = ()
-    glue: Glue | None = None
-
-
-@dataclass(frozen=True)
-class Drag:
-    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``place`` (n,)."""
-
-    weights: Array
-    place: Array
-
-
-@dataclass
-class Assembly:
-    """Residual, tangent entries and contact at one state (arrays are the system's own)."""
-
-    min_j: float
-    internal: Array
-    residual: Array
-    contact: list[ContactState]
-
-
-def _local_bulk(problem: Problem) -> float:
+def _local_bulk(setup: Setup) -> float:
     """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
-    model, test = problem.model, problem.test
+    model = setup.model
     solid = model.space == "3d" and model.element_order == "quadratic"
-    return LOCAL_BULK if solid and test.kind == "indentation" else 0.0
+    return LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
 
 
-def _evenness(problem: Problem) -> float:
+def _evenness(setup: Setup) -> float:
     """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
-    model = problem.model
+    model = setup.model
     mixed = model.element_shape == "simplex" and model.formulation != "displacement"
-    if not mixed or problem.test.kind != "indentation":
+    if not mixed or not setup.kind.strains_locally:
         return 0.0
     if model.element_order == "linear":
         return EVENNESS
     return EVENNESS_OF_SOLIDS if model.space == "3d" else 0.0
+
+
+@dataclass(frozen=True)
+class WholeSpecimen:
+    """Sizes of the whole specimen, a part of which is modelled.
+
+    Parameters
+    ----------
+    parts : float
+        Force of the whole over that of the part: 4 of a quarter, 8 of one that is halved.
+    area_mm2, height_mm : float
+        Mean cross-section and height.
+    touch_mm : float
+        Length whose square carries the first contact; 0 where nothing begins to touch.
+    """
+
+    parts: float
+    area_mm2: float
+    height_mm: float
+    touch_mm: float
+
+    @classmethod
+    def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
+        """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
+        whole = setup.model.space == "axisymmetric" or isinstance(setup.specimen, Surface)
+        sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
+        area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
+        return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))
+
+
+@dataclass(frozen=True)
+class ContactTerms:
+    """Contact points and their places in the tangent, set by set."""
+
+    points: tuple[ContactPoints, ...]
+    blocks: tuple[ContactBlocks, ...]
+
+    @classmethod
+    def at(cls, points: tuple[ContactPoints, ...], dim: int, pattern: Pattern) -> ContactTerms:
+        """Take the memory for contact points."""
+        dofs = [each.dofs(dim) for each in points]
+        return cls(points, tuple(ContactBlocks.at(d, pattern.locate(d)) for d in dofs))
 
 
 @dataclass
@@ -101,62 +101,64 @@ class System:
 
     mesh: Mesh
     space: Discretization
+    whole: WholeSpecimen
+    material: Material
     internal: Internal
     constraints: Constraints
-    contact: tuple[ContactPoints, ...]
-    force_scale: float
-    area_mm2: float
-    height_mm: float
-    touch_mm: float
-    material: Material
+    contact_terms: ContactTerms
     tangent: Tangent
     kept: KeptFactors
     seconds: dict[str, float] = field(default_factory=dict)
     drag: Drag | None = None
-    _met: tuple[Array, float, list[Meeting]] | None = None
-    _ratios: tuple[Array, Array] | None = None
-    _touching: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    _contact_blocks: list[ContactBlocks] = field(default_factory=list)
+    latest: Latest = field(default_factory=Latest)
 
     @classmethod
     def build(
         cls, problem: Problem, mesh: Mesh, *, solver: str = "auto", folding: bool = True
     ) -> System:
         """Discretize, constrain and analyze a problem on a mesh."""
-        start = time.perf_counter()
-        space = discretize(mesh, problem.model, stretched=problem.test.kind == "indentation")
-        held = constraints(problem, space, mesh)
+        start, setup = time.perf_counter(), problem.setup
+        space = discretize(mesh, setup.model, stretched=setup.kind.strains_locally)
+        held = constraints(setup, space, mesh)
         pattern = Pattern.build(space.dofs, space.n, held.dofs)
-        whole = problem.model.space == "axisymmetric" or isinstance(problem.specimen, Surface)
-        sector = 1.0 if whole else 4.0
         direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
-        height = mesh.height_mm
-        bottom = height / 2 if mesh.half_height else 0.0
+        points = contact_points(problem, space, mesh, folding=folding)
         system = cls(
             mesh=mesh,
             space=space,
-            internal=Internal.on(space, _local_bulk(problem), _evenness(problem)),
-            constraints=held,
-            contact=contact_points(problem, space, mesh, folding=folding),
-            force_scale=sector * (2.0 if mesh.half_height else 1.0),
-            area_mm2=float(space.weights.sum()) * sector / (height - bottom),
-            height_mm=height,
-            touch_mm=touch_radius(problem),
+            whole=WholeSpecimen.of(setup, mesh, float(space.weights.sum())),
             material=problem.material,
+            internal=Internal.on(space, _local_bulk(setup), _evenness(setup)),
+            constraints=held,
+            contact_terms=ContactTerms.at(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
         )
-        system._place_contact()
         system.seconds["setup"] = time.perf_counter() - start
         return system
 
     def with_material(self, material: Material) -> System:
         """Return the same discretization for other constants; solver and arrays are shared."""
-        return replace(self, material=material)
+        return replace(self, material=material, latest=replace(self.latest))
 
     def dragged(self, weights: Array, place: Array) -> System:
         """Return the same equations with a drag; solver and arrays are shared."""
-        return replace(self, drag=Drag(weights, place))
+        return replace(self, drag=Drag(weights, place), latest=replace(self.latest))
+
+    @property
+    def contact(self) -> tuple[ContactPoints, ...]:
+        """Every set of points that may meet a rigid surface."""
+        return self.contact_terms.points
+
+    @property
+    def force_scale(self) -> float:
+        """Force of the whole specimen over that of the model."""
+        return self.whole.parts
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the specimen."""
+        return self.whole.height_mm
 
     @property
     def small_strain(self) -> bool:
@@ -191,8 +193,8 @@ class System:
     def force_floor(self, displacement_mm: float) -> float:
         """Force that residuals are compared with where there is none yet (first touch), N."""
         strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
-        floor = 1e-6 * self.material.mu0 * self.area_mm2 * strain
-        return max(floor, 0.5 * self.material.mu0 * self.touch_mm**2)
+        floor = 1e-6 * self.material.mu0 * self.whole.area_mm2 * strain
+        return max(floor, 0.5 * self.material.mu0 * self.whole.touch_mm**2)
 
     def start(self) -> State:
         """Return the unloaded state."""
@@ -206,9 +208,10 @@ class System:
 
     def volume_ratios(self, x: Array) -> Array:
         """J at every quadrature point, shape (n_elements, n_quadrature)."""
-        if self._ratios is None or self._ratios[0] is not x:
-            self._ratios = x, self.internal.volume_ratios(self.material, x)
-        return self._ratios[1]
+        found = self.latest.ratios
+        if found is None or found[0] is not x:
+            self.latest.ratios = found = x, self.internal.volume_ratios(self.material, x)
+        return found[1]
 
     def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
         """Residual at a state; the tangent stays in the system's own arrays.
@@ -220,7 +223,8 @@ class System:
         min_j = self.internal.evaluate(self.material, state.x, into)
         internal = self.internal.gathered()
         residual, contacts = internal.copy(), self._touching_as(state, state.closed)
-        for points, touch, blocks in zip(self.contact, contacts, self._contact_blocks, strict=True):
+        blocks_of = self.contact_terms.blocks
+        for points, touch, blocks in zip(self.contact, contacts, blocks_of, strict=True):
             np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
             if tangent:
                 blocks.fill(points.stiffness(touch), self.data)
@@ -228,7 +232,8 @@ class System:
             residual += self.drag.weights * (state.x - self.drag.place)
             if tangent:  # rows begin with their diagonal
                 self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
-        self._touching = np.concatenate([np.zeros(0, bool), *(t.active for t in contacts)])
+        touching = [t.active for t in contacts]
+        self.latest.touching = np.concatenate([np.zeros(0, bool), *touching])
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
 
@@ -250,11 +255,11 @@ class System:
 
     def _meetings(self, state: State) -> list[Meeting]:
         """Where the contact points are, found once for the decision and for the forces."""
-        met = self._met
+        met = self.latest.meetings
         if met is None or met[0] is not state.x or met[1] != state.displacement_mm:
             u = self.displacements(state.x)
             found = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
-            self._met = met = state.x, state.displacement_mm, found
+            self.latest.meetings = met = state.x, state.displacement_mm, found
         return met[2]
 
     def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
@@ -281,7 +286,7 @@ class System:
         if exact:
             self.solver.sharpen()
         self.solver.factorize(self.data)
-        self.kept.renewed(self._touching)
+        self.kept.renewed(self.latest.touching)
         self._count("factorization", began)
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
@@ -290,7 +295,7 @@ class System:
         ``change`` is the residual that the iteration has come down to.
         """
         began = time.perf_counter()
-        found = self.kept.solve(self.data, right, scale, tolerance, self._touching, change)
+        found = self.kept.solve(self.data, right, scale, tolerance, self.latest.touching, change)
         self._count("solve", began)
         if found is not None:
             return found
@@ -315,7 +320,7 @@ class System:
 
     def factors_serve(self) -> bool:
         """Whether the last factorization is of a tangent near the last assembled one."""
-        return self.kept.serves(self._touching)
+        return self.kept.serves(self.latest.touching)
 
     def lift_product(self, lift: Array) -> Array:
         """Force of prescribed increments on the free unknowns, contact left out."""
@@ -334,12 +339,12 @@ class System:
         """K v of the last assembled tangent, constrained rows and columns included."""
         if contact:
             out = self.tangent.product(v)
-            for blocks in self._contact_blocks:
+            for blocks in self.contact_terms.blocks:
                 blocks.add_beside(v, out)
             return out
         with ExitStack() as without:
             # last in, first out: each remembers the entries as those before it left them
-            for blocks in reversed(self._contact_blocks):
+            for blocks in reversed(self.contact_terms.blocks):
                 without.enter_context(blocks.taken_out(self.data))
             return self.tangent.product(v)
 
@@ -354,11 +359,6 @@ class System:
     def displacements(self, x: Array) -> Array:
         """Nodal displacements, shape (n_nodes, dim)."""
         return x[: self.space.n_displacement].reshape(-1, self.space.dim)
-
-    def _place_contact(self) -> None:
-        for points in self.contact:
-            dofs = points.dofs(self.space.dim)
-            self._contact_blocks.append(ContactBlocks.at(dofs, self.pattern.locate(dofs)))
 
     def _count(self, what: str, began: float) -> None:
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - began

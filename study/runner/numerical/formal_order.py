@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from study.design.spec import Case
-from study.fem.mesh.size_field import sharp_edge
 from study.material.material import Material
-from study.setup.geometry import Cylinder, Flat, Surface
+from study.setup.geometry import Cylinder, Surface
 from study.setup.setup import Problem, problem_of
+from study.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
 
 if TYPE_CHECKING:
     from study.runner.job import CaseJob
@@ -67,16 +67,8 @@ def formal_of_case(job: CaseJob) -> FormalOrder:
 
 
 def _limits(problem: Problem) -> list[tuple[float, str]]:
-    test, found = problem.test, []
-    if test.kind == "indentation":
-        found.append(_under_indenter(problem))
-    elif "bonded" in (test.interface, test.base):
-        exponent = clamped_corner(poisson_ratio(problem.material))
-        why = (
-            f"the corner between a bonded and a free face: the displacement goes as "
-            f"s^{exponent:.3f} there"
-        )
-        found.append((2 * exponent, why))
+    singularities = problem.setup.kind.singularities(problem.test)
+    found = [_limit(problem, singularity) for singularity in singularities]
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
         found.append((2.0, "the cylinder's straight-sided elements"))
     if isinstance(problem.specimen, Surface):
@@ -84,20 +76,24 @@ def _limits(problem: Problem) -> list[tuple[float, str]]:
     return found
 
 
-def _under_indenter(problem: Problem) -> tuple[float, str]:
-    """Limit that an indenter sets: a sharp edge, or the rim of a smooth contact."""
-    pressed = problem.test.indenter
-    if sharp_edge(pressed) or problem.test.holds_face:
-        return 1.0, _sharp(problem)
-    if not isinstance(pressed, Flat):
-        return 2.0, _RIM
-    return _rounded(pressed.edge_radius_mm, _edge_size(problem))
+def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
+    """Limit that a singularity sets, and why."""
+    if isinstance(singularity, ClampedCorner):
+        exponent = clamped_corner(poisson_ratio(problem.material))
+        return 2 * exponent, (
+            f"the corner between a bonded and a free face: the displacement goes as "
+            f"s^{exponent:.3f} there"
+        )
+    if isinstance(singularity, SharpEdge):
+        return 1.0, _sharp(problem, singularity.name)
+    if isinstance(singularity, RoundedEdge):
+        return _rounded(singularity.radius_mm, _edge_size(problem))
+    return 2.0, _RIM
 
 
-def _sharp(problem: Problem) -> str:
+def _sharp(problem: Problem, edge: str) -> str:
     """Why the order is 1 under a sharp edge, and what may hide it."""
-    smooth, depth = 2 * _DEGREE[problem.model.element_order], problem.test.displacement_mm
-    edge = "sharp edge" if sharp_edge(problem.test.indenter) else "rim of the bonded face"
+    smooth, depth = 2 * _DEGREE[problem.model.element_order], problem.test.depth_mm
     why = (
         f"the {edge} of the flat punch, where the contact pressure is singular as an "
         "inverse square root, s^(-1/2) at a distance s: energy and force converge with h^1 "
@@ -132,7 +128,7 @@ def _edge_size(problem: Problem) -> float:
     """Element size at the edge of a punch."""
     from study.fem.mesh.mesher import mesh_size
 
-    return float(mesh_size(problem))
+    return float(mesh_size(problem.setup))
 
 
 def edge_rules(config: Mapping[str, Any]) -> bool:
@@ -182,4 +178,4 @@ def base_size_mm(case: Case) -> float:
 
     section = {**case.config["material"], "model": "neo-hookean", "order": None}
     config = {**case.config, "material": section}
-    return float(mesh_size(problem_of(config, {"C10": 1.0})))
+    return float(mesh_size(problem_of(config, {"C10": 1.0}).setup))

@@ -262,7 +262,7 @@ def series_of(config: Mapping[str, Any], spec: Converge, **options: Any) -> Seri
     """Series of a problem from its own mesh size."""
     from study.fem.mesh.mesher import mesh_size
 
-    return Series(config, spec, float(mesh_size(problem_of(config))), **options)
+    return Series(config, spec, float(mesh_size(problem_of(config).setup)), **options)
 
 
 __all__ = ["Budget", "Level", "Series", "refine", "series_of", "task_key"]

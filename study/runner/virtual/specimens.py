@@ -251,7 +251,7 @@ def perform(task: Mapping[str, Any]) -> dict[str, Any]:
         # no cell of the design generates its own data
         from study.fem.mesh.mesher import mesh_size
 
-        size = mesh_size(problem) / problem.model.mesh_ratio
+        size = mesh_size(problem.setup) / problem.model.mesh_ratio
         problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
     solution = finite_element.solve(problem, gradients=True)
     return {

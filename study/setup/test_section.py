@@ -1,0 +1,68 @@
+"""Section ``[test]`` of a study file, and the kinds of test that it may name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import Field
+
+from study.setup.compression import COMPRESSION
+from study.setup.geometry import Indenter
+from study.setup.indentation import INDENTATION
+from study.setup.quantity import Length, integer
+from study.setup.section import Reads, section
+from study.setup.test_kind import Interface, Test, TestKind
+from study.setup.text import word
+
+#: every kind of test by its name in a file
+TEST_KINDS: Mapping[str, TestKind] = {"compression": COMPRESSION, "indentation": INDENTATION}
+
+_CONDITIONS = "frictionless", "bonded"
+_SYNONYMS = {"lubricated": "frictionless"}
+
+
+@section
+class TestSection:
+    """How a specimen is loaded, as far as the file says it.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`TEST_KINDS`.
+    interface : {"frictionless", "bonded"}
+        What holds the specimen where it is loaded.
+    base : {"frictionless", "bonded"}, optional
+        What holds it below: as above in compression, bonded in indentation, unless given.
+    displacement_mm : float, optional
+        Final displacement; the end of the measured range may give it.
+    steps : int
+        Displacements at which the force is asked for.
+    indenter : Flat, Cone or Sphere, optional
+        Of an indentation.
+    """
+
+    __test__ = False  # not a pytest class
+
+    kind: Annotated[str, word(*TEST_KINDS, mend="compression, ...")]
+    interface: Annotated[
+        Interface, word(*_CONDITIONS, synonyms=_SYNONYMS, mend="frictionless or bonded")
+    ] = "frictionless"
+    base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
+    displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
+    steps: Annotated[int, Reads(integer(1, 10_000))] = 10
+    indenter: Annotated[Indenter | None, Reads(lambda table: table)] = None
+
+    @property
+    def held_below(self) -> Interface:
+        """Condition of the base, also where the file leaves it to the kind of the test."""
+        if self.base is not None:
+            return self.base
+        kind = TEST_KINDS.get(self.kind)  # a faulty file may leave it out
+        return self.interface if kind is None else kind.usual_base(self.interface)
+
+    def loading(self) -> Test:
+        """Test that the section describes; its displacement may still be open."""
+        pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
+        depth = self.displacement_mm
+        return Test(self.kind, depth, self.interface, self.held_below, self.steps, pressed)

@@ -1,0 +1,120 @@
+"""A kind of test that the package does not have: fem solves it without knowing its name."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.errors import Fault, InputError
+from study.fem.solver.solve import solve
+from study.material.homogeneous import response
+from study.setup import test_section
+from study.setup.compression import Compression
+from study.setup.geometry import Block, Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import FaceCondition, Test
+
+from .problems import GEL
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Tension(Compression):
+    """Bonded plates go apart: faces, contacts and faults differ from those of a compression."""
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        return FaceCondition("top", self.sense, True), FaceCondition("base", 0.0, True)
+
+    def contacts(self, test: Test) -> tuple[()]:
+        return ()
+
+    def stretches(self, test: Test, height_mm: float) -> np.ndarray:
+        return np.linspace(1.0, 1 + test.depth_mm / height_mm, 41)
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        if "frictionless" in (test.interface, test.base):
+            yield Fault("test.interface", "a plate pulls only what it is bonded to", "bond it")
+
+
+@pytest.fixture(autouse=True)
+def tension(monkeypatch: pytest.MonkeyPatch) -> None:
+    kinds = {**test_section.TEST_KINDS, "tension": Tension(sense=1.0)}
+    monkeypatch.setattr(test_section, "TEST_KINDS", kinds)
+    monkeypatch.setattr("study.setup.setup.TEST_KINDS", kinds)
+
+
+def pulled(specimen: Cylinder | Block, depth: float, steps: int = 1, **model: object) -> Problem:
+    test = Test("tension", depth, "bonded", "bonded", steps=steps)
+    return Problem(specimen, test, GEL, replace(Model(), **model))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("specimen", "model"),
+    [
+        (Cylinder(10, 10), {}),
+        (Cylinder(10, 10), {"space": "3d", "element_order": "linear", "mesh": "coarse"}),
+        (Block(20, 20, 10), {"space": "3d", "element_shape": "tensor", "mesh": "coarse"}),
+    ],
+)
+def test_first_stiffness_is_that_of_compression(specimen, model):
+    problem = pulled(specimen, 1e-3, **model)
+    squeezed = replace(problem, test=replace(problem.test, kind="compression"))
+    pulled_N, pressed_N = (solve(p, gradients=False).curve.force_N[-1] for p in (problem, squeezed))
+    # of a smooth energy they differ by the strain of 1e-4 times a number of order 1
+    assert pulled_N == pytest.approx(pressed_N, rel=5e-4)
+    assert pulled_N < pressed_N  # flattened between bonded plates a specimen gets stiffer
+
+
+def test_long_cylinder_is_in_uniaxial_stress():
+    found = solve(pulled(Cylinder(2, 60), 90.0, 3), gradients=False)
+    assert found.converged
+    stretch = 1 + found.curve.displacement_mm / 60
+    free = np.pi * 2**2 * response(GEL, "uniaxial", stretch).stress
+    # bonded ends stiffen a length of about a radius each: by 1.0 % at a stretch of 1.25 and 0.76 %
+    # at 2.5 on this mesh
+    np.testing.assert_allclose(found.curve.force_N, free, rtol=0.012)
+    np.testing.assert_allclose(found.base_reaction_N, found.curve.force_N, rtol=1e-6)
+
+
+def test_gradients_follow_the_constants():
+    problem = pulled(Cylinder(10, 10), 3.0, mesh="coarse")
+    c10, step = GEL.constants["C10"], 1e-4
+    low, high = (
+        solve(replace(problem, material=replace(GEL, constants={"C10": c10 * (1 + s)})))
+        for s in (-step, step)
+    )
+    slope = (high.curve.force_N[-1] - low.curve.force_N[-1]) / (2 * step * c10)
+    assert solve(problem).curve.force_gradient["C10"][-1] == pytest.approx(slope, rel=1e-5)
+
+
+def test_a_kind_refuses_what_it_cannot_do():
+    problem = pulled(Cylinder(10, 10), 3.0)
+    loose = replace(problem, test=replace(problem.test, base="frictionless"))
+    with pytest.raises(InputError, match="pulls only what it is bonded to"):
+        solve(loose)
+
+
+def named_kinds(folder: Path) -> list[str]:
+    """Places that ask a test or a section for the name of its kind."""
+    return [
+        f"{path.name}:{node.lineno}"
+        for path in sorted(folder.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Compare)
+        and any(isinstance(n, ast.Attribute) and n.attr == "kind" for n in ast.walk(node))
+    ]
+
+
+@pytest.mark.parametrize("room", ["fem", "forward", "setup", "surface"])
+def test_no_room_below_the_runner_asks_for_the_kind(room):
+    assert not named_kinds(ROOT / "study" / room)
+
+
+def test_a_question_for_the_kind_is_found(tmp_path):
+    (tmp_path / "planted.py").write_text('def f(p):\n    return p.test.kind == "compression"\n')
+    assert named_kinds(tmp_path) == ["planted.py:2"]
