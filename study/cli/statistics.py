@@ -188,7 +188,8 @@ def _print_summary(found: AnalysisResult) -> None:
 
 
 def _print_effects(found: AnalysisResult) -> None:
-    means = [["Term", "Level", "Mean", "95 % interval", "Grouping"]]
+    ends = f"{100 * (1 - found.alpha):.4g} % interval"
+    means = [["Term", "Level", "Mean", ends, "Grouping"]]
     for e in found.effects:
         for i, (level, mean) in enumerate(zip(e.levels, e.mean, strict=True)):
             ci = None if e.mean_ci95 is None else e.mean_ci95[i]
@@ -199,7 +200,7 @@ def _print_effects(found: AnalysisResult) -> None:
     print("(levels that share a letter are not told apart)\n")
     ratio = any(e.scale == "ratio" for e in found.effects)
     what = "largest ratio" if ratio else "largest difference"
-    rows = [["Term", what, "95 % interval", "share", "verdict"]]
+    rows = [["Term", what, ends, "share", "verdict"]]
     share = {row.term: row.share for row in found.anova.rows}
     rows += [
         [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3), e.verdict]

@@ -91,6 +91,17 @@ def percent(fraction: float | None, digits: int = 3) -> str:
     return quantity(None if fraction is None else 100 * fraction, "%", digits)
 
 
+def level(alpha: float) -> str:
+    """Write the level of an interval.
+
+    Examples
+    --------
+    >>> level(0.05).replace(THIN, " "), level(0.2).replace(THIN, " ")
+    ('95 %', '80 %')
+    """
+    return f"{100 * (1 - alpha):.4g}{THIN}%"
+
+
 def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
     """Write a confidence interval, both ends with the decimals of the larger one."""
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):

@@ -144,6 +144,7 @@ class Facts:
     copies: tuple[tuple[str, ...], ...] = ()
     lenth: Mapping[str, Any] | None = None
     u_num_by_term: bool = False
+    alpha: float = 0.05
 
     @property
     def name(self) -> str:
@@ -213,6 +214,7 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
         copies=tuple(tuple(group) for group in found.get("copies") or ()),
         lenth=found.get("lenth"),
         u_num_by_term=bool(getattr(response.result, "u_num_by_term", False)),
+        alpha=float(getattr(response.result, "alpha", 0.05)),
     )
 
 

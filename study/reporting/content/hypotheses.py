@@ -16,6 +16,7 @@ from study.reporting.numbers import (
     clean,
     decimals_that_count,
     duration,
+    level,
     listing,
     name_of,
     quantity,
@@ -91,7 +92,7 @@ def _effect_of(facts: Facts, *factors: str) -> Effect | None:
 
 
 def _sized(effect: Effect, facts: Facts) -> str:
-    return f"{size(effect, facts)} (95 % interval {size_interval(effect, facts)})"
+    return f"{size(effect, facts)} ({level(facts.alpha)} interval {size_interval(effect, facts)})"
 
 
 def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
@@ -249,5 +250,6 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
     weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
     return sentence(
         f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves the {facts.title} by up to "
-        f"{gap} (95 % interval {size_interval(effect, facts)}), {weight}; it {cost}"
+        f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
+        f"it {cost}"
     )

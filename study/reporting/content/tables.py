@@ -11,10 +11,12 @@ from study.reporting.content.verdicts import numerical as u_num_of
 from study.reporting.content.verdicts import over_numerical, practical, size, size_interval
 from study.reporting.numbers import (
     MISSING,
+    THIN,
     clean,
     duration,
     f_value,
     interval,
+    level,
     name_of,
     p_value,
     plural_of,
@@ -69,7 +71,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         "factor",
         "verdict",
         "largest difference",
-        "95 % interval",
+        f"{level(data.alpha)} interval".replace(THIN, " "),
         "matters from",
         "U",
         "effect / U",

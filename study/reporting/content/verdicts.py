@@ -17,6 +17,7 @@ from study.reporting.numbers import (
     TIMES,
     clean,
     decimals_that_count,
+    level,
     name_of,
     p_phrase,
     percent,
@@ -68,7 +69,7 @@ def _number(effect: Effect) -> str:
 
 
 def size_interval(effect: Effect, facts: Facts) -> str:
-    """Simultaneous 95 % interval of the largest difference."""
+    """Simultaneous interval of the largest difference."""
     digits = ratio_digits(effect.difference) if effect.ratio else 3
     places = decimals(effect)
     ends = span(effect.low, effect.high, places, digits)
@@ -191,7 +192,7 @@ def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str
 
 
 def _ninety_five(effect: Effect, facts: Facts) -> str:
-    return f"95{THIN}% interval {size_interval(effect, facts)}"
+    return f"{level(facts.alpha)} interval {size_interval(effect, facts)}"
 
 
 def _repeatable(effect: Effect) -> str:

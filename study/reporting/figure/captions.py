@@ -10,6 +10,7 @@ from study.reporting.numbers import (
     clean,
     count,
     duration,
+    level,
     listing,
     name_of,
     p_phrase,
@@ -38,7 +39,7 @@ def effects(facts: Facts, data: ReportData) -> str:
     limit = practical(first, facts)
     text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
     if first.low is not None:
-        text += f" (95{THIN}% interval {size_interval(first, facts)})"
+        text += f" ({level(facts.alpha)} interval {size_interval(first, facts)})"
     if first.practical is not None:
         text += f". Shaded: up to {limit}, which does not matter in practice"
     if first.practical is not None and first.low is not None:

@@ -25,7 +25,7 @@ from study.reporting.figure.style import (
     word_color_of,
     wrap,
 )
-from study.reporting.numbers import clean, name_of, quantity, significant, term_name
+from study.reporting.numbers import clean, level, name_of, quantity, significant, term_name
 from study.reporting.report import (
     MATTERS,
     NO_DIFFERENCE,
@@ -104,7 +104,9 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_ylim(len(frame) - 0.5, -0.6)
     plain_ticks(ax, "x")
     what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
-    ends = ", with 95 % simultaneous interval" if frame["low"].notna().any() else ""
+    ends = ""
+    if frame["low"].notna().any():
+        ends = f", with {level(facts.alpha)} simultaneous interval"
     ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
     _clean_left(ax)
     return figure

@@ -156,6 +156,7 @@ def render(contents: Contents) -> str:
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
+        interval_level=contents.tables["verdicts"].columns[4].removesuffix(" interval"),
         what_if=verdicts.WHAT_IF,
         two=comparison,
         provenance=_provenance(data),
