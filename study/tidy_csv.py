@@ -35,6 +35,7 @@ def read_csv(
     factors: Sequence[str],
     block: str | Sequence[str] | None = None,
     unit: str | None = None,
+    decimal: str = ".",
 ) -> pd.DataFrame:
     """Read the named columns of a tidy CSV strictly.
 
@@ -50,6 +51,8 @@ def read_csv(
         Column of the blocks, or several that cross.
     unit : str, optional
         Column of the unit on which rows are repeated.
+    decimal : {".", ","}
+        Decimal mark of the response; with a comma the columns are apart by semicolons or tabs.
 
     Raises
     ------
@@ -59,11 +62,16 @@ def read_csv(
     import pandas as pd
 
     source = Path(path)
-    header, rows = _read_rows(source)
+    if decimal not in (".", ","):
+        raise InputError(Fault("--decimal", f"must be . or , and not {decimal!r}"))
+    header, rows = _read_rows(source, ";\t" if decimal == "," else ",;\t")
     others = [*names_of(block), *([unit] if unit else [])]
     names = [response, *factors, *others]
     _check_names(source.name, header, response, factors, others)
     faults: list[Fault] = []
+    if decimal == "," and response in header:
+        at = header.index(response)
+        rows = [[*row[:at], row[at].replace(",", "."), *row[at + 1 :]] for row in rows]
     columns = {
         name: _column(source.name, rows, header.index(name), name, name == response, faults)
         for name in dict.fromkeys(names)
@@ -79,7 +87,7 @@ def read_csv(
     return frame
 
 
-def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
+def _read_rows(path: Path, delimiters: str) -> tuple[list[str], list[list[str]]]:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError(Fault(str(path), f"larger than {_MAX_BYTES // 10**6} MB"))
@@ -89,7 +97,7 @@ def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
     except UnicodeDecodeError as error:
         raise InputError(Fault(str(path), "is not UTF-8 text", "save it as CSV UTF-8")) from error
     first = text.split("\n", 1)[0]
-    delimiter = max(",;\t", key=first.count) if first.strip() else ","
+    delimiter = max(delimiters, key=first.count) if first.strip() else delimiters[0]
     try:
         rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
     except csv.Error as error:
@@ -108,7 +116,7 @@ def _read_rows(path: Path) -> tuple[list[str], list[list[str]]]:
                 Fault(
                     f"{path}: row {number}",
                     f"has {len(row)} cells, expected {len(header)}",
-                    "a decimal comma? write decimal points",
+                    "a decimal comma? write decimal points, or say --decimal ,",
                 )
             )
     return header, rows[1:]
@@ -162,7 +170,11 @@ def _number(text: str, place: str, faults: list[Fault]) -> float:
     value = float(text) if _NUMBER.fullmatch(text) else math.inf
     if not math.isfinite(value):
         comma = bool(_DECIMAL_COMMA.fullmatch(text))
-        mend = "write a decimal point" if comma else "write a number, or leave it empty"
+        mend = (
+            "write a decimal point, or say --decimal ,"
+            if comma
+            else "write a number, or leave it empty"
+        )
         faults.append(Fault(place, f"{text!r} is not a finite number", mend))
         return math.nan
     return value

@@ -99,6 +99,7 @@ def analyze(
     *,
     block: str | Sequence[str] | None = None,
     results: Path = Path("results"),
+    decimal: str = ".",
     **options: Any,
 ) -> AnalysisResult:
     """Analyze one response of a finished study, of a CSV file or of a table.
@@ -115,6 +116,8 @@ def analyze(
         Column of the blocks, or several that cross.
     results : Path
         Folder of the results, where ``source`` is the name of a study.
+    decimal : {".", ","}
+        Decimal mark of a CSV.
     **options : optional
         As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
         ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
@@ -135,6 +138,7 @@ def analyze(
         return _table(source, response, factors, block, options)
     if _is_csv(Path(source)):
         _check_named(response, factors)
-        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"))
+        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"),
+                         decimal)  # fmt: skip
         return _table(frame, response, factors, block, options)
     return _study(source, response, factors, block, results, options)

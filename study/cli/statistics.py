@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from study.cli.studies import RESULTS, Json, Results
 
 if TYPE_CHECKING:
     from study.analysis.anova_table import NestedUnits, Row
+    from study.analysis.effects.comparisons import Comparisons
     from study.analysis.result import AnalysisResult
 
 Column = Annotated[str | None, typer.Option(help="Column of the response.")]
@@ -39,6 +41,13 @@ Practical = Annotated[
     str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
 ]
 Transform = Annotated[str | None, typer.Option(help="none or log.")]
+Alpha = Annotated[
+    float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
+]
+Decimal = Annotated[str, typer.Option(help="Decimal mark of a CSV: . or ,")]
+Reference = Annotated[
+    str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
+]
 
 
 def analyze(
@@ -54,6 +63,9 @@ def analyze(
     model: Model = None,
     practical: Practical = None,
     transform: Transform = None,
+    alpha: Alpha = None,
+    decimal: Decimal = ".",
+    reference: Reference = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -63,7 +75,7 @@ def analyze(
     given: dict[str, Any] = {
         "error": error, "type": kind, "practical": practical, "transform": transform,
         "model": _model(model), "unit": unit, "replicates": replicates,
-        "whole_plot": _names(whole_plot) or None,
+        "whole_plot": _names(whole_plot) or None, "alpha": alpha,
     }  # fmt: skip
     options = {name: value for name, value in given.items() if value is not None}
     blocks = _names(block)
@@ -73,18 +85,43 @@ def analyze(
         _names(factors),
         block=blocks if len(blocks) > 1 else next(iter(blocks), None),
         results=results,
+        decimal=decimal,
         **options,
     )
+    compared = None
+    if reference is not None:
+        from study.analysis.effects.reference import against_reference
+
+        compared = against_reference(found, reference)
     if as_json:
         output.warn(found.warnings)
-        output.print_json(found.to_json())
+        beside = {} if compared is None else {"reference": _reference_json(*compared)}
+        output.print_json(found.to_json() | beside)
         return
     _print(found)
+    if compared is not None:
+        _print_reference(*compared)
     if all(effect.verdict == "cannot tell" for effect in found.effects):
         _hint_practical(practical)
 
 
 VERBS: tuple[Callable[..., None], ...] = (analyze,)
+
+
+def _reference_json(factor: str, found: Comparisons) -> dict[str, Any]:
+    pairs = [asdict(pair) for pair in found.pairs]
+    return {"factor": factor, "method": found.method, "alpha": found.alpha, "pairs": pairs}
+
+
+def _print_reference(factor: str, found: Comparisons) -> None:
+    ends = f"{100 * (1 - found.alpha):.4g} % interval"
+    rows = [["Level", "difference", ends, "adjusted p"]]
+    rows += [
+        [pair.first, _number(pair.difference, 4), _interval((pair.lower, pair.upper)), _p(pair.p)]
+        for pair in found.pairs
+    ]
+    output.table(rows, f"{factor} against {found.pairs[0].second} ({found.method})")
+    print()
 
 
 def _names(text: str | None) -> list[str]:
@@ -200,14 +237,36 @@ def _print_effects(found: AnalysisResult) -> None:
     print("(levels that share a letter are not told apart)\n")
     ratio = any(e.scale == "ratio" for e in found.effects)
     what = "largest ratio" if ratio else "largest difference"
-    rows = [["Term", what, ends, "share", "verdict"]]
+    rows = [["Term", what, ends, "share", "p", "Holm's p", "verdict"]]
     share = {row.term: row.share for row in found.anova.rows}
     rows += [
-        [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3), e.verdict]
+        [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3),
+         _p(e.p), _p(e.p_holm), e.verdict]
         for e in found.effects
-    ]
+    ]  # fmt: skip
     output.table(rows, "Effects")
     print()
+    _print_simple(found, ends)
+
+
+def _print_simple(found: AnalysisResult, ends: str) -> None:
+    """Print the largest simple effect of every factor that interacts with others."""
+    rows = [["Factor", "levels", "at", what_of(found), ends, "verdict there"]]
+    for effect in found.effects:
+        one = effect.largest_simple
+        if one is not None and one.at:
+            at = ", ".join(f"{name} {level}" for name, level in one.at)
+            number = _number(one.difference, 4)
+            rows.append([effect.term, f"{one.first} - {one.second}", at, number,
+                         _interval(one.ci), one.verdict])  # fmt: skip
+    if len(rows) > 1:
+        output.table(rows, "Largest simple effects")
+        print()
+
+
+def what_of(found: AnalysisResult) -> str:
+    """Return what an effect is: a difference, or a ratio for a log response."""
+    return "ratio" if found.transform == "log" else "difference"
 
 
 def _interval(ci: Sequence[float] | None) -> str:

@@ -125,7 +125,7 @@ def seed_choice(seeds: int) -> Choice:
 
 def own_choice(block: str, blocks: int, error: str) -> Choice:
     """E1 with every effect against its own interaction."""
-    why = "asked for" if error == "own" else "cells of a study are scored on the same blocks"
+    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
     return Choice(
         "E1",
         OWN,
