@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,17 +12,16 @@ from study.analysis import nested
 from study.analysis.anova_table import Effect
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
-from study.analysis.data import Data, Options, prepare, threshold
+from study.analysis.data import Data, Options, prepare
 from study.analysis.effects.numerical_bound import NumericalBound
-from study.analysis.effects.sizes import MOST_LEVELS, Scale
 from study.analysis.error import ledger
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled
 from study.analysis.error.split_plot import Plots, split_plot, whole_plots
-from study.analysis.linear_model.design_matrix import nested_in, number_within, term_name, terms_of
+from study.analysis.linear_model.design_matrix import nested_in, number_within, terms_of
 from study.analysis.linear_model.sums_of_squares import one_thread
-from study.analysis.outcome import Outcome
+from study.analysis.outcome import Outcome, range_of_bounds, scale_of
 from study.analysis.pseudoreplication import (
     CopyGroups,
     group_cells,
@@ -237,9 +235,8 @@ def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
     plots = whole_plots(out.data, options.whole_plot)
     data = out.data
     y = _transformed(data, response, out.transform)
-    limit = threshold(options.practical)
-    scale = _scale(out, y, limit, options)
-    low, high = _range_of_bounds(out, scale)
+    scale = scale_of(out, y, options)
+    low, high = range_of_bounds(out, scale)
     out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
     out = replace(out, copies=_copies(out))
@@ -356,45 +353,6 @@ def _transformed(data: Data, response: str, transform: str) -> Array:
             Fault(f"response {response!r}", f"the log needs positive values, got {data.y.min():g}")
         )
     return np.asarray(np.log(data.y))
-
-
-def _scale(out: Outcome, y: Array, limit: Any, options: Options) -> Scale:
-    log = out.transform == "log"
-    mean = float(np.exp(y.mean())) if log else float(y.mean())
-    practical = None if limit is None else limit.on_scale(mean, out.transform)
-    unit = 1 / mean if log else 1.0
-    bound = options.bound(map(term_name, out.terms), unit)
-    specimens = options.specimens
-    measured = out.replicates not in ("mesh-seeds", "noise")
-    if specimens is None and out.data.block is not None and measured:
-        specimens = len(out.data.layout.levels[out.data.block])
-    return Scale(
-        out.transform,
-        practical,
-        bound,
-        out.records and out.data.block is None,
-        unit,
-        specimens,
-        getattr(bound, "only", {}),
-    )
-
-
-def _range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
-    """Smallest and largest bound of a difference of two levels, in the unit of the response.
-
-    A difference without a numerical error, such as one between meshes, does not count.
-    """
-    if scale.bound is None:
-        return None, None
-    pairs = (
-        ({name: first}, {name: second})
-        for (name,) in (term for term in out.terms if len(term) == 1)
-        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
-    )
-    known = [u for pair in pairs if (u := scale.bound.of(*pair))]
-    if not known:
-        return None, None
-    return min(known) / scale.unit, max(known) / scale.unit
 
 
 def _copies(out: Outcome) -> CopyGroups:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,10 @@ from study.analysis.anova_table import (
     ModelSummary,
     Sensitivity,
 )
-from study.analysis.data import Data
-from study.analysis.effects.sizes import Scale
-from study.analysis.linear_model.design_matrix import Term
+from study.analysis.data import Data, Options, threshold
+from study.analysis.effects.scale import Scale
+from study.analysis.effects.sizes import MOST_LEVELS
+from study.analysis.linear_model.design_matrix import Term, term_name
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.sphericity import SphericityResult
@@ -95,3 +97,44 @@ def kind_of(out: Outcome, kind: str, even: bool, why: str = "unbalanced") -> tup
     if kind == "auto" or (out.records and kind == "II"):
         return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
     return kind, out.warn(f"{why}: Type {kind} as asked")
+
+
+def scale_of(out: Outcome, y: Array, options: Options) -> Scale:
+    """Scale of a response: its practical difference and numerical bound as the options say."""
+    limit = threshold(options.practical)
+    log = out.transform == "log"
+    mean = float(np.exp(y.mean())) if log else float(y.mean())
+    practical = None if limit is None else limit.on_scale(mean, out.transform)
+    unit = 1 / mean if log else 1.0
+    bound = options.bound(map(term_name, out.terms), unit)
+    specimens = options.specimens
+    measured = out.replicates not in ("mesh-seeds", "noise")
+    if specimens is None and out.data.block is not None and measured:
+        specimens = len(out.data.layout.levels[out.data.block])
+    return Scale(
+        out.transform,
+        practical,
+        bound,
+        out.records and out.data.block is None,
+        unit,
+        specimens,
+        getattr(bound, "only", {}),
+    )
+
+
+def range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
+    """Smallest and largest bound of a difference of two levels, in the unit of the response.
+
+    A difference without a numerical error, such as one between meshes, does not count.
+    """
+    if scale.bound is None:
+        return None, None
+    pairs = (
+        ({name: first}, {name: second})
+        for (name,) in (term for term in out.terms if len(term) == 1)
+        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
+    )
+    known = [u for pair in pairs if (u := scale.bound.of(*pair))]
+    if not known:
+        return None, None
+    return min(known) / scale.unit, max(known) / scale.unit

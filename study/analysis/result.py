@@ -16,8 +16,8 @@ from study.analysis.anova_table import (
     Influential,
     ModelSummary,
 )
+from study.analysis.assumption.diagnostics import diagnose, is_representative
 from study.analysis.assumption.normality import anderson_darling, shapiro_wilk
-from study.analysis.diagnostics import diagnose, is_representative
 from study.analysis.effects.numerical_bound import OneBound
 from study.analysis.effects.power import PowerRow, planned
 from study.analysis.effects.sizes import holm

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.analysis.data import threshold
 from study.analysis.effects.verdict_power import PlannedVerdicts, fewest_blocks, planned_verdicts
+from study.api.analysis import analyze
 from study.api.folders import RESULTS, data_root
 from study.canonical import plain
 from study.design.cases import treatments
@@ -96,8 +97,19 @@ def power(
     sd : float, optional
         Standard deviation over specimens of a difference between two cells, in the unit of the
         response. By default that of the study's own results; without them three are assumed.
+    data : str or Path, optional
+        Folder that measurement files are relative to.
+    results : Path
+        Folder of the results, which give the scatter where the study has run.
+    overrides : sequence of str
+        Keys of the design with other values.
     counts : sequence of int
         Numbers of specimens to compare.
+
+    Returns
+    -------
+    Power
+        For every response and scatter, the probability of each verdict and the cost.
 
     Raises
     ------
@@ -184,8 +196,6 @@ def _practical(response: Response, known: tuple[float, float, float] | None) -> 
 
 def _known(design: Design, response: Response, results: Path) -> tuple[float, float, float] | None:
     """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
-    from study.api.analysis import analyze
-
     if not (results / design.name).is_dir():
         return None
     try:

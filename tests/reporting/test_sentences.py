@@ -9,19 +9,9 @@ import pytest
 from study.reporting import report
 from study.reporting.content import sentences, verdicts
 from study.reporting.content.hypotheses import cheaper, recommendation
+from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect
 from study.reporting.output.page import prepare, render
-from study.reporting.report import (
-    CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
-    NOT_RESOLVED,
-    Effect,
-    Facts,
-    Group,
-    describe,
-    facts,
-    groups,
-)
+from study.reporting.report import Facts, Group, describe, facts, groups
 from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from study.analysis.effects.estimates import t_quantile
+from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import (
     Estimates,
     Sample,
@@ -14,7 +15,6 @@ from study.analysis.effects.simple_effects import (
     simple_effects,
 )
 from study.analysis.effects.simultaneous import block_multiplier, pooled_multiplier
-from study.analysis.effects.sizes import Scale
 from study.analysis.linear_model.design_matrix import Layout, Term
 from study.analysis.linear_model.sums_of_squares import ALIAS_TOLERANCE, Factored
 from study.arrays import Array

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from study.reporting.content import sentences, verdicts
+from study.reporting.effect import MATTERS
 from study.reporting.numbers import clean, count, listing, p_phrase, term_name
-from study.reporting.report import MATTERS, Facts
+from study.reporting.report import Facts
 from study.study_result.report_data import Check, ReportData
 
 _ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}

@@ -7,6 +7,7 @@ from typing import Any
 
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import over_numerical, size, size_interval
+from study.reporting.effect import CANNOT_TELL, MATTERS, Effect
 from study.reporting.numbers import (
     MISSING,
     clean,
@@ -17,7 +18,7 @@ from study.reporting.numbers import (
     sentence,
     term_name,
 )
-from study.reporting.report import CANNOT_TELL, MATTERS, Effect, Facts
+from study.reporting.report import Facts
 from study.study_result import comparison
 from study.study_result.comparison import Beside, Change, Conclusion, Found, OnlyInOne
 from study.study_result.report_data import ResponseAnalysis

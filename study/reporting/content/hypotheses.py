@@ -10,6 +10,7 @@ from study.design.spec import Expected
 from study.record.table import cell_names
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import size, size_interval
+from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -25,15 +26,7 @@ from study.reporting.numbers import (
     significant,
     term_name,
 )
-from study.reporting.report import (
-    CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
-    Effect,
-    Facts,
-    cells,
-    practical_of,
-)
+from study.reporting.report import Facts, cells, practical_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from study.reporting.content.verdicts import change, size
+from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -25,19 +26,7 @@ from study.reporting.numbers import (
     sentence,
     term_name,
 )
-from study.reporting.report import (
-    CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
-    NOT_RESOLVED,
-    Effect,
-    Facts,
-    cells,
-    comparable,
-    describe,
-    groups,
-    practical_of,
-)
+from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
 from study.study_result.report_data import Failure, ReportData
 
 if TYPE_CHECKING:

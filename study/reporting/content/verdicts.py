@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from study.reporting.effect import MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect, Simple
 from study.reporting.numbers import (
     MINUS,
     MISSING,
@@ -29,14 +30,7 @@ from study.reporting.numbers import (
     span,
     term_name,
 )
-from study.reporting.report import (
-    MATTERS,
-    NO_DIFFERENCE,
-    NOT_RESOLVED,
-    Effect,
-    Facts,
-    Simple,
-)
+from study.reporting.report import Facts
 from study.study_result.report_data import ReportData
 
 Labels = Mapping[str, str] | None

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.reporting.content.verdicts import size, size_interval
+from study.reporting.effect import MATTERS, NO_DIFFERENCE
 from study.reporting.figure.style import (
     BAND,
     INK,
@@ -26,15 +27,7 @@ from study.reporting.figure.style import (
     wrap,
 )
 from study.reporting.numbers import clean, level, name_of, quantity, significant, term_name
-from study.reporting.report import (
-    MATTERS,
-    NO_DIFFERENCE,
-    Facts,
-    cells,
-    comparable,
-    describe,
-    groups,
-)
+from study.reporting.report import Facts, cells, comparable, describe, groups
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
