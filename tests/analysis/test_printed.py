@@ -141,7 +141,7 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     nested = analyze(table.assign(y=y), "y", ["a"], unit="s", exact=False).nested
     assert nested is not None
     assert nested.units == 8
-    from study.analysis.error.nested import _naive_size
+    from study.analysis.nested import _naive_size
 
     z = rng.normal(size=(2000, 8))[:, unit] + rng.normal(size=(2000, 48))
     first, second = z[:, :24], z[:, 24:]
