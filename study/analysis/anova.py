@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from study.analysis import nested
 from study.analysis.anova_table import Effect
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, Options, prepare
 from study.analysis.effects.numerical_bound import NumericalBound
-from study.analysis.error import ledger, nested
+from study.analysis.error import ledger
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled

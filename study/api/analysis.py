@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from study import api
 from study.analysis.anova import analyze as anova
+from study.analysis.effects.blocked_dunnett import blocked_dunnett
+from study.analysis.effects.comparisons import Comparisons, dunnett
 from study.api.statistics import rows_for
 from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
@@ -142,3 +144,42 @@ def analyze(
                          decimal)  # fmt: skip
         return _table(frame, response, factors, block, options)
     return _study(source, response, factors, block, results, options)
+
+
+def against_reference(found: AnalysisResult, level: str) -> tuple[str, Comparisons]:
+    """Compare all levels of a factor with one of them (Dunnett 1955).
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Its rows give the means: those of each block where there are blocks.
+    level : str
+        Reference, ``"level"`` or ``"factor=level"`` where several factors have it.
+
+    Returns
+    -------
+    factor : str
+    comparisons : Comparisons
+        Differences from the reference with simultaneous intervals.
+
+    Raises
+    ------
+    InputError
+        If no factor, or more than one, has this level.
+    """
+    named, _, wanted = level.rpartition("=")
+    levels = {e.term: e.levels for e in found.effects if e.term in found.factors}
+    holding = [f for f, own in levels.items() if wanted in own and named in ("", f)]
+    if len(holding) != 1:
+        every = [name for own in levels.values() for name in own]
+        rule = "is a level of several factors" if holding else "is no level of a factor"
+        mend = f"write {holding[0]}={wanted}" if holding else nearest(wanted, every)
+        raise InputError(Fault("--reference", f"{wanted!r} {rule}", mend))
+    factor = holding[0]
+    rows = found.residuals
+    if found.block is None:
+        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
+        return factor, dunnett(groups, wanted, alpha=found.alpha, seed=found.seed)
+    means = rows.pivot_table("response", "block", factor, sort=False).dropna()
+    by_level = {str(name): means[name].to_numpy() for name in means.columns}
+    return factor, blocked_dunnett(by_level, wanted, alpha=found.alpha, seed=found.seed)
