@@ -38,10 +38,10 @@ def test_an_analysis_without_a_fit_loads_no_statsmodels() -> None:
     code = """
 import sys
 import pandas as pd
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 rows = [(a, b, c) for a in "xy" for b in "pq" for c in "mn"]
 table = pd.DataFrame(rows, columns=list("abc")).assign(y=[1.0, 4, 2, 8, 5, 7, 3, 9])
-analyze(table, "y", list("abc"), exact=False)
+anova(table, "y", list("abc"), exact=False)
 print(*sorted(name for name in sys.modules if name == "statsmodels"))
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

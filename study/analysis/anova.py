@@ -4,29 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.analysis import nested
 from study.analysis.anova_table import Effect
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
-from study.analysis.data import Data, Options, prepare
-from study.analysis.effects.numerical_bound import NumericalBound
-from study.analysis.error import ledger
+from study.analysis.data import Data, prepare
+from study.analysis.error import ledger, nested
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled
-from study.analysis.error.split_plot import Plots, split_plot, whole_plots
-from study.analysis.linear_model.design_matrix import nested_in, number_within, terms_of
+from study.analysis.error.split_plot import split_plot, whole_plots
+from study.analysis.linear_model.design_matrix import Model, nested_in, number_within, terms_of
 from study.analysis.linear_model.sums_of_squares import one_thread
 from study.analysis.outcome import Outcome, range_of_bounds, scale_of
 from study.analysis.pseudoreplication import (
-    CopyGroups,
-    group_cells,
+    copies_of,
     refuse_fake_replicates,
     ulp_floor,
+)
+from study.analysis.request import (
+    AnalysisRequest,
+    Blocking,
+    NumericalUncertainty,
+    Practical,
+    ResponseScale,
+    threshold,
 )
 from study.analysis.result import AnalysisResult, assemble
 from study.arrays import Array
@@ -43,7 +48,38 @@ _SEED_COLUMNS = {"mesh_seed": "mesh-seeds", "noise_seed": "noise"}
 
 
 @one_thread
-def analyze(
+def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
+    """Answer one question to a table: error term, table, effects with verdicts, assumptions.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    request : AnalysisRequest
+        Response, factors, blocks, model, error, scale.
+
+    Returns
+    -------
+    AnalysisResult
+        With the request that it answers.
+
+    Raises
+    ------
+    InputError
+        For columns, levels or values that cannot be analyzed.
+    RefusedError
+        For copies that pose as replicates.
+    """
+    if request.layout.unit is None and _one_cell_a_block(table, request):
+        # a block that lies in one cell is a replicate of it, and its rows are repeats
+        layout = Blocking(unit=request.layout.block[0], replicates="runs")
+        request = replace(request, layout=layout, error="auto")
+    if request.layout.unit is not None:
+        return _with_units(table, request, request.layout.unit)
+    return _complete(table, request)
+
+
+def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
     table: pd.DataFrame,
     response: str,
     factors: Sequence[str],
@@ -53,13 +89,13 @@ def analyze(
     whole_plot: str | Sequence[str] = (),
     replicates: str = "auto",
     type: str = "auto",  # noqa: A002
-    model: Any = "full",
+    model: Model = "full",
     error: str = "auto",
     records: bool = False,
     tolerance: float | None = None,
-    practical: Any = None,
+    practical: Practical = None,
     transform: str = "none",
-    u_num: float | Mapping[str, float] | NumericalBound | None = None,
+    u_num: NumericalUncertainty = None,
     specimens: int | None = None,
     alpha: float = 0.05,
     seed: int = 2011,
@@ -91,7 +127,7 @@ def analyze(
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
-        Terms; see :func:`study.analysis.design_matrix.terms_of`.
+        Terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
     error : {"auto", "pooled", "own"}
         How the error is found; see :mod:`study.analysis.error.ledger`.
     records : bool
@@ -100,7 +136,7 @@ def analyze(
         Solver tolerance in the unit of the response; default 1e-8 of its largest value for
         records, 0 otherwise.
     practical : optional
-        Smallest difference that matters; see :func:`study.analysis.data.threshold`.
+        Smallest difference that matters; see :func:`study.analysis.request.threshold`.
     transform : {"none", "log"}
         ``log`` reports effects as ratios.
     u_num : float, mapping to float or NumericalBound, optional
@@ -130,68 +166,51 @@ def analyze(
     RefusedError
         For copies that pose as replicates.
     """
-    options = Options(
-        names_of(block),
-        unit,
-        names_of(whole_plot),
-        replicates,
-        type,
+    request = AnalysisRequest(
+        response,
+        tuple(str(name) for name in factors),
+        Blocking(names_of(block), unit, names_of(whole_plot), replicates),
         model,
+        type,
         error,
+        ResponseScale(transform, threshold(practical), u_num, tolerance),
         records,
-        tolerance,
-        practical,
-        transform,
-        u_num,
         specimens,
         alpha,
         seed,
         exact,
     )
-    options.check()
-    if unit is None and _one_cell_a_block(table, response, factors, options):
-        # a block that lies in one cell is a replicate of it, and its rows are repeats
-        unit = options.block[0]
-        options = replace(options, block=(), error="auto", replicates="runs")
-    if unit is not None:
-        return _with_units(table, response, factors, options, unit)
-    return _complete(table, response, factors, options)
+    return analyze(table, request)
 
 
-def _one_cell_a_block(
-    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options
-) -> bool:
-    if len(options.block) != 1 or options.whole_plot:
+def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:
+    layout = request.layout
+    if len(layout.block) != 1 or layout.whole_plot:
         return False
-    data = prepare(table, response, factors, options.block)
+    data = prepare(table, request.response, request.factors, layout.block)
     plots = whole_plots(data, ())
     return plots is not None and set(plots.between) == set(data.factors)
 
 
-def _complete(
-    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options
-) -> AnalysisResult:
+def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Analysis of the rows there are, and what the missing ones could do to it."""
-    out = _found(table, response, factors, options)
+    out = _found(table, request)
     result = assemble(add_robustness(out))
     if not out.data.missing:
         return result
 
     def effects(completed: pd.DataFrame) -> tuple[Effect, ...]:
-        return _found(completed, response, factors, options).effects
+        return _found(completed, request).effects
 
-    found = missing_cases.bounds(table, response, factors, out.effects, options.alpha, effects)
+    found = missing_cases.bounds(table, request, out.effects, effects)
     notes = missing_cases.sentences(found, out.data.missing)
     return replace(result, bounds=found, warnings=(*result.warnings, *notes))
 
 
-def _with_units(
-    table: pd.DataFrame, response: str, factors: Sequence[str], options: Options, unit: str
-) -> AnalysisResult:
+def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
     """Analysis of the means of the units, set beside that of all rows."""
-    blocks, transform = options.block, options.transform
-    means = nested.average_units(table, response, factors, unit, block=blocks, transform=transform)
-    result = _complete(means, response, factors, options)
+    means = nested.average_units(table, request, unit, request.layout.block)
+    result = _complete(means, request)
     if result.error_term.source == "E0":
         asked = replace(
             result.error_term,
@@ -200,62 +219,55 @@ def _with_units(
             reason=f"cells hold several levels of {unit}; the rows of each are averaged",
         )
         result = replace(result, error_term=asked)
-    rows = _found(table, response, factors, options)
-    naive = rows.anova
+    rows = _found(table, request)
     if rows.data.missing:
         lost = tuple(w for w in rows.data.warnings if w not in result.warnings)
         result = replace(result, warnings=(*lost, *result.warnings))
-    found = nested.compare_naive(
-        table,
-        response,
-        factors,
-        unit,
-        result,
-        naive,
-        block=blocks,
-        transform=transform,
-        seed=options.seed,
-    )
+    found = nested.compare_naive(table, request, unit, result.anova, rows.anova)
     if found is None:
         return result
-    notes = nested.sentences(found, options.alpha)
+    notes = nested.sentences(found, request.alpha)
     return replace(result, nested=found, warnings=(*result.warnings, *notes))
 
 
-def _found(table: pd.DataFrame, response: str, factors: Sequence[str], options: Options) -> Outcome:
+def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     """Table and effects of one analysis, before the checks of its assumptions."""
-    out = _start(table, response, factors, options)
+    out = _start(table, request)
     if float(np.ptp(out.data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(out.data.y)):
         return out.constant()
-    notes = refuse_fake_replicates(out.data, table, records=out.records, tolerance=out.tolerance)
+    notes = refuse_fake_replicates(
+        out.data, table, records=request.records, tolerance=out.tolerance
+    )
     _refuse_undeclared(out)
     if _repeats_in_blocks(out.data):
-        out = _averaged(out, table, options)
+        out = _averaged(out, table)
         notes.append("repeats of a cell within a block are averaged: they are nested in it")
-    plots = whole_plots(out.data, options.whole_plot)
+    plots = whole_plots(out.data, request.layout.whole_plot)
     data = out.data
-    y = _transformed(data, response, out.transform)
-    scale = scale_of(out, y, options)
+    y = _transformed(data, request)
+    scale = scale_of(out, y)
     low, high = range_of_bounds(out, scale)
     out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
-    out = replace(out, copies=_copies(out))
-    declared = data.also or (options.whole_plot and options.error == "auto")
-    how = ledger.method(options.error, None if declared else data.block)
+    within = max(10 * out.tolerance, low or 0.0)
+    computed = request.records or out.tolerance > 0
+    out = replace(out, copies=copies_of(data, within, computed=computed))
+    declared = data.also or (request.layout.whole_plot and request.error == "auto")
+    how = ledger.method(request.error, None if declared else data.block)
     if how == ledger.OWN:
-        tested = _own(out, options, plots)
+        tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
         if tested is not None:
             return tested
         out = out.warn(f"fewer than two complete levels of {data.block}: no test against blocks")
     if plots is not None:
-        return split_plot(out, options.type, plots)
-    return pooled(out, options.type, options.error, options.model)
+        return split_plot(out, plots)
+    return pooled(out)
 
 
-def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: Options) -> Outcome:
+def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     """Check the data and gather terms and tolerances."""
-    data = prepare(table, response, factors, options.block)
-    terms = terms_of(data.factors, options.model)
+    data = prepare(table, request.response, request.factors, request.layout.block)
+    terms = terms_of(data.factors, request.model)
     nested_factors = nested_in(terms)
     if nested_factors:
         data = replace(
@@ -263,22 +275,10 @@ def _start(table: pd.DataFrame, response: str, factors: Sequence[str], options: 
             layout=number_within(data.layout, nested_factors),
             warnings=(*data.warnings, *_nested_notes(nested_factors)),
         )
-    tol = options.tolerance
+    tol = request.scale.tolerance
     if tol is None:
-        tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if options.records else 0.0
-    return Outcome(
-        data,
-        response,
-        terms,
-        options.transform,
-        options.alpha,
-        options.seed,
-        options.exact,
-        tol,
-        None,
-        options.records,
-        replicates=_replicates(table, data, options),
-    )
+        tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
+    return Outcome(request, data, terms, tol, replicates=_replicates(table, data, request))
 
 
 def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
@@ -289,14 +289,14 @@ def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
     ]
 
 
-def _replicates(table: pd.DataFrame, data: Data, options: Options) -> str:
+def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
     """Tell what the rows of one cell are, from what was said or from the columns."""
-    if options.replicates != "auto":
-        return options.replicates
+    if request.layout.replicates != "auto":
+        return request.layout.replicates
     for column, kind in _SEED_COLUMNS.items():
         if column in table.columns and column not in (*data.factors, *data.blocks):
             return kind
-    return "auto" if options.records else "runs"
+    return "auto" if request.records else "runs"
 
 
 def _repeats_in_blocks(data: Data) -> bool:
@@ -307,13 +307,11 @@ def _repeats_in_blocks(data: Data) -> bool:
     return bool(counts.max() > 1)
 
 
-def _averaged(out: Outcome, table: pd.DataFrame, options: Options) -> Outcome:
+def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
     """Outcome of the means of the cells in each block; missing rows stay counted."""
     first, *others = out.data.blocks
-    means = nested.average_units(
-        table, out.response, out.data.factors, first, block=others, transform=out.transform
-    )
-    start = _start(means, out.response, out.data.factors, options)
+    means = nested.average_units(table, out.request, first, others)
+    start = _start(means, out.request)
     data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
     return replace(start, data=data, tolerance=out.tolerance)
 
@@ -339,34 +337,10 @@ def _refuse_undeclared(out: Outcome) -> None:
     )
 
 
-def _own(out: Outcome, options: Options, plots: Plots | None) -> Outcome | None:
-    if plots is not None and plots.nested:
-        return own_groups(out, options.type, options.error, plots)
-    return own(out, options.type, options.error)
-
-
-def _transformed(data: Data, response: str, transform: str) -> Array:
-    if transform == "none":
+def _transformed(data: Data, request: AnalysisRequest) -> Array:
+    if not request.scale.is_log:
         return data.y
     if data.y.min() <= 0:
-        raise InputError(
-            Fault(f"response {response!r}", f"the log needs positive values, got {data.y.min():g}")
-        )
+        rule = f"the log needs positive values, got {data.y.min():g}"
+        raise InputError(Fault(f"response {request.response!r}", rule))
     return np.asarray(np.log(data.y))
-
-
-def _copies(out: Outcome) -> CopyGroups:
-    """Cells that are one computation, judged on the raw response."""
-    data = out.data
-    cells = np.unique(data.cell)
-    blocks = 1 if data.block is None else len(data.layout.levels[data.block])
-    within = max(10 * out.tolerance, out.u_cells or 0.0, ulp_floor(data.y))
-    # values of a CSV may tie by chance; equality in three or more blocks is no chance
-    if not (out.records or out.tolerance > 0) and (data.block is None or blocks < 3):
-        return CopyGroups(tuple((int(c),) for c in cells))
-    table = np.full((cells.size, blocks), np.nan)
-    at = np.searchsorted(cells, data.cell)
-    column = 0 if data.block is None else data.layout.codes[data.block]
-    table[at, column] = data.y
-    found = group_cells(table, within)
-    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in found.groups))

@@ -16,12 +16,14 @@ from study.analysis.anova_table import (
     ModelSummary,
     Sensitivity,
 )
-from study.analysis.data import Data, Options, threshold
+from study.analysis.data import Data
+from study.analysis.effects.numerical_bound import SeriesBounds
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.sizes import MOST_LEVELS
 from study.analysis.linear_model.design_matrix import Term, term_name
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
+from study.analysis.request import AnalysisRequest
 from study.analysis.sphericity import SphericityResult
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
@@ -37,16 +39,11 @@ class Outcome:
     two cells are one computation, both in the unit of the response.
     """
 
+    request: AnalysisRequest
     data: Data
-    response: str
     terms: tuple[Term, ...]
-    transform: str
-    alpha: float
-    seed: int
-    exact: bool
     tolerance: float
-    u_raw: float | None
-    records: bool
+    u_raw: float | None = None
     u_cells: float | None = None
     y: Array = field(default_factory=lambda: np.zeros(0))
     scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
@@ -71,15 +68,15 @@ class Outcome:
 
     def working_tolerance(self) -> float:
         """Ten solver tolerances on the working scale."""
-        if self.transform == "log":
+        if self.request.scale.is_log:
             return 10 * self.tolerance / float(np.abs(self.data.y).min())
         return 10 * self.tolerance
 
     def constant(self) -> Outcome:
         """Outcome of a response that does not vary."""
         message = (
-            f"{self.response} is constant ({self.data.y[0]:.6g} in all {self.data.y.size} rows, "
-            "to rounding or solver tolerance): no ANOVA"
+            f"{self.request.response} is constant ({self.data.y[0]:.6g} in all "
+            f"{self.data.y.size} rows, to rounding or solver tolerance): no ANOVA"
         )
         cells = tuple(int(c) for c in np.unique(self.data.cell))
         return replace(
@@ -90,35 +87,36 @@ class Outcome:
         )
 
 
-def kind_of(out: Outcome, kind: str, even: bool, why: str = "unbalanced") -> tuple[str, Outcome]:
+def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Outcome]:
     """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
+    kind = out.request.sums
     if even:
         return ("II" if kind == "auto" else kind), out
-    if kind == "auto" or (out.records and kind == "II"):
+    if kind == "auto" or (out.request.records and kind == "II"):
         return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
     return kind, out.warn(f"{why}: Type {kind} as asked")
 
 
-def scale_of(out: Outcome, y: Array, options: Options) -> Scale:
-    """Scale of a response: its practical difference and numerical bound as the options say."""
-    limit = threshold(options.practical)
-    log = out.transform == "log"
-    mean = float(np.exp(y.mean())) if log else float(y.mean())
-    practical = None if limit is None else limit.on_scale(mean, out.transform)
-    unit = 1 / mean if log else 1.0
-    bound = options.bound(map(term_name, out.terms), unit)
-    specimens = options.specimens
+def scale_of(out: Outcome, y: Array) -> Scale:
+    """Scale of a response: its practical difference and numerical bound as was asked."""
+    asked = out.request.scale
+    mean = float(np.exp(y.mean())) if asked.is_log else float(y.mean())
+    limit = asked.practical
+    practical = None if limit is None else limit.on_scale(mean, asked.transform)
+    unit = 1 / mean if asked.is_log else 1.0
+    bound = asked.bound(map(term_name, out.terms), unit)
+    specimens = out.request.specimens
     measured = out.replicates not in ("mesh-seeds", "noise")
     if specimens is None and out.data.block is not None and measured:
         specimens = len(out.data.layout.levels[out.data.block])
     return Scale(
-        out.transform,
+        asked.transform,
         practical,
         bound,
-        out.records and out.data.block is None,
+        out.request.records and out.data.block is None,
         unit,
         specimens,
-        getattr(bound, "only", {}),
+        bound.only if isinstance(bound, SeriesBounds) else {},
     )
 
 

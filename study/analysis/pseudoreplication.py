@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def refuse_fake_replicates(
     return notes
 
 
-def _refuse_equal_hashes(unit: Ints, hashes: Any) -> None:
+def _refuse_equal_hashes(unit: Ints, hashes: Iterable[object]) -> None:
     seen: set[tuple[int, str]] = set()
     for key in zip(unit.tolist(), map(str, hashes), strict=True):
         if key in seen:
@@ -120,3 +121,27 @@ def group_cells(y: Array, within: float) -> CopyGroups:
         else:
             groups.append([cell])
     return CopyGroups(tuple(tuple(group) for group in groups))
+
+
+def copies_of(data: Data, within: float, *, computed: bool) -> CopyGroups:
+    """Cells that are one computation, judged on the raw response.
+
+    Parameters
+    ----------
+    data : Data
+        Checked rows.
+    within : float
+        Largest difference of copies, in the unit of the response; that of rounding at least.
+    computed : bool
+        Whether the rows come from a solver. Values of a measurement may tie by chance, so that
+        their cells are copies only where they agree in three blocks or more.
+    """
+    cells = np.unique(data.cell)
+    blocks = 1 if data.block is None else len(data.layout.levels[data.block])
+    if not computed and (data.block is None or blocks < 3):
+        return CopyGroups(tuple((int(c),) for c in cells))
+    table = np.full((cells.size, blocks), np.nan)
+    column = 0 if data.block is None else data.layout.codes[data.block]
+    table[np.searchsorted(cells, data.cell), column] = data.y
+    found = group_cells(table, max(within, ulp_floor(data.y)))
+    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in found.groups))

@@ -50,12 +50,12 @@ def assemble(out: Outcome) -> AnalysisResult:
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
         out = out.warn(_copies_sentence(out))
     return AnalysisResult(
-        out.response,
+        out.request.response,
         out.data.factors,
         out.data.block,
-        out.transform,
-        out.alpha,
-        out.seed,
+        out.request.scale.transform,
+        out.request.alpha,
+        out.request.seed,
         out.error,
         out.anova,
         found.normality,
@@ -115,8 +115,8 @@ def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
     n = len(out.crossed.blocks) if blocked else round(float(cells.mean()))
     names = [f for f in out.data.factors if (f,) in out.terms]
     terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    ratio = out.transform == "log"
-    return planned(terms, n, cells.size, blocked=blocked, alpha=out.alpha, ratio=ratio)
+    ratio = out.request.scale.is_log
+    return planned(terms, n, cells.size, blocked=blocked, alpha=out.request.alpha, ratio=ratio)
 
 
 def _copies_sentence(out: Outcome) -> str:
@@ -132,14 +132,14 @@ def _representative(out: Outcome) -> Any:
 
 
 def _back(out: Outcome, value: float | None) -> float | None:
-    if value is None or out.transform == "none":
+    if value is None or not out.request.scale.is_log:
         return value
     return float(np.exp(value))
 
 
 def _grand_mean(out: Outcome) -> float:
     mean = out.y[0] + float(np.mean(out.y - out.y[0]))
-    return float(np.exp(mean)) if out.transform == "log" else float(mean)
+    return float(np.exp(mean)) if out.request.scale.is_log else float(mean)
 
 
 def _shares(out: Outcome) -> dict[str, float]:
@@ -168,7 +168,7 @@ def _cell_means(out: Outcome) -> pd.DataFrame:
         values = data.y[here]
         levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
         mean = values[0] + float(np.mean(values - values[0]))
-        if out.transform == "log":
+        if out.request.scale.is_log:
             mean = float(np.exp(np.mean(np.log(values))))
         sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
         same = groups.get(int(cell), (int(cell),))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack, cast
 
 from study import api
-from study.analysis.anova import analyze as anova
+from study.analysis.anova import anova
 from study.analysis.effects.blocked_dunnett import blocked_dunnett
 from study.analysis.effects.comparisons import Comparisons, dunnett
 from study.api.statistics import rows_for
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.analysis.effects.numerical_bound import NumericalBound
+    from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
 
 
@@ -30,14 +31,10 @@ def _is_csv(path: Path) -> bool:
 
 
 def _table(
-    frame: pd.DataFrame,
-    response: str | None,
-    factors: Sequence[str],
-    block: str | Sequence[str] | None,
-    options: dict[str, Any],
+    frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
 ) -> AnalysisResult:
     _check_named(response, factors)
-    return anova(frame, str(response), list(factors), block=block, **options)
+    return anova(frame, str(response), list(factors), **options)
 
 
 def _check_named(response: str | None, factors: Sequence[str]) -> None:
@@ -54,9 +51,8 @@ def _study(
     source: str | Path,
     response: str | None,
     factors: Sequence[str],
-    block: str | Sequence[str] | None,
     results: Path,
-    options: dict[str, Any],
+    options: AnovaOptions,
 ) -> AnalysisResult:
     """Analysis of stored records: what is not said is taken from the design."""
     study = api.open_study(source, results)
@@ -67,16 +63,19 @@ def _study(
     known = list(study.records[0].responses)
     if name not in known:
         raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
+    said = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
     asked, spec = by_name.get(name), study.design.analysis
-    blocked = block or ("block" if len(study.manifest["blocks"]) > 1 else None)
-    merged = {
+    blocked = options.get("block") or ("block" if len(study.manifest["blocks"]) > 1 else None)
+    merged: AnovaOptions = {
         "type": spec.type,
         "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
         "alpha": spec.alpha,
         "seed": study.design.seed,
         "practical": None if asked is None else asked.practical,
         "transform": "none" if asked is None else asked.transform,
-    } | {k: v for k, v in options.items() if v is not None}
+        "records": True,
+    }
+    merged.update(said)
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
 
     def u_num(frame: pd.DataFrame) -> NumericalBound | None:
@@ -85,12 +84,18 @@ def _study(
         )
 
     if not isinstance(blocked, (str, type(None))):
-        merged = {"u_num": u_num(study.table)} | merged
-        return anova(study.table, name, names, block=blocked, records=True, **merged)
+        crossing: AnovaOptions = {"u_num": u_num(study.table), **merged, "block": blocked}
+        return anova(study.table, name, names, **crossing)
     every = [f.name for f in study.design.factors]
-    rows = rows_for(study.table, name, every, merged.pop("error", spec.error), blocked)
-    merged = {"u_num": u_num(rows.table)} | rows.options | merged
-    found = anova(rows.table, name, names, block=rows.block, records=True, **merged)
+    rows = rows_for(study.table, name, every, said.get("error", spec.error), blocked)
+    own: AnovaOptions = {
+        "u_num": u_num(rows.table),
+        "replicates": rows.replicates,
+        **merged,
+        "error": rows.error,
+        "block": rows.block,
+    }
+    found = anova(rows.table, name, names, **own)
     return replace(found, warnings=(*found.warnings, *rows.notes))
 
 
@@ -99,10 +104,9 @@ def analyze(
     response: str | None = None,
     factors: Sequence[str] = (),
     *,
-    block: str | Sequence[str] | None = None,
     results: Path = Path("results"),
     decimal: str = ".",
-    **options: Any,
+    **options: Unpack[AnovaOptions],
 ) -> AnalysisResult:
     """Analyze one response of a finished study, of a CSV file or of a table.
 
@@ -114,15 +118,13 @@ def analyze(
         Column of the response; that of a study's first response by default.
     factors : sequence of str
         Columns of the factors; all factors of a study by default.
-    block : str or sequence of str, optional
-        Column of the blocks, or several that cross.
     results : Path
         Folder of the results, where ``source`` is the name of a study.
     decimal : {".", ","}
         Decimal mark of a CSV.
     **options : optional
-        As for :func:`study.analysis.analyze`: ``unit``, ``whole_plot``, ``replicates``, ``type``,
-        ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
+        As for :func:`study.anova`: ``block``, ``unit``, ``whole_plot``, ``replicates``,
+        ``type``, ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
 
     Returns
     -------
@@ -137,13 +139,13 @@ def analyze(
         If the answer would be meaningless.
     """
     if not isinstance(source, (str, Path)):
-        return _table(source, response, factors, block, options)
+        return _table(source, response, factors, options)
     if _is_csv(Path(source)):
         _check_named(response, factors)
-        frame = read_csv(Path(source), str(response), list(factors), block, options.get("unit"),
-                         decimal)  # fmt: skip
-        return _table(frame, response, factors, block, options)
-    return _study(source, response, factors, block, results, options)
+        blocks, unit = options.get("block"), options.get("unit")
+        frame = read_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
+        return _table(frame, response, factors, options)
+    return _study(source, response, factors, results, options)
 
 
 def against_reference(found: AnalysisResult, level: str) -> tuple[str, Comparisons]:

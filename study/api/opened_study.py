@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.analysis.convergence.grid_convergence import Numerical
-from study.analysis.data import threshold
+from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
 from study.api.statistics import analyze_records
 from study.api.uncertainty.numerical import stored_cells

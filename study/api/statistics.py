@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from study.analysis.anova import analyze as anova
+from study.analysis.anova import analyze
 from study.analysis.error.seed_blocks import SeedRole, seed_design
-from study.analysis.linear_model.design_matrix import terms_of
+from study.analysis.linear_model.design_matrix import Model, terms_of
+from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, threshold
 from study.api.uncertainty.numerical import numerical_bound
 from study.design.cases import treatments
 from study.design.checks import is_constant
 from study.errors import InputError
 from study.record.table import answered_often, table
+from study.tidy_csv import names_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,29 +55,21 @@ def analyze_records(
     factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
     model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
     whole, gaps = without_gaps(design, rows.table, response.name, factors, rows.block, model)
-    found = anova(
-        whole,
+    u_num = numerical_bound(design, numerical, records, whole, response.name, response.transform)
+    request = AnalysisRequest(
         response.name,
-        factors,
-        block=rows.block,
-        type=spec.type,
-        model=model,
+        tuple(factors),
+        Blocking(names_of(rows.block), replicates=rows.replicates),
+        model,
+        spec.type,
+        rows.error,
+        ResponseScale(response.transform, threshold(response.practical), u_num),
         records=True,
-        practical=response.practical,
-        transform=response.transform,
-        u_num=numerical_bound(
-            design,
-            numerical,
-            records,
-            whole,
-            response.name,
-            response.transform,
-        ),
         specimens=max(len(set(blocks)), 1),
         alpha=spec.alpha,
         seed=design.seed,
-        **rows.options,
     )
+    found = analyze(whole, request)
     return replace(found, warnings=(*found.warnings, *rows.notes, *gaps))
 
 
@@ -95,15 +89,18 @@ class Rows:
         One row a run.
     block : str or None
         Column of the blocks.
-    options : dict
-        Options of the analysis that follow from the replicates.
+    error : {"auto", "pooled", "own"}
+        How the error is found.
+    replicates : {"auto", "noise"}
+        What the rows of one cell are.
     notes : tuple of str
         What was left out and why.
     """
 
     table: pd.DataFrame
     block: str | None
-    options: dict[str, Any] = field(default_factory=dict)
+    error: str = "auto"
+    replicates: str = "auto"
     notes: tuple[str, ...] = ()
 
 
@@ -125,57 +122,55 @@ def rows_for(
         Column of the blocks; None where there are none.
     """
     asked = error == "replicates"
-    options = {"error": "auto" if asked else error}
+    how = "auto" if asked else error
     if _NOISE in table:
-        return _noise_rows(table, response, factors, asked, block, options)
+        return _noise_rows(table, response, factors, error, block)
     if _MESH not in table:
-        return Rows(table, block, options)
+        return Rows(table, block, how)
     cells = [*factors, *([block] if block else [])]
     if not _spread(table, response, cells):
         first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
         note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
-        return Rows(first, block, options, (note,))
+        return Rows(first, block, how, notes=(note,))
     if block and asked:
         table, block = _over(table, response, [*factors, _MESH]), None
     if block:
-        return Rows(table, block, options)
-    return _seed_rows(table, factors, options)
+        return Rows(table, block, how)
+    return _seed_rows(table, factors, how)
 
 
-def _seed_rows(table: pd.DataFrame, factors: Sequence[str], options: dict[str, Any]) -> Rows:
+def _seed_rows(table: pd.DataFrame, factors: Sequence[str], how: str) -> Rows:
     """Rows whose mesh seeds are blocks where every cell has the same ones."""
     labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
     found = seed_design(list(labels), table[_MESH].tolist())
-    if found.role is not SeedRole.BLOCKS or options["error"] == "pooled":
-        return Rows(table, None, options)
+    if found.role is not SeedRole.BLOCKS or how == "pooled":
+        return Rows(table, None, how)
     kept = table[table[_MESH].astype(str).isin(found.common)]
-    return Rows(kept, _MESH, {**options, "replicates": "mesh-seeds"}, (found.reason,))
+    return Rows(kept, _MESH, how, "mesh-seeds", (found.reason,))
 
 
 def _noise_rows(
-    table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
-    asked: bool,
-    block: str | None,
-    options: dict[str, Any],
+    table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
 ) -> Rows:
+    """Rows of the refits to resampled noise, or of the fits to the measured curves."""
+    asked = error == "replicates"
+    how = "auto" if asked else error
     fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
     if not is_constant(response):
         note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
-        return Rows(fits, block, options, (note,))
+        return Rows(fits, block, how, notes=(note,))
     if block and not asked:
         note = (
             "several blocks are a better error term than resampled noise (E1 before E2): the fits "
             'to the measured curves are analyzed; [analysis] error = "replicates" asks for E2'
         )
-        return Rows(fits, block, options, (note,))
+        return Rows(fits, block, how, notes=(note,))
     again = table[table[_NOISE] > 0]
     if block:
         again = _over(again, response, [*factors, _NOISE])
     # pooled takes cells for independent, and has no resample in common
-    common = None if options["error"] == "pooled" else _NOISE
-    return Rows(again, common, {**options, "replicates": "noise"})
+    common = None if how == "pooled" else _NOISE
+    return Rows(again, common, how, "noise")
 
 
 def _spread(table: pd.DataFrame, response: str, cells: list[str]) -> bool:
@@ -202,7 +197,7 @@ def without_gaps(
     response: str,
     factors: Sequence[str],
     block: str | None,
-    model: Any,
+    model: Model,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Rows of the levels between which every effect of the model can be estimated.
 

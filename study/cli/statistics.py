@@ -350,7 +350,7 @@ def _print_power(found: AnalysisResult) -> None:
 
 def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
     """Print the honest analysis beside the naive one; return the sentences already said."""
-    from study.analysis.nested import sentences
+    from study.analysis.error.nested import sentences
 
     rows = [["Term", f"F ({nested.unit} as the replicate)", "p", "F (every row)", "p"]]
     for t in nested.terms:

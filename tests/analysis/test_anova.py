@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.errors import InputError, RefusedError
 
 
@@ -35,7 +35,7 @@ def test_types_against_statsmodels(kind: str, drop: int) -> None:
     sm = pytest.importorskip("statsmodels.api")
     ols = pytest.importorskip("statsmodels.formula.api").ols
     table = factorial({"a": 3, "b": 2, "c": 3}, 3, 5).drop([0, 7, 20, 33][:drop])
-    ours = analyze(table, "y", ["a", "b", "c"], type=kind, exact=False)
+    ours = anova(table, "y", ["a", "b", "c"], type=kind, exact=False)
     fit = ols("y ~ C(a, Sum) * C(b, Sum) * C(c, Sum)", table).fit()
     theirs = sm.stats.anova_lm(fit, typ={"I": 1, "II": 2, "III": 3}[kind])
     theirs.index = theirs.index.str.replace(r"C\((\w), Sum\)", r"\1", regex=True)
@@ -51,7 +51,7 @@ def test_pooled_blocks_and_listed_terms_against_statsmodels() -> None:
     sm = pytest.importorskip("statsmodels.api")
     ols = pytest.importorskip("statsmodels.formula.api").ols
     table = factorial({"a": 3, "b": 2, "s": 4}, 1, 8)
-    ours = analyze(table, "y", ["a", "b"], block="s", model=["a", "b"], error="pooled", exact=False)
+    ours = anova(table, "y", ["a", "b"], block="s", model=["a", "b"], error="pooled", exact=False)
     theirs = sm.stats.anova_lm(ols("y ~ C(s, Sum) + C(a, Sum) + C(b, Sum)", table).fit(), typ=2)
     assert ours.error_term.source == "E1"
     assert ours.anova.row("a").f == pytest.approx(theirs.loc["C(a, Sum)", "F"], rel=1e-8)
@@ -63,7 +63,7 @@ def test_nested_factor_against_statsmodels() -> None:
     sm = pytest.importorskip("statsmodels.api")
     ols = pytest.importorskip("statsmodels.formula.api").ols
     table = factorial({"a": 3, "s": 2}, 4, 3)
-    ours = analyze(table, "y", ["a", "s"], model=["a", "a:s"], type="I", exact=False)
+    ours = anova(table, "y", ["a", "s"], model=["a", "a:s"], type="I", exact=False)
     theirs = sm.stats.anova_lm(ols("y ~ a + a:s", table).fit(), typ=1)
     assert ours.anova.row("a:s").df == 3
     assert ours.anova.row("a:s").ss == pytest.approx(theirs.loc["a:s", "sum_sq"], rel=1e-8)
@@ -73,7 +73,7 @@ def test_own_interaction_against_statsmodels() -> None:
     """Other code: AnovaRM, a repeated-measures ANOVA of two within factors."""
     rm = pytest.importorskip("statsmodels.stats.anova").AnovaRM
     table = factorial({"a": 3, "b": 4, "mix": 6}, 1, 9)
-    ours = analyze(table, "y", ["a", "b"], block="mix", error="own", exact=False)
+    ours = anova(table, "y", ["a", "b"], block="mix", error="own", exact=False)
     theirs = rm(table, "y", "mix", within=["a", "b"]).fit().anova_table
     for term in ("a", "b", "a:b"):
         row = ours.anova.row(term)
@@ -98,7 +98,7 @@ def test_records_take_own_interactions_and_group_copies() -> None:
                 for s, d in [("axi", 0.0), ("3d", 1e-9)]
             ]
     table = pd.DataFrame(rows)
-    result = analyze(
+    result = anova(
         table,
         "y",
         ["material", "space"],
@@ -117,14 +117,14 @@ def test_records_take_own_interactions_and_group_copies() -> None:
     assert result.anova.row("space").f is None
     assert result.effect("space").verdict == "no practical difference"
     assert any("distinct computations" in w for w in result.warnings)
-    from_csv = analyze(table.round(6), "y", ["material", "space"], block="mix", exact=False)
+    from_csv = anova(table.round(6), "y", ["material", "space"], block="mix", exact=False)
     assert isinstance(from_csv.error_term.df, dict), "copies betray a study's table"
 
 
 def test_incomplete_blocks_of_records_are_left_out() -> None:
     table = factorial({"a": 3, "mix": 5}, 1, 4)
     table.loc[3, "y"] = np.nan
-    result = analyze(table, "y", ["a"], block="mix", records=True, exact=False)
+    result = anova(table, "y", ["a"], block="mix", records=True, exact=False)
     assert any("incomplete blocks are left out: L3" in w for w in result.warnings)
     assert result.anova.row("a").df_error == 6
 
@@ -132,22 +132,22 @@ def test_incomplete_blocks_of_records_are_left_out() -> None:
 def test_fake_replicates_are_refused() -> None:
     table = pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3, ignore_index=True)
     with pytest.raises(RefusedError, match="fake replicates") as info:
-        analyze(table, "y", ["a", "b"])
+        anova(table, "y", ["a", "b"])
     assert info.value.exit_code == 3
     noisy = table.assign(y=table["y"] + 1e-12 * np.arange(len(table)))
     with pytest.raises(RefusedError, match="Instead"):
-        analyze(noisy, "y", ["a", "b"], records=True)
+        anova(noisy, "y", ["a", "b"], records=True)
     hashed = factorial({"a": 2, "b": 2}, 2, 1).assign(input_hash="x")
     with pytest.raises(RefusedError, match="equal input"):
-        analyze(hashed, "y", ["a", "b"], records=True)
+        anova(hashed, "y", ["a", "b"], records=True)
     with pytest.raises(RefusedError):
-        analyze(table.assign(run=np.arange(len(table)) // 4), "y", ["a", "b"], block="run")
+        anova(table.assign(run=np.arange(len(table)) // 4), "y", ["a", "b"], block="run")
 
 
 def test_ties_in_some_cells_are_a_note() -> None:
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L0", "y"] = 1.0
-    result = analyze(table, "y", ["a"], exact=False)
+    result = anova(table, "y", ["a"], exact=False)
     assert any("zero spread (ties)" in w for w in result.warnings)
     assert result.bartlett is not None
     assert not result.bartlett.applicable
@@ -159,14 +159,14 @@ def test_ties_in_some_cells_are_a_note() -> None:
 def test_constant_response_has_no_anova(noise: float) -> None:
     table = factorial({"a": 2, "b": 2}, 3, 1)
     table["y"] = 1.0 + noise * np.random.default_rng(0).normal(size=len(table))
-    result = analyze(table, "y", ["a", "b"])
+    result = anova(table, "y", ["a", "b"])
     assert result.anova.rows == ()
     assert any("constant" in w for w in result.warnings)
     json.dumps(result.to_json(), allow_nan=False)
 
 
 def test_saturated_design_names_remedies() -> None:
-    result = analyze(factorial({"a": 2, "b": 2}, 1, 1), "y", ["a", "b"], practical=0.1)
+    result = anova(factorial({"a": 2, "b": 2}, 1, 1), "y", ["a", "b"], practical=0.1)
     assert result.error_term.source == "E7"
     assert all(row.f is None and row.p is None for row in result.anova.rows)
     assert any("no residual degrees of freedom" in w for w in result.warnings)
@@ -175,7 +175,7 @@ def test_saturated_design_names_remedies() -> None:
 
 
 def test_declared_pooling_is_labelled() -> None:
-    result = analyze(factorial({"a": 3, "b": 4}, 1, 1), "y", ["a", "b"], model=1, exact=False)
+    result = anova(factorial({"a": 3, "b": 4}, 1, 1), "y", ["a", "b"], model=1, exact=False)
     assert result.error_term.source == "E5"
     assert "assumption" in result.error_term.reason
     assert result.non_additivity is not None
@@ -186,7 +186,7 @@ def test_aliased_terms_are_named() -> None:
     """A 2^(3-1) fraction: each main effect is aliased with a two-way interaction."""
     full = factorial({"a": 2, "b": 2, "c": 2}, 2, 1)
     sign = sum(full[f].str[1:].astype(int) for f in "abc") % 2 == 0
-    result = analyze(full[sign], "y", ["a", "b", "c"], type="III", exact=False)
+    result = anova(full[sign], "y", ["a", "b", "c"], type="III", exact=False)
     assert any(w.startswith("a:") and "b:c" in w for w in result.warnings)
     assert result.anova.row("a").f is None
 
@@ -194,7 +194,7 @@ def test_aliased_terms_are_named() -> None:
 def test_empty_cell_refuses_the_interaction() -> None:
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table = table[~((table["a"] == "L2") & (table["b"] == "L1"))]
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     assert result.anova.type == "III"
     assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.warnings)
     assert result.anova.row("a:b").f is None
@@ -203,7 +203,7 @@ def test_empty_cell_refuses_the_interaction() -> None:
 def test_missing_response_switches_to_type_three() -> None:
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table.loc[[0, 5], "y"] = [np.nan, np.inf]
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     assert result.anova.type == "III"
     assert any("missing in 2 of 18 rows" in w for w in result.warnings)
     assert any("Type III with sum-to-zero contrasts" in w for w in result.warnings)
@@ -227,26 +227,26 @@ def test_missing_response_switches_to_type_three() -> None:
 def test_bad_input(change: dict[str, Any], options: dict[str, Any], match: str) -> None:
     table = factorial({"a": 2, "b": 2}, 2, 1).assign(**change)
     with pytest.raises(InputError, match=match):
-        analyze(table, "y", options.pop("factors", ["a", "b"]), **options)
+        anova(table, "y", options.pop("factors", ["a", "b"]), **options)
 
 
 def test_mixed_labels_are_refused() -> None:
     table = pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]})
     with pytest.raises(InputError, match="look the same"):
-        analyze(table, "y", ["a"])
+        anova(table, "y", ["a"])
 
 
 def test_log_reports_ratios() -> None:
     table = factorial({"a": 2}, 5, 1)
     table["y"] = np.exp(0.01 * table["y"]) * np.where(table["a"] == "L1", 3.0, 2.0)
-    result = analyze(table, "y", ["a"], transform="log", practical="10 % of mean", exact=False)
+    result = anova(table, "y", ["a"], transform="log", practical="10 % of mean", exact=False)
     effect = result.effect("a")
     assert effect.scale == "ratio"
     assert effect.range == pytest.approx(1.5, rel=0.02)
     assert effect.practical == pytest.approx(1.10, rel=1e-12)
     assert effect.verdict == "matters"
     with pytest.raises(InputError, match="positive"):
-        analyze(table.assign(y=-table["y"]), "y", ["a"], transform="log")
+        anova(table.assign(y=-table["y"]), "y", ["a"], transform="log")
 
 
 @pytest.mark.parametrize(
@@ -264,13 +264,13 @@ def test_log_reports_ratios() -> None:
 def test_verdicts(gap: float, u_num: float | None, verdict: str) -> None:
     noise = np.tile([-0.1, 0.1, -0.1, 0.1], 2)
     table = pd.DataFrame({"a": ["x"] * 4 + ["z"] * 4, "y": noise + np.repeat([5, 5 + gap], 4)})
-    result = analyze(table, "y", ["a"], practical=0.3, u_num=u_num, exact=False)
+    result = anova(table, "y", ["a"], practical=0.3, u_num=u_num, exact=False)
     assert result.effect("a").verdict == verdict
     assert result.verdicts()[0]["verdict"] == verdict
 
 
 def test_json_keys_are_the_contract() -> None:
-    result = analyze(factorial({"a": 2, "b": 2}, 3, 1), "y", ["a", "b"], practical=1.0)
+    result = anova(factorial({"a": 2, "b": 2}, 3, 1), "y", ["a", "b"], practical=1.0)
     document = json.loads(json.dumps(result.to_json(), allow_nan=False))
     assert {"error_term", "anova", "normality", "variance", "effects", "warnings"} <= set(document)
     assert {"source", "question", "df"} <= set(document["error_term"])
@@ -299,7 +299,7 @@ def test_names_are_never_code(tmp_path) -> None:
     """A factor name that would run in a formula parser is only a name."""
     evil = f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
     table = factorial({"a": 2, "b": 2}, 2, 1).rename(columns={"a": evil, "y": "1 + y"})
-    result = analyze(table, "1 + y", [evil, "b"], exact=False)
+    result = anova(table, "1 + y", [evil, "b"], exact=False)
     assert result.anova.row(evil).f is not None
     assert not (tmp_path / "ran").exists()
 
@@ -310,8 +310,8 @@ def test_ten_thousand_rows_under_a_second() -> None:
     rng = np.random.default_rng(0)
     table = pd.DataFrame({f: rng.integers(0, 3, 10_000).astype(str) for f in "abcde"})
     table["y"] = rng.normal(size=10_000)
-    analyze(table[:200], "y", list("abc"), model=1, exact=False)
+    anova(table[:200], "y", list("abc"), model=1, exact=False)
     start = time.perf_counter()
-    analyze(table, "y", list("abcde"), model=2, exact=False)
+    anova(table, "y", list("abcde"), model=2, exact=False)
     # the bar is 1 s on an idle core; this machine may be shared
     assert time.perf_counter() - start < 3.0

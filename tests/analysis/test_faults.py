@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.assumption.normality import anderson_darling, ryan_joiner
 from study.analysis.assumption.normality import shapiro_wilk as shapiro
 from study.analysis.assumption.variance import bartlett, levene
@@ -37,29 +37,29 @@ def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -
 def test_f14_a_response_that_is_no_number_is_listed_and_json_stays_valid(bad: float) -> None:
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table.loc[[0, 5], "y"] = bad
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     assert any("y is missing in 2 of 18 rows (rows 1, 6)" in w for w in result.warnings)
     assert "NaN" not in json.dumps(result.to_json(), allow_nan=False)
     with pytest.raises(InputError, match="has 0 values"):
-        analyze(table.assign(y=bad), "y", ["a", "b"])
+        anova(table.assign(y=bad), "y", ["a", "b"])
 
 
 def test_f15_repeated_cells_of_a_study_are_replicates_only_if_declared() -> None:
     table = factorial({"a": 3, "b": 2}, 5, 2)
     with pytest.raises(RefusedError, match=r"6 cells hold several runs \(L0 L0; L0 L1"):
-        analyze(table, "y", ["a", "b"], records=True)
-    declared = analyze(table, "y", ["a", "b"], records=True, replicates="mesh-seeds", exact=False)
+        anova(table, "y", ["a", "b"], records=True)
+    declared = anova(table, "y", ["a", "b"], records=True, replicates="mesh-seeds", exact=False)
     assert declared.error_term.source == "E3"
     # the order of the rows means nothing: a case is known by its content
     shuffled = table.sample(frac=1, random_state=1)
-    again = analyze(shuffled, "y", ["a", "b"], records=True, replicates="mesh-seeds", exact=False)
+    again = anova(shuffled, "y", ["a", "b"], records=True, replicates="mesh-seeds", exact=False)
     assert again.anova.row("a").f == pytest.approx(declared.anova.row("a").f, rel=1e-10)
 
 
 def test_f16_copies_have_no_pure_error() -> None:
     table = pd.concat([factorial({"a": 2, "b": 2}, 1, 1)] * 3, ignore_index=True)
     with pytest.raises(RefusedError, match="no pure error") as refused:
-        analyze(table, "y", ["a", "b"])
+        anova(table, "y", ["a", "b"])
     assert refused.value.exit_code == 3
     assert bartlett([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]).p is None
     assert shapiro([3.0] * 9).p is None
@@ -69,12 +69,12 @@ def test_f16_copies_have_no_pure_error() -> None:
 def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> None:
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L1", "y"] = 1.0
-    result = analyze(table, "y", ["a"], exact=False)
+    result = anova(table, "y", ["a"], exact=False)
     assert "bartlett: not applicable: group L1 has zero variance" in result.warnings
     assert result.anova.row("a").f is not None
     assert result.normality is not None
     lone = pd.concat([factorial({"a": 3}, 3, 1), pd.DataFrame([{"a": "L9", "y": 9.0}])])
-    result = analyze(lone, "y", ["a"], exact=False)
+    result = anova(lone, "y", ["a"], exact=False)
     assert "bartlett: not applicable: group L9 has one value" in result.warnings
     assert levene([[1.0, 2.0, 3.0], [4.0]]).reason.startswith("group 2 has one value")
 
@@ -93,7 +93,7 @@ def test_f19_f20_a_constant_response_has_no_anova(noise: float) -> None:
     rng = np.random.default_rng(0)
     table["y"] = 1.0 + noise * rng.normal(size=len(table))
     for options in ({}, {"block": "rep"}, {"transform": "log"}):
-        result = analyze(table, "y", ["a", "b"], **options)
+        result = anova(table, "y", ["a", "b"], **options)
         assert result.anova.rows == ()
         assert result.effects == ()
         assert any("is constant" in w for w in result.warnings)
@@ -103,7 +103,7 @@ def test_f19_f20_a_constant_response_has_no_anova(noise: float) -> None:
 def test_f21_aliases_are_named_and_a_saturated_model_has_no_f() -> None:
     half = factorial({"a": 2, "b": 2, "c": 2}, 1, 1)
     half = half[sum(half[f].str[1:].astype(int) for f in "abc") % 2 == 0]
-    result = analyze(half, "y", ["a", "b", "c"])
+    result = anova(half, "y", ["a", "b", "c"])
     assert result.error_term.source == "E7"
     assert all(row.f is None and row.p is None for row in result.anova.rows)
     listed = [row.term for row in result.anova.rows]
@@ -116,7 +116,7 @@ def test_f21_aliases_are_named_and_a_saturated_model_has_no_f() -> None:
 
 def test_f21_more_terms_than_rows() -> None:
     few = factorial({"a": 3, "b": 3, "c": 3}, 1, 1).iloc[[0, 4, 8, 12, 13, 22]]
-    result = analyze(few, "y", ["a", "b", "c"], exact=False)
+    result = anova(few, "y", ["a", "b", "c"], exact=False)
     assert all(row.f is None for row in result.anova.rows)
     assert sum("not estimable" in w for w in result.warnings) >= 4
     assert any("no residual degrees of freedom" in w for w in result.warnings)
@@ -125,13 +125,13 @@ def test_f21_more_terms_than_rows() -> None:
 
 def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_refuses_its_interaction() -> None:
     table = factorial({"a": 3, "b": 2}, 3, 1)
-    lost = analyze(table.drop(4), "y", ["a", "b"], exact=False)
+    lost = anova(table.drop(4), "y", ["a", "b"], exact=False)
     assert lost.anova.type == "III"
     assert "unbalanced: Type III with sum-to-zero contrasts" in lost.warnings
-    asked = analyze(table.drop(4), "y", ["a", "b"], type="II", exact=False)
+    asked = anova(table.drop(4), "y", ["a", "b"], type="II", exact=False)
     assert "unbalanced: Type II as asked" in asked.warnings
     empty = table[~((table["a"] == "L2") & (table["b"] == "L1"))]
-    result = analyze(empty, "y", ["a", "b"], exact=False)
+    result = anova(empty, "y", ["a", "b"], exact=False)
     assert result.anova.row("a:b").f is None
     assert result.effect("a:b").verdict == "cannot tell"
     assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.warnings)
@@ -154,10 +154,10 @@ def study(seed: int, gap: float) -> pd.DataFrame:
 def test_f22_failed_cells_bound_the_conclusion() -> None:
     options = {"block": "specimen", "records": True, "practical": 0.5, "exact": False}
     table = study(3, gap=1.0)
-    whole = analyze(table, "y", ["model", "space"], **options)
+    whole = anova(table, "y", ["model", "space"], **options)
     assert whole.bounds == ()
     table.loc[9, "y"] = np.nan
-    result = analyze(table, "y", ["model", "space"], **options)
+    result = anova(table, "y", ["model", "space"], **options)
     bound = {b.term: b for b in result.bounds}["model"]
     truth = whole.effect("model").range
     assert truth is not None
@@ -178,7 +178,7 @@ def test_f22_many_failures_overturn_the_verdict_and_say_so() -> None:
     table = study(3, gap=0.7)
     table.loc[(table["model"] == "B") & (table["space"] == "3d"), "y"] = np.nan
     options = {"block": "specimen", "records": True, "practical": 0.4, "exact": False}
-    result = analyze(table, "y", ["model", "space"], **options)
+    result = anova(table, "y", ["model", "space"], **options)
     bound = {b.term: b for b in result.bounds}["model"]
     assert not bound.holds
     assert len(bound.verdicts) > 1
@@ -190,7 +190,7 @@ def test_f22_many_failures_overturn_the_verdict_and_say_so() -> None:
 def test_f22_failures_that_cannot_overturn_anything() -> None:
     table = study(4, gap=8.0)
     table.loc[[3], "y"] = np.nan
-    result = analyze(table, "y", ["model", "space"], block="specimen", exact=False, practical=0.1)
+    result = anova(table, "y", ["model", "space"], block="specimen", exact=False, practical=0.1)
     held = {b.term: b.holds for b in result.bounds}
     assert held["model"]
     assert any("cannot overturn what is said of model" in w for w in result.warnings)
@@ -199,7 +199,7 @@ def test_f22_failures_that_cannot_overturn_anything() -> None:
 def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
     table = study(5, gap=1.0)
     third = table[table["model"] == "B"].assign(model="C", y=np.nan)
-    result = analyze(
+    result = anova(
         pd.concat([table, third], ignore_index=True),
         "y",
         ["model", "space"],
@@ -225,12 +225,12 @@ def test_f23_levels_are_checked_with_row_and_column(tmp_path: Path, text: str, m
     path = tmp_path / "levels.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=match):
-        analyze(read_csv(path, "y", ["a"]), "y", ["a"])
+        anova(read_csv(path, "y", ["a"]), "y", ["a"])
 
 
 def test_f23_a_number_and_its_text_are_no_two_levels() -> None:
     with pytest.raises(InputError, match="look the same"):
-        analyze(pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]}), "y", ["a"])
+        anova(pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]}), "y", ["a"])
 
 
 def test_copies_end_the_program_with_code_three_and_what_to_do(
@@ -252,7 +252,7 @@ def test_f22_a_unit_without_any_response_is_bounded_and_counted() -> None:
     table = factorial({"a": 3, "s": 4}, 3, 7, a=0.5)
     table.loc[:2, "y"] = np.nan  # the whole first specimen
     table.loc[20, "y"] = np.nan  # one repeat of another
-    result = analyze(table, "y", ["a"], unit="s", exact=False, practical=1.0)
+    result = anova(table, "y", ["a"], unit="s", exact=False, practical=1.0)
     assert any("y is missing in 4 of 36 rows" in w for w in result.warnings)
     assert any("y is missing in 1 of 12 rows" in w for w in result.warnings)
     assert [b.term for b in result.bounds] == ["a"]

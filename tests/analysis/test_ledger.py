@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.error.ledger import REMEDIES
 from study.errors import InputError
 
@@ -42,7 +42,7 @@ LEDGER: list[tuple[str, dict[str, int], int, dict[str, Any], str]] = [
 def test_every_source_is_taken_and_says_what_its_p_answers(
     source: str, shape: dict[str, int], repeats: int, options: dict[str, Any], question: str
 ) -> None:
-    result = analyze(grid(shape, repeats), "y", list(shape), exact=False, **options)
+    result = anova(grid(shape, repeats), "y", list(shape), exact=False, **options)
     assert result.error_term.source == source
     assert question in result.error_term.question
     assert result.error_term.reason
@@ -54,21 +54,21 @@ def test_every_source_is_taken_and_says_what_its_p_answers(
 
 def test_the_override_is_obeyed_and_reported() -> None:
     table = grid({"a": 3, "b": 2}, 6, 1)
-    pooled = analyze(table, "y", ["a", "b"], block="rep", records=True, error="pooled", exact=False)
-    own = analyze(table, "y", ["a", "b"], block="rep", error="own", exact=False)
+    pooled = anova(table, "y", ["a", "b"], block="rep", records=True, error="pooled", exact=False)
+    own = anova(table, "y", ["a", "b"], block="rep", error="own", exact=False)
     assert pooled.anova.row("a").error == "residual"
     assert pooled.error_term.reason == "asked for instead of own interactions"
     assert any("p is far too small" in w for w in pooled.warnings)
     assert own.anova.row("a").error == "rep:a"
     assert own.error_term.reason == "asked for"
     with pytest.raises(InputError, match="several that cross are pooled"):
-        analyze(table.assign(s=table["rep"]), "y", ["a"], block=["rep", "s"], error="own")
+        anova(table.assign(s=table["rep"]), "y", ["a"], block=["rep", "s"], error="own")
     with pytest.raises(InputError, match="no block is named"):
-        analyze(table, "y", ["a"], error="own")
+        anova(table, "y", ["a"], error="own")
     with pytest.raises(InputError, match="needs the block in which the plots lie"):
-        analyze(table, "y", ["a"], whole_plot="a")
+        anova(table, "y", ["a"], whole_plot="a")
     with pytest.raises(InputError, match="'aa' is no factor"):
-        analyze(table, "y", ["a", "b"], block="rep", whole_plot="aa")
+        anova(table, "y", ["a", "b"], block="rep", whole_plot="aa")
 
 
 def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
@@ -83,7 +83,7 @@ def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
         table = pd.DataFrame(
             {"a": np.repeat(["x", "z"], resamples), "y": (np.array([[0.0], [3.0]]) + noise).ravel()}
         )
-        result = analyze(table, "y", ["a"], records=True, replicates="noise", exact=False)
+        result = anova(table, "y", ["a"], records=True, replicates="noise", exact=False)
         f.append(result.anova.row("a").f)
         # the interval of the difference: 3 +- t sqrt(2) s
         assert result.effect("a").ci95 == pytest.approx((0.228, 5.772), abs=0.05)
@@ -93,18 +93,18 @@ def test_resampled_noise_is_not_averaged_by_more_resamples() -> None:
 
 def test_seed_columns_declare_the_repeats() -> None:
     table = grid({"a": 3, "b": 2}, 3, 5)
-    seeds = analyze(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
+    seeds = anova(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
     assert seeds.error_term.source == "E3"
     assert any("3 mesh seeds a cell" in w for w in seeds.warnings)
     assert any("bias of this mesh size is common to all seeds" in w for w in seeds.warnings)
-    noise = analyze(table.assign(noise_seed=table["rep"]), "y", ["a", "b"], exact=False)
+    noise = anova(table.assign(noise_seed=table["rep"]), "y", ["a", "b"], exact=False)
     assert noise.error_term.source == "E2"
 
 
 def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
     table = grid({"a": 2, "b": 2, "c": 2}, 1, 3)
     table["y"] += 4 * (table["a"] == "L1")
-    result = analyze(table, "y", ["a", "b", "c"], records=True, u_num=0.002, practical=1.0)
+    result = anova(table, "y", ["a", "b", "c"], records=True, u_num=0.002, practical=1.0)
     effect = result.effect("a")
     assert effect.p is None
     assert effect.effect_over_u_num == pytest.approx((effect.range or 0) / 0.002)
@@ -115,7 +115,7 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
 
 
 def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
-    result = analyze(grid({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
+    result = anova(grid({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
     assert result.bartlett is not None
     assert result.levene is not None
     assert result.bartlett.approximate
@@ -149,7 +149,7 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
 def test_influence_and_robustness_are_part_of_the_result() -> None:
     table = grid({"a": 3, "b": 2}, 4, 8)
     table.loc[7, "y"] += 60.0
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     assert result.influence is not None
     assert result.influence.max_leverage == pytest.approx(0.25, rel=1e-9)
     assert result.influence.max_cook == pytest.approx(max(result.residuals["cook"]))
@@ -165,12 +165,12 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     document = result.to_json()
     assert document["robustness"]["agreement"]["a"].endswith("of 4 analyses")
     assert document["box_cox"]["ci95"][0] < document["box_cox"]["exponent"]
-    own = analyze(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
+    own = anova(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
     assert own.robustness is not None
     row = own.robustness.p["a"]
     assert row["own interaction, Greenhouse-Geisser"] == own.anova.row("a").p_gg
     table = grid({"a": 3, "b": 2}, 6, 8)
-    pooled = analyze(table, "y", ["a", "b"], block="rep", error="pooled", exact=False)
+    pooled = anova(table, "y", ["a", "b"], block="rep", error="pooled", exact=False)
     assert row["interactions pooled"] == pytest.approx(pooled.anova.row("a").p, rel=1e-9)
     assert len(row) == 4
 
@@ -178,14 +178,14 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
 def test_repeats_within_a_block_are_never_independent() -> None:
     """Five rows on each of four specimens in every cell: 3 x 4 - 3 - 4 + 1 = 6 residual df."""
     table = grid({"a": 3, "s": 4}, 5, 11)
-    result = analyze(table, "y", ["a"], block="s", error="pooled", exact=False)
+    result = anova(table, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("residual").df == 6
     assert any("repeats of a cell within a block are averaged" in w for w in result.warnings)
     means = table.groupby(["a", "s"])["y"].mean().reset_index()
-    by_hand = analyze(means, "y", ["a"], block="s", error="pooled", exact=False)
+    by_hand = anova(means, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("a").f == pytest.approx(by_hand.anova.row("a").f, rel=1e-9)
     table.loc[3, "y"] = np.nan
-    lost = analyze(table, "y", ["a"], block="s", exact=False)
+    lost = anova(table, "y", ["a"], block="s", exact=False)
     assert any("y is missing in 1 of 60 rows" in w for w in lost.warnings)
     assert lost.bounds
 
@@ -196,7 +196,7 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
     a, b, c = signs.T
     columns = dict(zip("ABCDEFG", (a, b, c, a * b, a * c, b * c, a * b * c), strict=True))
     y = 50 + 4 * columns["D"] + np.random.default_rng(1).normal(size=8) * 0.3
-    result = analyze(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=1)
+    result = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=1)
     assert result.error_term.source == "E6"
     assert result.lenth is not None
     assert result.lenth.names == tuple("ABCDEFG")
@@ -206,7 +206,7 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
     assert result.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
     assert result.anova.row("D").p == result.lenth.p[at]
     # with all interactions asked for, every contrast is aliased: said, and no p
-    full = analyze(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=2)
+    full = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=2)
     assert full.error_term.source == "E7"
     assert any(w.startswith("D: 1 of 1 degrees") and "A:B" in w for w in full.warnings)
     assert any("every term is aliased" in w for w in full.warnings)
@@ -216,7 +216,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     """Unreplicated 2^4: the interval of an effect is effect +- the simultaneous margin."""
     table = grid({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
     table["y"] += 9.0 * (table["a"] == "L1")
-    result = analyze(table, "y", list("abcd"), practical=2.0)
+    result = anova(table, "y", list("abcd"), practical=2.0)
     assert result.lenth is not None
     effect = result.effect("a")
     assert effect.range is not None
@@ -225,7 +225,7 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     assert effect.verdict == "matters"
     pair = result.effect("a:b")
     assert pair.ci95 == pytest.approx(((pair.range or 0) - margin, (pair.range or 0) + margin))
-    mixed = analyze(grid({"a": 2, "b": 5}, 1, 5), "y", ["a", "b"], practical=0.1)
+    mixed = anova(grid({"a": 2, "b": 5}, 1, 5), "y", ["a", "b"], practical=0.1)
     assert mixed.error_term.source == "E6"
     assert mixed.effect("a").ci95 is None
     assert mixed.effect("a").verdict == "cannot tell"
@@ -235,14 +235,14 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
 def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, Any]) -> None:
     table = grid({"a": 3, "s": 4}, 5, 11)
     table["specimen"] = table["a"] + table["s"]
-    result = analyze(table, "y", ["a"], block="specimen", exact=False, **options)
-    unit = analyze(table, "y", ["a"], unit="specimen", exact=False)
+    result = anova(table, "y", ["a"], block="specimen", exact=False, **options)
+    unit = anova(table, "y", ["a"], unit="specimen", exact=False)
     assert result.anova.row("a").f == unit.anova.row("a").f
     assert result.anova.row("residual").df == 9
     assert "other levels of specimen" in result.error_term.question
     assert result.nested is not None
     means = table.groupby(["a", "specimen"])["y"].mean().reset_index()
-    single = analyze(means, "y", ["a"], block="specimen", exact=False, **options)
+    single = anova(means, "y", ["a"], block="specimen", exact=False, **options)
     assert single.anova.row("a").f == pytest.approx(result.anova.row("a").f, rel=1e-9)
     assert single.nested is None
     assert single.normality is not None
@@ -250,7 +250,7 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
 
 def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
     table = grid({"a": 2}, 6, 9)
-    result = analyze(table, "y", ["a"], block="rep", error="pooled")
+    result = anova(table, "y", ["a"], block="rep", error="pooled")
     assert result.bartlett is not None
     assert result.levene is not None
     for test in (result.bartlett, result.levene):

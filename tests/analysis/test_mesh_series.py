@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.convergence.work_precision import mesh_series
 from study.errors import InputError
 
@@ -59,7 +59,7 @@ def test_an_error_of_its_own_is_in_the_series_of_the_difference() -> None:
 
 def test_what_is_analyzed_is_what_the_analysis_reports() -> None:
     table = study(lambda m, s: 0.1 * (m == "stiff") + 0.05 * (s == "full"), noise=0.2)
-    result = analyze(
+    result = anova(
         table, "y", FACTORS, block="block", records=True, exact=False, practical=1.0, model=2
     )
     found = mesh_series(table, "y", FACTORS, "mesh", MESHES, block="block", model=2)
@@ -113,7 +113,7 @@ def test_a_cell_without_all_meshes_is_no_series_and_its_levels_fall_back() -> No
 def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> None:
     table = study(lambda m, s: 0.1, noise=0.05)
     options = {"block": "block", "records": True, "exact": False, "practical": 1.0, "model": 1}
-    result = analyze(table, "y", FACTORS, u_num={"material": 0.5, "space": 2.0}, **options)  # type: ignore[arg-type]
+    result = anova(table, "y", FACTORS, u_num={"material": 0.5, "space": 2.0}, **options)  # type: ignore[arg-type]
     material, space, mesh = result.effects
     assert (material.u_num, space.u_num, mesh.u_num) == (0.5, 2.0, 0.0)
     assert material.effect_over_u_num == pytest.approx((material.range or 0) / 0.5)
@@ -121,10 +121,10 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
     assert (result.u_num, result.u_num_by_term) == (2.0, True)
     rows = {row["factor"]: row["u_num"] for row in result.verdicts()}
     assert rows == {"material": 0.5, "space": 2.0, "mesh": 0.0}
-    worse = analyze(table, "y", FACTORS, u_num={"material": 9.0}, **options)  # type: ignore[arg-type]
+    worse = anova(table, "y", FACTORS, u_num={"material": 9.0}, **options)  # type: ignore[arg-type]
     assert worse.effect("material").verdict == "not resolved by the mesh"
     assert "numerical uncertainty would have to be below" in worse.effect("material").why
-    one = analyze(table, "y", FACTORS, u_num=2.0, **options)  # type: ignore[arg-type]
+    one = anova(table, "y", FACTORS, u_num=2.0, **options)  # type: ignore[arg-type]
     assert {e.u_num for e in one.effects} == {2.0}
     assert not one.u_num_by_term
 
@@ -132,7 +132,7 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
 def test_an_uncertainty_of_what_is_no_term_is_refused() -> None:
     table = study(lambda m, s: 0.1)
     with pytest.raises(InputError, match=r"'materials' is no term"):
-        analyze(table, "y", FACTORS, block="block", records=True, u_num={"materials": 1.0})
+        anova(table, "y", FACTORS, block="block", records=True, u_num={"materials": 1.0})
 
 
 def test_cells_are_one_computation_within_the_smallest_uncertainty() -> None:
@@ -140,16 +140,16 @@ def test_cells_are_one_computation_within_the_smallest_uncertainty() -> None:
     table = study(lambda m, s: 0.01, noise=0.001)
     options = {"block": "block", "records": True, "exact": False, "model": 1}
     # materials are 1 to 4 apart; the spaces agree, the meshes differ by up to 0.15
-    apart = analyze(table, "y", FACTORS, u_num={"material": 0.5, "space": 9.0}, **options)  # type: ignore[arg-type]
+    apart = anova(table, "y", FACTORS, u_num={"material": 0.5, "space": 9.0}, **options)  # type: ignore[arg-type]
     assert apart.distinct == 3
-    assert analyze(table, "y", FACTORS, u_num=9.0, **options).distinct == 1  # type: ignore[arg-type]
+    assert anova(table, "y", FACTORS, u_num=9.0, **options).distinct == 1  # type: ignore[arg-type]
 
 
 def test_a_log_effect_is_held_against_its_share_of_the_mean() -> None:
     table = study(lambda m, s: 0.0, noise=0.01)
     tenth = 0.1 * float(np.exp(table["y"].mean()))
     table["y"] = np.exp(table["y"])
-    result = analyze(
+    result = anova(
         table, "y", FACTORS, block="block", records=True, exact=False, transform="log",
         practical="20 % of mean", u_num={"material": tenth}, model=1,
     )  # fmt: skip

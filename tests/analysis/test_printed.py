@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.cli.app import run
 
 DESIGNS = Path(__file__).resolve().parents[2] / "validation" / "statistics"
@@ -138,10 +138,10 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     )
     unit = np.repeat(np.arange(8), 6)
     y = 1 + rng.normal(size=8)[unit] + rng.normal(size=48)
-    nested = analyze(table.assign(y=y), "y", ["a"], unit="s", exact=False).nested
+    nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).nested
     assert nested is not None
     assert nested.units == 8
-    from study.analysis.nested import _naive_size
+    from study.analysis.error.nested import _naive_size
 
     z = rng.normal(size=(2000, 8))[:, unit] + rng.normal(size=(2000, 48))
     first, second = z[:, :24], z[:, 24:]
@@ -164,7 +164,7 @@ def test_a_term_is_no_picture(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_frames_come_out() -> None:
     table = pd.read_csv(DESIGNS / "crossed.csv")
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     frame = result.anova.to_frame().set_index("term")
     assert frame.loc["a", "f"] == result.anova.row("a").f
     assert frame.loc["residual", "df"] == 30
@@ -177,7 +177,7 @@ def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
     """Balanced: difference +- q(0.95; 3, 30) sqrt(MSE / 12), q by scipy."""
     q = pytest.importorskip("scipy.stats").studentized_range.ppf(0.95, 3, 30)
     table = pd.read_csv(DESIGNS / "crossed.csv")
-    result = analyze(table, "y", ["a", "b"], exact=False)
+    result = anova(table, "y", ["a", "b"], exact=False)
     effect, mse = result.effect("a"), result.anova.row("residual").ms
     assert mse is not None
     means = table.groupby("a")["y"].mean()
@@ -196,7 +196,7 @@ def test_detectable_differences_come_from_the_error_found() -> None:
     from study.analysis.effects.power import detectable
 
     table = pd.read_csv(DESIGNS / "repeated.csv")
-    one = analyze(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)
+    one = anova(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)
     ms = one.anova.row("s:a").ms
     assert ms is not None
     by_hand = detectable(float(np.sqrt(ms)), [4, 8, 16, 32], levels=3)

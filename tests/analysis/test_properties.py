@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.assumption.normality import ryan_joiner, statistic
 from study.analysis.assumption.variance import bartlett
 
@@ -26,7 +26,7 @@ def table_of(shape: tuple[int, int, int], seed: int) -> pd.DataFrame:
 
 
 def rows_of(table: pd.DataFrame, factors: list[str], **options) -> dict[str, tuple[float, float]]:
-    result = analyze(table, "y", factors, exact=False, **options)
+    result = anova(table, "y", factors, exact=False, **options)
     return {":".join(sorted(r.term.split(":"))): (r.ss, r.f or 0.0) for r in result.anova.rows}
 
 
@@ -76,8 +76,8 @@ def test_p17_sums_add_up_and_types_agree(shape, seed) -> None:
 def test_p18_duplication_scales_sums(shape, seed, k) -> None:
     table = table_of(shape, seed)
     copied = pd.concat([table] * k)
-    one = analyze(table, "y", ["a", "b"], exact=False)
-    many = analyze(copied, "y", ["a", "b"], exact=False)
+    one = anova(table, "y", ["a", "b"], exact=False)
+    many = anova(copied, "y", ["a", "b"], exact=False)
     for row in one.anova.rows:
         assert many.anova.row(row.term).ss == pytest.approx(k * row.ss, rel=1e-11)
     for effect in one.effects:
@@ -145,7 +145,7 @@ def test_p15_to_p17_hold_for_blocks_and_strata(route, seed) -> None:
     for factor, shift in [(-2.0, 0.0), (1.0, 1e8)]:
         moved = table.assign(y=factor * table["y"] + shift)
         same(base, rows_of(moved, ["a", "b"], **options), 1e-10, factor**2)
-    result = analyze(table, "y", ["a", "b"], exact=False, **options)
+    result = anova(table, "y", ["a", "b"], exact=False, **options)
     total = float(((table["y"] - table["y"].mean()) ** 2).sum())
     assert result.anova.ss_total == pytest.approx(total, rel=1e-10)
     if route != "blocks pooled" and route != "two blocks":

@@ -13,7 +13,7 @@ import pytest
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.outliers_influence import OLSInfluence
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.assumption.normality import (
     critical_values,
     ryan_joiner,
@@ -61,7 +61,7 @@ def test_nist_anova(data_dir: Path, name: str) -> None:
     folder = data_dir / "nist_anova"
     certified = {e["dataset"]: e for e in json.loads((folder / "expected.json").read_text())}[name]
     table = nist_table(folder / f"{name}.dat")
-    result = analyze(table, "y", ["treatment"], exact=False)
+    result = anova(table, "y", ["treatment"], exact=False)
     row = result.anova.row("treatment")
     assert row.f is not None
     assert (row.df, row.df_error) == (certified["df_between"], certified["df_within"])
@@ -106,12 +106,12 @@ def test_kidney_types_ii_and_iii() -> None:
     datasets = pytest.importorskip("statsmodels.stats.tests.test_anova")
     kidney = datasets.kidney_table.copy()
     kidney["y"] = np.log(kidney["Days"] + 1)
-    balanced = analyze(kidney, "y", ["Duration", "Weight"], type="II", exact=False)
+    balanced = anova(kidney, "y", ["Duration", "Weight"], type="II", exact=False)
     expected = {"Duration": 2.339693, "Weight": 16.97129, "Duration:Weight": 0.6356584}
     for term, ss in expected.items():
         assert balanced.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
     dropped = kidney.drop([0, 1, 2])
-    two = analyze(dropped, "y", ["Duration", "Weight"], type="II", exact=False)
+    two = anova(dropped, "y", ["Duration", "Weight"], type="II", exact=False)
     for term, ss in {
         "Duration": 3.067066,
         "Weight": 13.27205,
@@ -119,7 +119,7 @@ def test_kidney_types_ii_and_iii() -> None:
         "residual": 27.60181,
     }.items():
         assert two.anova.row(term).ss == pytest.approx(ss, rel=1e-6)
-    three = analyze(dropped, "y", ["Duration", "Weight"], type="III", exact=False)
+    three = anova(dropped, "y", ["Duration", "Weight"], type="III", exact=False)
     for term, ss, f in [
         ("Duration", 2.904723, 5.367071),
         ("Weight", 13.45718, 12.43245),
@@ -132,7 +132,7 @@ def test_kidney_types_ii_and_iii() -> None:
 def test_box_poison(data_dir: Path) -> None:
     """Box, Hunter and Hunter (1978), table of the 3 x 4 survival experiment."""
     table = pd.read_csv(data_dir / "nist_handbook" / "box_poison_3x4x4.csv")
-    result = analyze(table, "survival", ["poison", "antidote"], exact=False)
+    result = anova(table, "survival", ["poison", "antidote"], exact=False)
     for term, ss, df in [
         ("poison", 10330.125, 2),
         ("antidote", 9212.0625, 3),
@@ -160,7 +160,7 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
         "X2": 20.908,
     }.items():
         assert effects[name] == pytest.approx(value, abs=6e-4)
-    result = analyze(table, "Y", factors)
+    result = anova(table, "Y", factors)
     assert result.error_term.source == "E6"
     assert result.lenth is not None
     assert {"X3", "X4", "X5"} <= set(result.lenth.active)
@@ -230,7 +230,7 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     table = pd.read_csv(folder / "factorial_3x5_force6mm.csv")
     table["y"] = np.log(table["F_at_6mm_N"])
     expected = dict(pd.read_csv(folder / "factorial_3x5_logforce_expected_R.csv").to_numpy())
-    result = analyze(table, "y", ["family", "thinner_pct"], exact=False)
+    result = anova(table, "y", ["family", "thinner_pct"], exact=False)
     rows = {"family": "family", "thinner": "thinner_pct", "interaction": "family:thinner_pct"}
     for key, term in rows.items():
         assert result.anova.row(term).ss == pytest.approx(expected[f"anova_{key}_ss"], rel=1e-8)
@@ -239,7 +239,7 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     assert result.bartlett.statistic == pytest.approx(expected["bartlett_K2"], rel=1e-8)
     assert result.bartlett.df == expected["bartlett_df"]
     assert result.normality is not None
-    nested = analyze(
+    nested = anova(
         table,
         "F_at_6mm_N",
         ["family", "thinner_pct"],
@@ -250,7 +250,7 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     # two specimens in each of 15 cells: 15 residual df instead of 135
     assert nested.anova.row("residual").df == 15
     means = table.groupby(["family", "thinner_pct", "specimen"])["y"].mean().reset_index()
-    by_hand = analyze(means, "y", ["family", "thinner_pct"], exact=False)
+    by_hand = anova(means, "y", ["family", "thinner_pct"], exact=False)
     assert nested.anova.row("family").f == pytest.approx(by_hand.anova.row("family").f, rel=1e-9)
     assert any("independent would have given F(2, 135)" in w for w in nested.warnings)
     # R's sf.test is the same statistic squared, with ppoints(): 3/8 and 1/4 as here
@@ -288,7 +288,7 @@ def simon_lesage(pairs: int, large: float) -> pd.DataFrame:
 def test_the_whole_nist_family(name: str, pairs: int, large: float, f: float, digits: int) -> None:
     """Certified F of all nine sets, six of which are shared."""
     table = simon_lesage(pairs, large)
-    row = analyze(table, "y", ["treatment"], exact=False).anova.row("treatment")
+    row = anova(table, "y", ["treatment"], exact=False).anova.row("treatment")
     assert row.f is not None
     assert log_relative_error(row.f, f) >= digits
 

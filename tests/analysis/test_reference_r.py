@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 from scipy.special import chdtrc
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.anova_table import Row
 from study.analysis.assumption.normality import shapiro_wilk
 from study.analysis.assumption.robustness import box_cox, hc3, welch_factorial
@@ -112,7 +112,7 @@ LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
 def test_linear_models_of_all_types(design: str, kind: str) -> None:
     name, whole, options, factors = LINEAR[design]
     print(f"\n{design}, type {kind}")
-    result = analyze(data(name, whole=whole), "y", factors, type=kind, exact=False, **options)
+    result = anova(data(name, whole=whole), "y", factors, type=kind, exact=False, **options)
     # every term of ours and the residual; the blocks are no rows of a pooled table
     assert same_table(result, terms(design, kind)) == len(result.anova.rows)
 
@@ -121,15 +121,15 @@ def test_nested_factor_and_its_unbalanced_part() -> None:
     for design, whole in [("nested", True), ("nested-unbalanced", False)]:
         table = data("nested", whole=whole)
         model = ["mix", "mix:specimen"]
-        result = analyze(table, "y", ["mix", "specimen"], model=model, type="I", exact=False)
+        result = anova(table, "y", ["mix", "specimen"], model=model, type="I", exact=False)
         assert same_table(result, terms(design, "I")) == 3
 
 
 def test_units_nested_in_cells_give_the_error_of_the_upper_stratum() -> None:
     table = data("nested").assign(unit=lambda t: t["mix"] + t["specimen"].astype(str))
     expected = terms("nested", "strata|mix:specimen")
-    averaged = analyze(table, "y", ["mix"], unit="specimen", exact=False).anova.row("mix")
-    blocked = analyze(table, "y", ["mix"], block="unit", exact=False).anova.row("mix")
+    averaged = anova(table, "y", ["mix"], unit="specimen", exact=False).anova.row("mix")
+    blocked = anova(table, "y", ["mix"], block="unit", exact=False).anova.row("mix")
     for row in (averaged, blocked):
         assert row.f == pytest.approx(expected["mix"]["f"], rel=1e-8)
         assert row.p == pytest.approx(expected["mix"]["p"], rel=1e-8)
@@ -139,7 +139,7 @@ def test_units_nested_in_cells_give_the_error_of_the_upper_stratum() -> None:
 @pytest.mark.parametrize("design", ["splitplot", "splitplot-unbalanced"])
 def test_split_plot_where_the_block_is_the_whole_plot(design: str) -> None:
     table = data("splitplot", whole=design == "splitplot")
-    result = analyze(
+    result = anova(
         table, "y", ["mix", "speed"], block="specimen", type="I", error="pooled", exact=False
     )
     between, within = terms(design, "strata|specimen"), terms(design, "strata|Within")
@@ -159,7 +159,7 @@ def test_split_plot_where_the_block_is_the_whole_plot(design: str) -> None:
 
 def test_split_plot_in_blocks() -> None:
     table = data("splitblocks")
-    result = analyze(table, "y", ["v", "n"], block="k", whole_plot="v", exact=False)
+    result = anova(table, "y", ["v", "n"], block="k", whole_plot="v", exact=False)
     whole, within = terms("splitblocks", "strata|k:v"), terms("splitblocks", "strata|Within")
     same_row(result.anova.row("k"), terms("splitblocks", "strata|k")["Residuals"])
     same_row(result.anova.row("v"), whole["v"])
@@ -168,7 +168,7 @@ def test_split_plot_in_blocks() -> None:
         same_row(result.anova.row(term), within[term])
     # differences of subplot levels in one whole plot have the smaller error
     assert result.effect("n").ci95 is not None
-    naive = analyze(table, "y", ["v", "n"], block="k", error="pooled", exact=False)
+    naive = anova(table, "y", ["v", "n"], block="k", error="pooled", exact=False)
     assert naive.anova.row("v").df_error == 55
     assert naive.anova.row("v").p < result.anova.row("v").p
 
@@ -182,7 +182,7 @@ def test_own_interactions_in_groups_of_blocks(design: str, kind: str, lost: str)
     table = data("splitplot")
     table = table[table["specimen"] != lost]
     options = {"block": "specimen", "error": "own", "type": kind, "exact": False}
-    result = analyze(table, "y", ["mix", "speed"], **options)
+    result = anova(table, "y", ["mix", "speed"], **options)
     for term, figures in terms(design, f"own-{kind}").items():
         row = result.anova.row(term)
         same_row(row, figures)
@@ -195,12 +195,12 @@ def test_own_interactions_in_groups_of_blocks(design: str, kind: str, lost: str)
     if kind == "II" and lost:
         return  # unbalanced records take Type III
     # a study's records take the same route by themselves
-    study = analyze(table, "y", ["mix", "speed"], block="specimen", type=kind, records=True)
+    study = anova(table, "y", ["mix", "speed"], block="specimen", type=kind, records=True)
     assert study.anova.row("speed").p_gg == result.anova.row("speed").p_gg
 
 
 def test_own_interactions_with_greenhouse_geisser() -> None:
-    result = analyze(data("repeated"), "y", ["a", "b"], block="s", error="own", exact=False)
+    result = anova(data("repeated"), "y", ["a", "b"], block="s", error="own", exact=False)
     for term, figures in terms("repeated", "own-III").items():
         row = result.anova.row(term)
         same_row(row, figures)
@@ -211,7 +211,7 @@ def test_own_interactions_with_greenhouse_geisser() -> None:
 
 
 def test_means_with_intervals_of_unbalanced_data() -> None:
-    result = analyze(data("crossed", whole=False), "y", ["a", "b"], exact=False)
+    result = anova(data("crossed", whole=False), "y", ["a", "b"], exact=False)
     effect = result.effect("a")
     assert effect.mean_ci95 is not None
     for level, mean, ci in zip(effect.levels, effect.mean, effect.mean_ci95, strict=True):
@@ -250,7 +250,7 @@ def test_remedies_and_summary() -> None:
     summary = summary_of(fit)
     assert summary is not None
     assert summary.r_sq_pred == pytest.approx(two["r_sq_pred"], rel=1e-8)
-    whole = analyze(table, "y", ["a", "b", "c"], exact=False).summary
+    whole = anova(table, "y", ["a", "b", "c"], exact=False).summary
     assert whole is not None
     expected = terms("crossed-unbalanced", "fit")[""]
     assert whole.s == pytest.approx(expected["s"], rel=1e-10)
@@ -280,7 +280,7 @@ def test_nested_labels_may_start_again_or_be_unique(whole: bool) -> None:
     expected = terms("nested" if whole else "nested-unbalanced", "I")
     for rows in (table, unique):
         options = {"model": ["mix", "mix:specimen"], "practical": 1.0, "exact": False}
-        result = analyze(rows, "y", ["mix", "specimen"], **options)
+        result = anova(rows, "y", ["mix", "specimen"], **options)
         assert result.anova.type == "II"
         for term in ("mix", "mix:specimen"):
             assert result.anova.row(term).df == expected[term]["df"]

@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import ttest_ind
 from statsmodels.stats.power import FTestPowerF2
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.assumption.robustness import box_cox, hc3, sensitivity, welch_factorial
 from study.analysis.data import prepare
 from study.analysis.effects.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
@@ -128,7 +128,7 @@ def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
     _, fit = fitted(table)
     test = hc3(fit)["a:b"]
     assert (test.p, test.reason) == (None, "cells without spread: a singular covariance")
-    assert analyze(table, "y", ["a", "b"], exact=False).robustness.p["a:b"]["HC3 Wald"] is None
+    assert anova(table, "y", ["a", "b"], exact=False).robustness.p["a:b"]["HC3 Wald"] is None
 
 
 def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:

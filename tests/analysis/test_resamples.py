@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.result import AnalysisResult
 
 #: noise of the fits of four cells to one curve: pairs are nearly the same fit
@@ -27,7 +27,7 @@ def resampled(random: np.random.Generator, resamples: int, effect: float = 0.0) 
         for k in range(resamples)
         for cell in range(4)
     ]
-    return analyze(
+    return anova(
         pd.DataFrame(rows), "mu0", ["energy", "space"], block="noise_seed", replicates="noise",
         records=True, exact=False,
     )  # fmt: skip

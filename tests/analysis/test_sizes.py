@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.analysis.assumption.normality import (
     default_simulations,
     null_rj,
@@ -167,7 +167,7 @@ def whole(table: Crossed):
         for b in [table.blocks[j]]
     ]
     factors = list(table.layout.levels)
-    return analyze(pd.DataFrame(rows), "y", factors, block="mix", error="own", model=1, exact=False)
+    return anova(pd.DataFrame(rows), "y", factors, block="mix", error="own", model=1, exact=False)
 
 
 def test_ten_thousand_rows_in_a_second() -> None:
@@ -175,11 +175,11 @@ def test_ten_thousand_rows_in_a_second() -> None:
     rng = np.random.default_rng(0)
     table = pd.DataFrame({f: rng.integers(0, 3, 10_000).astype(str) for f in "abcde"})
     table["y"] = 10 + rng.normal(size=10_000)
-    analyze(table[:500], "y", list("abc"), model=1, exact=False)
+    anova(table[:500], "y", list("abc"), model=1, exact=False)
     wall, cpu = [], []
     for _ in range(3):
         start, begin = time.perf_counter(), time.process_time()
-        analyze(table, "y", list("abcde"), model=2, exact=False)
+        anova(table, "y", list("abcde"), model=2, exact=False)
         wall.append(time.perf_counter() - start)
         cpu.append(time.process_time() - begin)
     print(f"\n10,000 rows x 5 factors: expected < 1 s, got {min(cpu):.2f} s ({min(wall):.2f} wall)")
@@ -201,5 +201,5 @@ def test_analyze_from_a_cold_start() -> None:
         cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
         taken.append((cpu, time.perf_counter() - start))
     cpu, wall = min(taken)
-    print(f"\nstudy analyze, cold start: expected < 4 s, got {cpu:.2f} s ({wall:.2f} wall)")
+    print(f"\nstudy anova, cold start: expected < 4 s, got {cpu:.2f} s ({wall:.2f} wall)")
     assert cpu < 4.0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.design.load import loads
 from study.study_result.report_data import ResponseAnalysis
 from study.study_result.study_result import StudyResult
@@ -53,7 +53,7 @@ def made(
         )
     ]
     names = [new.get(f, f) for f in FACTORS]
-    result = analyze(
+    result = anova(
         pd.DataFrame(rows), response, names, block="block", practical=practical, exact=False,
         transform=transform,
     )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from study.analysis.anova import analyze
+from study.analysis.anova import anova
 from study.curve import Curve
 from study.study_result.report_data import (
     Check,
@@ -51,7 +51,7 @@ def example(**changes: Any) -> ReportData:
         ResponseAnalysis(
             "relative_rms_force_error",
             "%",
-            analyze(
+            anova(
                 table, "relative_rms_force_error", names, practical="0.5 pp", u_num=0.04, **options
             ),
             practical=0.5,
@@ -61,7 +61,7 @@ def example(**changes: Any) -> ReportData:
         ResponseAnalysis(
             "mu0",
             "kPa",
-            analyze(
+            anova(
                 table,
                 "mu0",
                 names,
@@ -280,7 +280,7 @@ def unreplicated() -> ReportData:
         case = {"case_id": str(len(rows)), "status": "converged", "y": y}
         rows.append({**dict(zip(names, levels, strict=True)), **case})
     table = pd.DataFrame(rows)
-    result = analyze(table, "y", list(names), practical=0.5)
+    result = anova(table, "y", list(names), practical=0.5)
     response = ResponseAnalysis("y", "N", result, 0.5, better="lower")
     return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, (response,))
 

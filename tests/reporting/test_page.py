@@ -277,7 +277,7 @@ def test_all_cases_failed():
 
 def hostile(data: ReportData, evil: str) -> ReportData:
     """The example with a hostile text in every place where a user may write."""
-    from study.analysis.anova import analyze
+    from study.analysis.anova import anova
 
     keep = data.table["material"].isin(FACTORS["material"][:2])
     keep &= data.table["model.space"] == "axisymmetric"
@@ -289,7 +289,7 @@ def hostile(data: ReportData, evil: str) -> ReportData:
     factors = {"material": (evil, "mooney-rivlin"), evil: FACTORS["plates"]}
     result = None
     try:
-        result = analyze(
+        result = anova(
             table,
             "mu0",
             list(factors),

@@ -72,7 +72,9 @@ def _by_contrast(out: Outcome) -> Diagnostics:
         why = "normality: not applicable: a combination of levels is missing"
         return Diagnostics(None, *unequal, (*warnings, why))
     tolerance = out.working_tolerance() / 10
-    found = row_normality(contrasts, tolerance=tolerance, alpha=out.alpha, seed=out.seed)
+    found = row_normality(
+        contrasts, tolerance=tolerance, alpha=out.request.alpha, seed=out.request.seed
+    )
     if found.p is None:
         return Diagnostics(
             None, *unequal, (*warnings, f"normality: not applicable: {found.warning}")
@@ -82,12 +84,12 @@ def _by_contrast(out: Outcome) -> Diagnostics:
     warnings += _heavy_block(contrasts, tolerance, table.blocks, out)
     worst = min(found.rows, key=lambda row: row.p)
     values = contrasts[worst.term][worst.contrast]
-    one = ryan_joiner(values, seed=out.seed, exact=False, alpha=out.alpha)
-    decision = "rejected" if found.rejected else "not rejected"
+    one = ryan_joiner(values, seed=out.request.seed, exact=False, alpha=out.request.alpha)
+    decision = f"{'rejected' if found.rejected else 'not rejected'} at {out.request.alpha:g}"
     summary = replace(
         one,
         p_exact=found.p,
-        decision=f"normality {decision} at {out.alpha:g}: the smallest of {len(found.rows)} "
+        decision=f"normality {decision}: the smallest of {len(found.rows)} "
         f"contrasts over {found.blocks} blocks, {worst.term}, p times their number {found.p:.3g}",
     )
     return Diagnostics(summary, *unequal, tuple(warnings), found.rows)
@@ -96,7 +98,7 @@ def _by_contrast(out: Outcome) -> Diagnostics:
 def _heavy_block(
     contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: Outcome
 ) -> list[str]:
-    share = block_share(contrasts, tolerance=tolerance, seed=out.seed)
+    share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
     if share is None or share.p >= SHARE_P:
         return []
     return [
@@ -125,17 +127,17 @@ def _spread_tests(
         return None, None
     # residuals of a blocked fit are correlated: their own design is simulated
     design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
-    count = _MONTE_CARLO if out.exact else 0
+    count = _MONTE_CARLO if out.request.exact else 0
     options: dict[str, Any] = {
         "approximate": groups.approximate,
-        "seed": out.seed,
+        "seed": out.request.seed,
         "design": design,
     }
     return (
         bartlett(groups.groups, simulations=count, **options),
         levene(
             groups.groups,
-            center="auto" if out.exact or design else "median",
+            center="auto" if out.request.exact or design else "median",
             simulations=count if design else 0,
             **options,
         ),
@@ -161,9 +163,9 @@ def _of_residuals(out: Outcome) -> tuple[Outcome, Any, residuals.CellGroups | No
     result = ryan_joiner(
         fit.residual,
         model_matrix=fit.matrix.columns,
-        seed=out.seed,
-        exact=out.exact,
-        alpha=out.alpha,
+        seed=out.request.seed,
+        exact=out.request.exact,
+        alpha=out.request.alpha,
     )
     if not result.applicable:
         out = out.warn(f"normality: not applicable: {result.reason}")

@@ -9,18 +9,19 @@ lie where one level takes the highest and all others the lowest, and these are a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.analysis.anova_table import Effect, FailureBound
 from study.analysis.effects.verdict import CANNOT_TELL
+from study.analysis.request import AnalysisRequest
 from study.errors import StudyError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.arrays import Array
+    from study.arrays import Array, Flags
 
 _MOST_ROWS = 5000
 _MOST_LEVELS = 60
@@ -28,10 +29,8 @@ _MOST_LEVELS = 60
 
 def bounds(
     table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
+    request: AnalysisRequest,
     effects: Sequence[Effect],
-    alpha: float,
     analyze: Callable[[pd.DataFrame], Sequence[Effect]],
 ) -> tuple[FailureBound, ...]:
     """Bounds of every effect over the values that the missing responses may take.
@@ -40,10 +39,10 @@ def bounds(
     ----------
     table : DataFrame
         Rows as given, the missing responses among them.
+    request : AnalysisRequest
+        Response, factors and size of the tests.
     effects : sequence of Effect
         Effects in the rows there are.
-    alpha : float
-        Level of the tests.
     analyze : callable
         The same analysis of a completed table.
 
@@ -52,6 +51,7 @@ def bounds(
     tuple of FailureBound
         Empty where nothing is missing, or for tables too large to be analyzed many times.
     """
+    response, factors = request.response, request.factors
     y = table[response].to_numpy(dtype=float, na_value=np.nan)
     missing = ~np.isfinite(y)
     levels = sum(table[f].nunique() for f in factors)
@@ -69,11 +69,11 @@ def bounds(
             continue
     if not found:
         return ()
-    return tuple(_bound(e.term, [*effects], found, alpha) for e in found[0])
+    return tuple(_bound(e.term, [*effects], found, request.alpha) for e in found[0])
 
 
 def _fillings(
-    table: pd.DataFrame, factors: Sequence[str], missing: Any, low: float, high: float
+    table: pd.DataFrame, factors: Sequence[str], missing: Flags, low: float, high: float
 ) -> Iterator[Array]:
     """Yield all highest, all lowest, and each level against the others, without repeats."""
     seen: set[bytes] = set()

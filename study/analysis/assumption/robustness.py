@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from study.analysis.data import Data, prepare
 from study.analysis.error.blocked import OwnTerm, cell_fit, own_terms
 from study.analysis.linear_model.design_matrix import (
     Layout,
+    Model,
     Term,
     model_matrix,
     term_name,
@@ -111,7 +112,7 @@ def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
 
 
 def welch_factorial(
-    table: pd.DataFrame, response: str, factors: Sequence[str], model: Any = "full"
+    table: pd.DataFrame, response: str, factors: Sequence[str], model: Model = "full"
 ) -> dict[str, WaldTest]:
     """Welch-James test of every term of a factorial with unequal cell variances."""
     data = prepare(table, response, factors)
@@ -182,7 +183,7 @@ def sensitivity(
     response: str,
     factors: Sequence[str],
     *,
-    model: Any = "full",
+    model: Model = "full",
     alpha: float = 0.05,
 ) -> Sensitivity:
     """P of every term in the defensible analyses of a replicated factorial.
@@ -246,8 +247,8 @@ def add_robustness(out: Outcome) -> Outcome:
         return out
     if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
         return out
-    fit = out.fit if out.transform == "none" else factor(out.fit.matrix, out.data.y)
-    table = sensitivity_of(out.data, out.terms, fit, out.alpha)
+    fit = out.fit if not out.request.scale.is_log else factor(out.fit.matrix, out.data.y)
+    table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
     return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
@@ -262,10 +263,10 @@ def _blocked(out: Outcome) -> Sensitivity | None:
         "own interaction, Huynh-Feldt": _p(tests, "hf"),
         "interactions pooled": _additive(table.layout, out.terms, table.y, kind),
     }
-    if out.transform == "none" and table.y.min() > 0:
+    if not out.request.scale.is_log and table.y.min() > 0:
         logged = _tests(out, np.log(table.y), kind)
         found["own interaction of the log"] = _p(logged, "gg")
-    return side_by_side([term_name(t) for t in out.terms], found, out.alpha)
+    return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
 
 
 def _tests(out: Outcome, y: Array, kind: str) -> list[OwnTerm]:

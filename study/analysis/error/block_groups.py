@@ -48,7 +48,7 @@ class _Part:
     df: int
 
 
-def own_groups(out: Outcome, kind: str, error: str, plots: Plots) -> Outcome | None:
+def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
     """E1 with own interactions, blocks nested in groups; None where groups have no replicates."""
     block = str(out.data.block)
     within = tuple(f for f in out.data.factors if f not in plots.between)
@@ -58,7 +58,7 @@ def own_groups(out: Outcome, kind: str, error: str, plots: Plots) -> Outcome | N
     if fit.df_residual < 1:
         return None
     counts = np.bincount(groups.cell(plots.between))
-    kind, out = kind_of(out, kind, bool(np.ptp(counts) == 0))
+    kind, out = kind_of(out, bool(np.ptp(counts) == 0))
     out = out.warn(*table.warnings)
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     shifted = table.y - table.y[0, 0]
@@ -74,7 +74,11 @@ def own_groups(out: Outcome, kind: str, error: str, plots: Plots) -> Outcome | N
             term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
             if term in out.terms:
                 rows[term] = _row(term, part, direction, total, floor)
-    return _outcome(out, kind, error, plots, rows, errors, spheres, whole, total)
+    found = _outcome(out, plots, rows, errors, whole)
+    listed = [rows[t] for t in out.terms if t in rows]
+    table_of = with_shares([*listed, *errors], total)
+    anova = Anova(kind, table_of, out.y.size - 1, total)
+    return replace(found, anova=anova, sphericity=spheres)
 
 
 def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed, Layout]:
@@ -167,16 +171,9 @@ def _sphere(part: _Part, fit: Factored) -> SphericityResult:
 
 
 def _outcome(
-    out: Outcome,
-    kind: str,
-    error: str,
-    plots: Plots,
-    rows: dict[Term, Row],
-    errors: list[Row],
-    spheres: dict[str, SphericityResult],
-    whole: Factored,
-    total: float,
+    out: Outcome, plots: Plots, rows: dict[Term, Row], errors: list[Row], whole: Factored
 ) -> Outcome:
+    """Error term and effects of every term, each with the error of its own stratum."""
     by_error = {row.term: row for row in errors}
     effects = []
     for term in out.terms:
@@ -184,7 +181,9 @@ def _outcome(
         against = by_error.get(row.error or "")
         df = 0.0 if against is None else against.df * (row.epsilon_gg or 1.0)
         rss = 0.0 if against is None else (against.ms or 0.0) * df
-        estimate = pooled_estimate(out.data.layout, whole, term, df, row.p_deciding, out.alpha, rss)
+        estimate = pooled_estimate(
+            out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
+        )
         effects.append(size(replace(estimate, mean_half=None), out.scale))
     choice = ledger.strata_choice(str(out.data.block), plots.name, plots.between, "own")
     listed = [rows[t] for t in out.terms if t in rows]
@@ -194,11 +193,9 @@ def _outcome(
             choice.source,
             choice.question,
             {r.term: float(r.df_error or 0) for r in listed},
-            "asked for" if error == "own" else choice.reason,
+            "asked for" if out.request.error == "own" else choice.reason,
         ),
-        anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
         effects=tuple(effects),
-        sphericity=spheres,
         fit=residuals.additive_fit(out.data, out.y, plots=plots.code),
         plots=plots.code,
     )

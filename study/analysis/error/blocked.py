@@ -222,7 +222,7 @@ def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
     return shift, inverse @ (fit.q.T @ (table.y - shift))
 
 
-def own(out: Outcome, kind: str, error: str) -> Outcome | None:
+def own(out: Outcome) -> Outcome | None:
     """E1: every effect against its own interaction with the blocks.
 
     E2 where the blocks are resamples of the noise, which all cells have in common.
@@ -235,7 +235,7 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     if out.replicates == "noise":
         table = single_noise(table)
     full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
-    kind, out = kind_of(out, kind, table.cells.size == full)
+    kind, out = kind_of(out, table.cells.size == full)
     fit = cell_fit(table, out.terms)
     # differences from one value are exact where doubles are close
     shifted = table.y - table.y[0, 0]
@@ -251,15 +251,18 @@ def own(out: Outcome, kind: str, error: str) -> Outcome | None:
     rest = n_cells - 1 - sum(t.sums.df for t in tests)
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
-    choice = ledger.own_choice(block, b, error)
+    choice = ledger.own_choice(block, b, out.request.error)
     if out.replicates in ("noise", "mesh-seeds"):
         choice = ledger.noise_choice(b) if out.replicates == "noise" else ledger.seed_choice(b)
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     estimates = [
-        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.alpha) for t in tests
+        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
+        for t in tests
     ]
-    sample = over_blocks(fit, block_coefficients(table, fit)[1], out.alpha, out.seed)
+    sample = over_blocks(
+        fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.seed
+    )
     simple = every_simple_effect(out.terms, table.layout, fit, sample, out.scale)
     return replace(
         out,

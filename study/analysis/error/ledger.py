@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -248,29 +247,29 @@ def _replicates(s: Situation) -> Choice:
     )
 
 
-def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
+def pooled(out: Outcome) -> Outcome:
     """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
     data = out.data
     extra: list[Term] = [(name,) for name in data.blocks]
     matrix = model_matrix(data.layout, out.terms, extra=extra)
     fit = factor(matrix, out.y)
     even = balanced(data.layout, [*data.factors, *data.blocks]) or orthogonal(fit)
-    if kind == "auto" and nested_in(out.terms):
+    if out.request.sums == "auto" and nested_in(out.terms):
         # a factor given what is nested in it is nothing, so Type III would be empty
         kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
     else:
-        kind, out = kind_of(out, kind, even, _why_uneven(out))
+        kind, out = kind_of(out, even, _why_uneven(out))
     sums = term_sums(fit, kind)
     out = out.warn(*alias_warnings(sums))
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
-    choice = choose(_situation(out, fit, sums, model), error)
+    choice = choose(_situation(out, fit, sums), out.request.error)
     df = fit.df_residual if choice.how == POOLED else 0
     if df == 0:
         out = out.warn(REMEDIES)
     out = out.warn(*choice.cautions)
     ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
-    lenth = unreplicated.lenth_of(data, out.y, out.terms, out.seed) if ready else None
+    lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
     error_rss = fit.rss * _resamples(out)
     rows = [term_row(s, df, error_rss, fit.tss) for s in sums]
     if lenth is not None and choice.source == "E6":
@@ -279,15 +278,17 @@ def pooled(out: Outcome, kind: str, error: str, model: Any) -> Outcome:
     rows.append(Row("residual", fit.df_residual, fit.rss if df else 0.0, ms))
     by_name = {row.term: row for row in rows}
     estimates: list[TermEstimate] = [
-        pooled_estimate(data.layout, fit, t, df, by_name[term_name(t)].p, out.alpha, error_rss)
+        pooled_estimate(
+            data.layout, fit, t, df, by_name[term_name(t)].p, out.request.alpha, error_rss
+        )
         for t in out.terms
     ]
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
-    if lenth is not None and choice.source == "E6" and two_levels and not out.records:
+    if lenth is not None and choice.source == "E6" and two_levels and not out.request.records:
         estimates = [_with_margin(e, lenth) for e in estimates]
     simple = {}
     if df or out.scale.deterministic:
-        sample = with_pooled_error(fit, error_rss, df, out.alpha, out.seed)
+        sample = with_pooled_error(fit, error_rss, df, out.request.alpha, out.request.seed)
         simple = every_simple_effect(out.terms, data.layout, fit, sample, out.scale)
     return replace(
         out,
@@ -330,13 +331,13 @@ def _sparse_ready(out: Outcome, fit: Factored) -> bool:
     return balanced(data.layout, data.factors) or (fit.df_residual == 0 and orthogonal(fit))
 
 
-def _situation(out: Outcome, fit: Factored, sums: list[TermSum], model: Any) -> Situation:
+def _situation(out: Outcome, fit: Factored, sums: list[TermSum]) -> Situation:
     return Situation(
-        out.records,
+        out.request.records,
         " and ".join(out.data.blocks) or None,
         bool(np.bincount(out.data.cell).max() > 1),
         fit.df_residual,
-        model == "full",
+        out.request.model == "full",
         int(np.sum([s.df for s in sums])),
         _sparse_ready(out, fit),
         out.replicates,

@@ -98,13 +98,13 @@ def _constant(codes: Ints, block: Ints) -> bool:
     return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
 
 
-def split_plot(out: Outcome, kind: str, plots: Plots) -> Outcome:
+def split_plot(out: Outcome, plots: Plots) -> Outcome:
     """Analysis of a split plot with one pooled error in each stratum."""
     data = out.data
     matrix = model_matrix(data.layout, out.terms)
     whole = factor(matrix, out.y)
     strata = _strata(out, matrix, plots, _even(whole, data, plots))
-    kind, out = kind_of(out, kind, all(orthogonal(s.fit) for s in strata))
+    kind, out = kind_of(out, all(orthogonal(s.fit) for s in strata))
     strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
     place = _place(out.terms, strata, whole)
     rows, df = _rows(strata, place, whole.tss)
@@ -116,9 +116,9 @@ def split_plot(out: Outcome, kind: str, plots: Plots) -> Outcome:
         stratum = place[term]
         fit, rest = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
         estimate = pooled_estimate(
-            data.layout, fit, term, rest, by_name[term_name(term)].p, out.alpha, fit.rss
+            data.layout, fit, term, rest, by_name[term_name(term)].p, out.request.alpha, fit.rss
         )
-        means = pooled_estimate(data.layout, whole, term, 0, None, out.alpha, 0.0).mean
+        means = pooled_estimate(data.layout, whole, term, 0, None, out.request.alpha, 0.0).mean
         effects.append(size(replace(estimate, mean=means, mean_half=None), out.scale))
     choice = ledger.strata_choice(str(data.block), plots.name, plots.between, ledger.POOLED)
     return replace(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,8 @@ from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
 
 Term = tuple[str, ...]
+#: What a model is asked as: ``"full"``, the highest order of its terms, or its terms.
+Model = str | int | Sequence[str | Sequence[str]]
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Layout:
         """Number of rows."""
         return int(next(iter(self.codes.values())).size)
 
-    def take(self, rows: Any) -> Layout:
+    def take(self, rows: Ints) -> Layout:
         """Return the same layout for some of the rows."""
         return Layout(self.levels, {name: codes[rows] for name, codes in self.codes.items()})
 
@@ -92,7 +93,7 @@ def sum_contrasts(k: int) -> Array:
     return np.vstack([np.eye(k - 1), -np.ones((1, k - 1))])
 
 
-def terms_of(factors: Sequence[str], model: Any = "full") -> tuple[Term, ...]:
+def terms_of(factors: Sequence[str], model: Model = "full") -> tuple[Term, ...]:
     """Terms of a model, main effects first.
 
     Parameters
@@ -127,7 +128,7 @@ def terms_of(factors: Sequence[str], model: Any = "full") -> tuple[Term, ...]:
     return tuple(sorted(dict.fromkeys(terms), key=len))
 
 
-def _parse_term(item: Any, factors: Sequence[str]) -> Term:
+def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:
     if isinstance(item, str):
         names = [item] if item in factors else [part.strip() for part in item.split(":")]
     else:

@@ -10,7 +10,7 @@ import numpy as np
 from study.analysis.anova_table import Anova, NaiveTerm, NestedUnits
 from study.analysis.data import prepare
 from study.analysis.effects.estimates import t_quantile
-from study.analysis.result import AnalysisResult
+from study.analysis.request import AnalysisRequest
 from study.errors import Fault, InputError, nearest
 
 if TYPE_CHECKING:
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 
 def average_units(
-    table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
-    unit: str,
-    *,
-    block: Sequence[str] = (),
-    transform: str = "none",
+    table: pd.DataFrame, request: AnalysisRequest, unit: str, block: Sequence[str] = ()
 ) -> pd.DataFrame:
     """Average the rows of each unit within its cell (geometrically for a log response).
 
     Parameters
     ----------
+    table : DataFrame
+        One row a run.
+    request : AnalysisRequest
+        Response, factors and transformation.
     unit : str
         Column of the unit; its labels may start again in every cell.
+    block : sequence of str
+        Columns of the blocks that the means keep.
 
     Raises
     ------
@@ -40,6 +40,7 @@ def average_units(
     """
     import pandas as pd
 
+    response, factors = request.response, request.factors
     names = [str(c) for c in table.columns]
     if unit not in names:
         raise InputError(Fault(f"unit {unit!r}", "no such column", nearest(unit, names)))
@@ -48,7 +49,7 @@ def average_units(
     data = prepare(table, response, factors, block)
     keys = [*factors, *block]
     y = data.y
-    if transform == "log":
+    if request.scale.is_log:
         if y.min() <= 0:
             raise InputError(Fault(f"response {response!r}", "the log needs positive values"))
         y = np.log(y)
@@ -59,27 +60,18 @@ def average_units(
     # a unit without any response stays, so that it is counted among the missing
     means = frame.groupby([*keys, unit], sort=False, observed=True)[response].mean() + shift
     out = means.reset_index()
-    if transform == "log":
+    if request.scale.is_log:
         out[response] = np.exp(out[response])
     return out
 
 
 def compare_naive(
-    table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
-    unit: str,
-    nested: AnalysisResult,
-    naive: Anova,
-    *,
-    block: Sequence[str] = (),
-    transform: str = "none",
-    seed: int = 2011,
+    table: pd.DataFrame, request: AnalysisRequest, unit: str, nested: Anova, naive: Anova
 ) -> NestedUnits | None:
-    """Compare the analysis of unit means with that of all rows; None without repeats."""
-    data = prepare(table, response, factors, block)
-    y = np.log(data.y) if transform == "log" else data.y
-    cell = data.layout.cell([*factors, *block])
+    """Compare the table of unit means with that of all rows; None without repeats."""
+    data = prepare(table, request.response, request.factors, request.layout.block)
+    y = np.log(data.y) if request.scale.is_log else data.y
+    cell = data.layout.cell([*data.factors, *data.blocks])
     labels = np.unique(table[unit].astype(str).to_numpy()[data.rows], return_inverse=True)[1]
     units = np.unique(np.column_stack([cell, labels]), axis=0, return_inverse=True)[1]
     cells = np.unique(cell, return_inverse=True)[1]
@@ -108,7 +100,9 @@ def compare_naive(
         correlation,
         y.size / (1 + (m - 1) * correlation),
         wider * float(np.sqrt(ms_unit / naive_ms)) if naive_ms > 0 else 1.0,
-        _naive_size(1 + (m - 1) * correlation, 1 - correlation, df_term, df_unit, df_row, seed),
+        _naive_size(
+            1 + (m - 1) * correlation, 1 - correlation, df_term, df_unit, df_row, request.seed
+        ),
         terms,
     )
 
@@ -127,9 +121,9 @@ def _naive_size(
     return float(np.mean(top > cut * rest / (df_unit + df_row)))
 
 
-def _terms(nested: AnalysisResult, naive: Anova) -> tuple[NaiveTerm, ...]:
+def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
     found = []
-    for row in nested.anova.rows:
+    for row in nested.rows:
         if row.f is None or row.df_error is None or row.p is None:
             continue
         other = naive.row(row.term)
