@@ -48,14 +48,14 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     ) as process:  # fmt: skip
         assert process.stderr is not None
         # the first line of progress: the first computation is stored
-        assert any("/24 computations" in line for line in process.stderr)
+        assert any(re.search(r"\d+/\d+ computations", line) for line in process.stderr)
         during = study("status", "small")
         process.send_signal(number)
         _, words = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "run again to resume" in words
     assert "Traceback" not in words
-    assert re.search(rf"running: \d+/24 computations, .+ left \(pid {process.pid}, ", during.out)
+    assert re.search(rf"running: \d+/\d+ computations, .+ left \(pid {process.pid}, ", during.out)
     state = study("status", "small", "--json").json
     # what is finished is kept, and nothing half-finished counts
     assert state["cases"]["done"] + state["cases"]["missing"] == 12

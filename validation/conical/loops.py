@@ -176,6 +176,29 @@ def _fraction(a: float, b: float, x: float) -> float:
 # Assumptions
 
 
+def helmert_rows(table: Table, term: Sequence[str]) -> list[list[float]]:
+    """Contrasts of a term in every block: each level against the mean of those before it."""
+    codes = []
+    for factor in table.factors:
+        k = len(table.levels[factor])
+        if factor not in term:
+            codes.append([[1.0] * k])
+            continue
+        codes.append([[1.0] * j + [-float(j)] + [0.0] * (k - 1 - j) for j in range(1, k)])
+    rows = []
+    for chosen in itertools.product(*codes):
+        weight = {
+            cell: math.prod(
+                code[table.levels[f].index(level)]
+                for f, code, level in zip(table.factors, chosen, cell, strict=True)
+            )
+            for cell in table.cells
+        }
+        rows.append([math.fsum(w * table.value[c, b] for c, w in weight.items())
+                     for b in table.blocks])  # fmt: skip
+    return rows
+
+
 def residuals(table: Table, cells: Sequence[tuple[str, ...]]) -> dict[tuple[str, ...], list[float]]:
     """Take from a few cells their own means and those of the blocks."""
     y = {(c, b): table.value[c, b] for c in cells for b in table.blocks}

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from loops import Table, Unfit, bartlett, mean, residuals, ryan_joiner, tested, upper_f
+from loops import Table, Unfit, helmert_rows, mean, ryan_joiner, tested, upper_f
 
 TOLERANCE = 1e-6
 #: marks with which a spreadsheet begins a formula; the report puts a quote before them
@@ -247,19 +247,16 @@ def _tests(name: str, reported: Mapping[str, Any], table: Table) -> Iterator[Lin
 
 
 def _assumptions(name: str, reported: Mapping[str, Any], table: Table) -> Iterator[Line]:
-    copies = {cell for group in reported["copies"] for cell in group[1:]}
-    left = residuals(table, [c for c in table.cells if " ".join(c) not in copies])
-    every = [value for each in left.values() for value in each]
+    """Ryan-Joiner of every contrast over the blocks, which is a sample of its own."""
+    for row in reported["normality_rows"]:
+        own = helmert_rows(table, row["term"].split(":"))[row["contrast"]]
+        label = f"{name}: Ryan-Joiner of contrast {row['contrast'] + 1} of {row['term']}"
+        yield Line(label, row["rj"], ryan_joiner(own))
     normality = reported["normality"]
     if normality is not None:
-        yield Line(f"{name}: residuals tested", normality["n"], len(every))
-        yield Line(f"{name}: Ryan-Joiner", normality["rj"], ryan_joiner(every))
-    spread = reported["variance"]["bartlett"]
-    if spread is not None:
-        statistic, df = bartlett(left.values())
-        # the statistic is a difference of logarithms, which are known to their own digits
-        yield Line(f"{name}: Bartlett", spread["statistic"], statistic, 1e-6)
-        yield Line(f"{name}: Bartlett's df", spread["df"], df)
+        yield Line(f"{name}: blocks tested", normality["n"], len(table.blocks))
+        smallest = min(row["rj"] for row in reported["normality_rows"])
+        yield Line(f"{name}: Ryan-Joiner", normality["rj"], smallest)
 
 
 # The whole study
