@@ -24,7 +24,6 @@ from study.analysis.effects.verdict import (
     NO_DIFFERENCE,
     NOT_RESOLVED,
     claim,
-    judge,
     resolution,
 )
 from study.analysis.linear_model.design_matrix import Layout, ModelMatrix, Term, model_matrix
@@ -244,7 +243,11 @@ def _together(
         return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
     needed = _needed(effects, practical)
     if needed is not None:
-        return SimpleEffects(factor, NOT_RESOLVED, resolution(needed), effects, needed)
+        open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
+        why = resolution(needed)
+        if open_ones and all(e.u is None for e in open_ones):
+            why = "with finer meshes a cell moves ever farther, so nothing bounds its error"
+        return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
     why = "the interval of a simple effect crosses the practical threshold"
     return SimpleEffects(factor, CANNOT_TELL, why, effects)
 
@@ -253,10 +256,9 @@ def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
     """Numerical uncertainty that a claim needs; None where the scatter alone forbids it."""
     intervals = [e.ci or (e.difference, e.difference) for e in effects]
     wide = [e.ci_simultaneous or (e.difference, e.difference) for e in effects]
-    beyond = [judge(*ci, practical, 0.0 if e.u is None else e.u) for ci, e in
-              zip(wide, effects, strict=True) if claim(*ci, practical) == MATTERS]  # fmt: skip
-    if beyond:
-        return max(found.u_needed or 0.0 for found in beyond)
+    beyond = [max(low, -high) - practical for low, high in wide]
+    if max(beyond) > 0:
+        return max(beyond)
     if all(claim(*ci, practical) == NO_DIFFERENCE for ci in intervals):
         return min(practical - max(-low, high) for low, high in intervals)
     return None
