@@ -87,7 +87,7 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
 
     def noted(*given: Any) -> AnalysisResult:
         result = analyze_records(*given)
-        found.append(result.u_num)
+        found.append(result.detection.u_num)
         return result
 
     monkeypatch.setattr("study.api.depth_effects.analyze_records", noted)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.analysis.anova_table import Effect
+from study.analysis.assembly import assemble
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, prepare
@@ -33,7 +34,7 @@ from study.analysis.request import (
     ResponseScale,
     threshold,
 )
-from study.analysis.result import AnalysisResult, assemble
+from study.analysis.result import AnalysisResult
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
 from study.tidy_csv import names_of
@@ -204,7 +205,7 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
 
     found = missing_cases.bounds(table, request, out.effects, effects)
     notes = missing_cases.sentences(found, out.data.missing)
-    return replace(result, bounds=found, warnings=(*result.warnings, *notes))
+    return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
 
 
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
@@ -221,13 +222,13 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
         result = replace(result, error_term=asked)
     rows = _found(table, request)
     if rows.data.missing:
-        lost = tuple(w for w in rows.data.warnings if w not in result.warnings)
-        result = replace(result, warnings=(*lost, *result.warnings))
+        lost = tuple(w for w in rows.data.warnings if w not in result.notes)
+        result = replace(result, notes=(*lost, *result.notes))
     found = nested.compare_naive(table, request, unit, result.anova, rows.anova)
     if found is None:
         return result
     notes = nested.sentences(found, request.alpha)
-    return replace(result, nested=found, warnings=(*result.warnings, *notes))
+    return replace(result, data=replace(result.data, nested=found)).noted(*notes)
 
 
 def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:

@@ -190,13 +190,63 @@ class Effect:
     always: tuple[tuple[str, str], ...] = ()
 
     @property
+    def is_main(self) -> bool:
+        """Whether this is the effect of one factor alone."""
+        return ":" not in self.term
+
+    @property
+    def is_ratio(self) -> bool:
+        """Whether sizes are ratios (1.1 is ten percent), as of a log response."""
+        return self.scale == "ratio"
+
+    @property
+    def low(self) -> float | None:
+        """Lower end of the interval of the largest difference."""
+        return None if self.ci95 is None or not math.isfinite(self.ci95[0]) else self.ci95[0]
+
+    @property
+    def high(self) -> float | None:
+        """Upper end of the interval of the largest difference."""
+        return None if self.ci95 is None or not math.isfinite(self.ci95[1]) else self.ci95[1]
+
+    @property
+    def highest(self) -> str:
+        """Level with the largest mean."""
+        return max(self._known_means, key=lambda pair: pair[1])[0]
+
+    @property
+    def lowest(self) -> str:
+        """Level with the smallest mean."""
+        return min(self._known_means, key=lambda pair: pair[1])[0]
+
+    @property
     def largest_simple(self) -> SimpleEffect | None:
         """Simple effect that is farthest from no difference."""
-        if not self.simple_effects:
-            return None
-        if self.scale == "ratio":
-            return max(self.simple_effects, key=lambda e: abs(math.log(e.difference)))
-        return max(self.simple_effects, key=lambda e: abs(e.difference))
+        return max(self.simple_effects, key=self._distance, default=None)
+
+    @property
+    def deciding_simple(self) -> SimpleEffect | None:
+        """Largest of the simple effects that have the verdict of the term, if any has it."""
+        chosen = [e for e in self.simple_effects if e.verdict == self.verdict]
+        return max(chosen, key=self._distance, default=self.largest_simple)
+
+    @property
+    def depends_on_settings(self) -> bool:
+        """Whether its simple effects are several, at settings of other factors."""
+        return len({e.at for e in self.simple_effects}) > 1
+
+    @property
+    def matters_on_average(self) -> bool:
+        """Whether the interval of the average difference lies beyond what matters."""
+        return self.low is None or self.practical is None or self.low > self.practical
+
+    @property
+    def _known_means(self) -> list[tuple[str, float]]:
+        pairs = zip(self.levels, self.mean, strict=False)
+        return [(level, mean) for level, mean in pairs if mean is not None]
+
+    def _distance(self, one: SimpleEffect) -> float:
+        return abs(math.log(one.difference) if self.is_ratio else one.difference)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,9 @@
-"""The result of an analysis, assembled with every check beside it."""
+"""The result of an analysis: typed groups of values, and their JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from study.analysis.anova_table import (
     Anova,
@@ -16,15 +13,7 @@ from study.analysis.anova_table import (
     Influential,
     ModelSummary,
 )
-from study.analysis.assumption.diagnostics import diagnose, is_representative
-from study.analysis.assumption.normality import anderson_darling, shapiro_wilk
-from study.analysis.effects.numerical_bound import OneBound
-from study.analysis.effects.power import PowerRow, planned
-from study.analysis.effects.sizes import holm
-from study.analysis.linear_model.design_matrix import terms_of
-from study.analysis.linear_model.influence import influence, influential
-from study.analysis.outcome import _NO_ERROR, Outcome
-from study.analysis.unreplicated import functional_shares, non_additivity
+from study.analysis.effects.power import PowerRow
 from study.canonical import plain
 
 if TYPE_CHECKING:
@@ -34,232 +23,177 @@ if TYPE_CHECKING:
     from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
     from study.analysis.assumption.row_normality import RowTest
     from study.analysis.assumption.variance import BartlettResult, LeveneResult
+    from study.analysis.request import AnalysisRequest
     from study.analysis.sphericity import SphericityResult
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
     from study.arrays import Array
 
 
-def assemble(out: Outcome) -> AnalysisResult:
-    """Check assumptions and freeze the result."""
-    names = out.data.cell_names()
-    found = diagnose(out)
-    out = out.warn(*found.warnings, *_inestimable(out.effects))
-    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
-    residual = None if fit is None else fit.residual
-    groups_of = out.copies.groups
-    if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
-        out = out.warn(_copies_sentence(out))
-    return AnalysisResult(
-        out.request.response,
-        out.data.factors,
-        out.data.block,
-        out.request.scale.transform,
-        out.request.alpha,
-        out.request.seed,
-        out.error,
-        out.anova,
-        found.normality,
-        found.bartlett,
-        found.levene,
-        holm(out.effects),
-        tuple(dict.fromkeys(out.warnings)),
-        _cell_means(out),
-        _residual_frame(out),
-        _shares(out),
-        tuple(names[c] for c in out.copies.representatives),
-        len(groups_of),
-        tuple(tuple(names[c] for c in g) for g in groups_of if len(g) > 1),
-        _grand_mean(out),
-        _back(out, out.scale.practical),
-        out.u_raw,
-        out.lenth,
-        out.sphericity,
-        None if fit is None else non_additivity(fit),
-        None if residual is None else anderson_darling(residual),
-        None if residual is None else shapiro_wilk(residual),
-        None if fit is None else fit.matrix.columns,
-        int(out.data.y.size),
-        out.summary,
-        None if fit is None else influential(fit),
-        out.robustness,
-        out.box_cox,
-        power=_power(out),
-        normality_rows=found.rows,
-        u_num_by_term=out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
-    )
+@dataclass(frozen=True)
+class Variation:
+    """How the variation of the response divides.
+
+    Parameters
+    ----------
+    shares : dict of str to float
+        Functional-ANOVA share of every term, where every cell exists.
+    lenth : LenthResult or None
+        Lenth's analysis of an unreplicated design.
+    summary : ModelSummary or None
+        Residual standard deviation and coefficients of determination.
+    """
+
+    shares: dict[str, float]
+    lenth: LenthResult | None
+    summary: ModelSummary | None
 
 
-def _inestimable(effects: Sequence[Effect]) -> list[str]:
-    """One sentence for every term some of whose means cannot be estimated."""
-    found = []
-    for effect in effects:
-        lost = [
-            level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
-        ]
-        if lost:
-            more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-            found.append(f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}")
-    return found
+@dataclass(frozen=True)
+class Detection:
+    """What differences are held against, and which could be found.
+
+    Parameters
+    ----------
+    practical : float or None
+        Smallest difference that matters, in the unit of the response or as a ratio.
+    u_num : float or None
+        Largest numerical uncertainty of an effect, in the unit of the response.
+    u_num_by_term : bool
+        Whether each effect has its own.
+    power : dict of str to tuple of PowerRow
+        Detectable difference of each factor with other numbers of blocks or replicates.
+    """
+
+    practical: float | None
+    u_num: float | None
+    u_num_by_term: bool
+    power: dict[str, tuple[PowerRow, ...]]
 
 
-def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
-    """Tell what other numbers of blocks or replicates would find, by factor."""
-    counts = np.bincount(out.data.cell)
-    cells = counts[counts > 0]
-    if out.replicates == "noise":
-        return {}  # more resamples show no smaller effect: the noise of the curve is what it is
-    blocked = out.crossed is not None
-    replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
-    if not blocked and not replicated:
-        return {}
-    n = len(out.crossed.blocks) if blocked else round(float(cells.mean()))
-    names = [f for f in out.data.factors if (f,) in out.terms]
-    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    ratio = out.request.scale.is_log
-    return planned(terms, n, cells.size, blocked=blocked, alpha=out.request.alpha, ratio=ratio)
+@dataclass(frozen=True)
+class Assumptions:
+    """Tests of what the analysis assumes; what does not apply is None.
+
+    Parameters
+    ----------
+    normality : RyanJoinerResult or None
+    normality_rows : tuple of RowTest
+        Of single contrasts over blocks.
+    bartlett, levene : BartlettResult, LeveneResult or None
+        Of equal spread.
+    sphericity : dict of str to SphericityResult
+        By term.
+    non_additivity : NonAdditivityResult or None
+        Tukey's one degree of freedom.
+    anderson_darling, shapiro_wilk : NormalityResult or None
+    influence : Influential or None
+        Rows that the fit leans on.
+    robustness : Sensitivity or None
+        p in every defensible analysis.
+    box_cox : BoxCoxResult or None
+    """
+
+    normality: RyanJoinerResult | None = None
+    normality_rows: tuple[RowTest, ...] = ()
+    bartlett: BartlettResult | None = None
+    levene: LeveneResult | None = None
+    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    non_additivity: NonAdditivityResult | None = None
+    anderson_darling: NormalityResult | None = None
+    shapiro_wilk: NormalityResult | None = None
+    influence: Influential | None = None
+    robustness: Sensitivity | None = None
+    box_cox: BoxCoxResult | None = None
+
+    @property
+    def spread(self) -> dict[str, BartlettResult | LeveneResult]:
+        """Tests of equal spread that were run, by name."""
+        tests = {"bartlett": self.bartlett, "levene": self.levene}
+        return {name: test for name, test in tests.items() if test is not None}
 
 
-def _copies_sentence(out: Outcome) -> str:
-    total = sum(len(group) for group in out.copies.groups)
-    return (
-        f"{total} cells hold {len(out.copies.groups)} distinct computations (the others agree "
-        "in every block); checks of the residuals use one of each"
-    )
+@dataclass(frozen=True)
+class DataSummary:
+    """The rows that were analyzed.
 
+    Parameters
+    ----------
+    n : int
+        Number of rows.
+    block : str or None
+        Column of the blocks.
+    grand_mean : float
+        Mean of the response, the geometric one of a log response.
+    cell_means : DataFrame
+        One row a cell: levels, ``n``, ``mean``, ``sd``, ``representative``.
+    residuals : DataFrame
+        One row a run: levels, ``response``, ``fitted``, ``residual``, ``leverage``, ``cook``.
+    representatives : tuple of str
+        One cell of each distinct computation.
+    distinct : int
+        Number of distinct computations.
+    copies : tuple of tuple of str
+        Cells that agree in every block.
+    model_matrix : ndarray, shape (n, p), or None
+        Columns of the fit.
+    bounds : tuple of FailureBound
+        What missing responses could do to the conclusion.
+    nested : NestedUnits or None
+        What taking rows on one unit as independent would have claimed.
+    """
 
-def _representative(out: Outcome) -> Any:
-    return np.isin(out.data.cell, out.copies.representatives)
-
-
-def _back(out: Outcome, value: float | None) -> float | None:
-    if value is None or not out.request.scale.is_log:
-        return value
-    return float(np.exp(value))
-
-
-def _grand_mean(out: Outcome) -> float:
-    mean = out.y[0] + float(np.mean(out.y - out.y[0]))
-    return float(np.exp(mean)) if out.request.scale.is_log else float(mean)
-
-
-def _shares(out: Outcome) -> dict[str, float]:
-    """Functional-ANOVA shares of the cell means, where every cell exists."""
-    data = out.data
-    if out.error is _NO_ERROR:
-        return {}
-    size = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
-    counts = np.bincount(data.cell, minlength=size)
-    if counts.min() == 0:
-        return {}
-    shift = out.y[0]
-    means = np.bincount(data.cell, weights=out.y - shift, minlength=size) / counts + shift
-    return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
-
-
-def _cell_means(out: Outcome) -> pd.DataFrame:
-    """One row a cell: levels, n, mean and sd of the response."""
-    import pandas as pd
-
-    data = out.data
-    rows = []
-    groups = {c: g for g in out.copies.groups for c in g}
-    for cell in np.unique(data.cell):
-        here = np.flatnonzero(data.cell == cell)
-        values = data.y[here]
-        levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
-        mean = values[0] + float(np.mean(values - values[0]))
-        if out.request.scale.is_log:
-            mean = float(np.exp(np.mean(np.log(values))))
-        sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
-        same = groups.get(int(cell), (int(cell),))
-        rows.append(
-            {
-                **levels,
-                "n": values.size,
-                "mean": mean,
-                "sd": sd,
-                "representative": same[0] == int(cell),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def _residual_frame(out: Outcome) -> pd.DataFrame:
-    """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
-    import pandas as pd
-
-    data = out.data
-    names = data.cell_names()
-    frame = {
-        "row": data.rows,
-        "cell": [names[c] for c in data.cell],
-        "representative": is_representative(out),
-        "response": data.y,
-    }
-    if data.block is not None:
-        labels = data.layout.levels[data.block]
-        frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
-    if out.fit is not None:
-        frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
-        found = influence(out.fit)
-        frame["leverage"], frame["cook"] = found.leverage, found.cook
-    for f in data.factors:
-        if f not in frame:
-            frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
-    return pd.DataFrame(frame)
+    n: int
+    block: str | None
+    grand_mean: float
+    cell_means: pd.DataFrame
+    residuals: pd.DataFrame
+    representatives: tuple[str, ...]
+    distinct: int
+    copies: tuple[tuple[str, ...], ...]
+    model_matrix: Array | None = None
+    bounds: tuple[FailureBound, ...] = ()
+    nested: NestedUnits | None = None
 
 
 @dataclass(frozen=True)
 class AnalysisResult:
     """Everything that one response of a factorial can tell.
 
-    Attributes carry the names of the JSON keys; tables are pandas frames. ``u_num`` is the
-    largest numerical uncertainty of an effect, ``u_num_by_term`` whether each has its own.
+    Parameters
+    ----------
+    request : AnalysisRequest
+        What was asked.
+    error_term : ErrorTerm
+        What effects are compared with, and which question p answers.
+    anova : Anova
+        Table of the sums of squares.
+    variation : Variation
+        Shares, Lenth's analysis, coefficients of determination.
+    effects : tuple of Effect
+        Size of every term with its interval and verdict.
+    detection : Detection
+        Practical difference, numerical uncertainty, detectable differences.
+    assumptions : Assumptions
+        Tests of what the analysis assumes.
+    data : DataSummary
+        The rows that were analyzed.
+    notes : tuple of str
+        What to beware of, in sentences.
     """
 
-    response: str
-    factors: tuple[str, ...]
-    block: str | None
-    transform: str
-    alpha: float
-    seed: int
+    request: AnalysisRequest
     error_term: ErrorTerm
     anova: Anova
-    normality: RyanJoinerResult | None
-    bartlett: BartlettResult | None
-    levene: LeveneResult | None
+    variation: Variation
     effects: tuple[Effect, ...]
-    warnings: tuple[str, ...]
-    cell_means: pd.DataFrame
-    residuals: pd.DataFrame
-    shares: dict[str, float]
-    representatives: tuple[str, ...]
-    distinct: int
-    copies: tuple[tuple[str, ...], ...] = ()
-    grand_mean: float | None = None
-    practical: float | None = None
-    u_num: float | None = None
-    lenth: LenthResult | None = None
-    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
-    non_additivity: NonAdditivityResult | None = None
-    anderson_darling: NormalityResult | None = None
-    shapiro_wilk: NormalityResult | None = None
-    model_matrix: Array | None = None
-    n: int = 0
-    summary: ModelSummary | None = None
-    influence: Influential | None = None
-    robustness: Sensitivity | None = None
-    box_cox: BoxCoxResult | None = None
-    bounds: tuple[FailureBound, ...] = ()
-    nested: NestedUnits | None = None
-    power: dict[str, tuple[PowerRow, ...]] = field(default_factory=dict)
-    u_num_by_term: bool = False
-    normality_rows: tuple[RowTest, ...] = ()
+    detection: Detection
+    assumptions: Assumptions
+    data: DataSummary
+    notes: tuple[str, ...]
 
-    @property
-    def variance(self) -> dict[str, Any]:
-        """Tests of equal spread by name."""
-        return {"bartlett": self.bartlett, "levene": self.levene}
+    def noted(self, *notes: str) -> AnalysisResult:
+        """Copy with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
 
     def effect(self, term: str) -> Effect:
         """Effect of a term."""
@@ -281,40 +215,40 @@ class AnalysisResult:
 
     def to_json(self) -> dict[str, Any]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
-        normality = None if self.normality is None else self.normality.to_json()
+        tests, lenth = self.assumptions, self.variation.lenth
         return {
-            "response": self.response,
-            "transform": self.transform,
+            "response": self.request.response,
+            "transform": self.request.scale.transform,
             "error_term": plain(self.error_term),
             "anova": plain(self.anova),
-            "normality": normality,
-            "normality_rows": plain(self.normality_rows),
+            "normality": None if tests.normality is None else tests.normality.to_json(),
+            "normality_rows": plain(tests.normality_rows),
             "variance": {
-                "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
-                "levene": None if self.levene is None else self.levene.to_json(),
+                "bartlett": None if tests.bartlett is None else tests.bartlett.to_json(),
+                "levene": None if tests.levene is None else tests.levene.to_json(),
             },
             "effects": [plain(effect) for effect in self.effects],
-            "shares": plain(self.shares),
-            "distinct_computations": self.distinct,
-            "copies": plain(self.copies),
-            "lenth": None if self.lenth is None else self.lenth.to_json(),
-            "sphericity": plain(self.sphericity),
-            "non_additivity": plain(self.non_additivity),
-            "summary": plain(self.summary),
-            "influence": plain(self.influence),
-            "robustness": plain(self.robustness),
-            "box_cox": plain(self.box_cox),
-            "failure_bounds": plain(self.bounds),
-            "nested": plain(self.nested),
-            "power": plain(self.power),
-            "warnings": list(self.warnings),
+            "shares": plain(self.variation.shares),
+            "distinct_computations": self.data.distinct,
+            "copies": plain(self.data.copies),
+            "lenth": None if lenth is None else lenth.to_json(),
+            "sphericity": plain(tests.sphericity),
+            "non_additivity": plain(tests.non_additivity),
+            "summary": plain(self.variation.summary),
+            "influence": plain(tests.influence),
+            "robustness": plain(tests.robustness),
+            "box_cox": plain(tests.box_cox),
+            "failure_bounds": plain(self.data.bounds),
+            "nested": plain(self.data.nested),
+            "power": plain(self.detection.power),
+            "warnings": list(self.notes),
         }
 
     def verdicts(self) -> list[dict[str, Any]]:
         """One line a factor or interaction, as ``study run --json`` lists them."""
         return [
             {
-                "response": self.response,
+                "response": self.request.response,
                 "factor": effect.term,
                 "verdict": effect.verdict,
                 "effect": plain(effect.range),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack, cast
 
@@ -96,7 +95,7 @@ def _study(
         "block": rows.block,
     }
     found = anova(rows.table, name, names, **own)
-    return replace(found, warnings=(*found.warnings, *rows.notes))
+    return found.noted(*rows.notes)
 
 
 def analyze(
@@ -170,7 +169,7 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
         If no factor, or more than one, has this level.
     """
     named, _, wanted = level.rpartition("=")
-    levels = {e.term: e.levels for e in found.effects if e.term in found.factors}
+    levels = {e.term: e.levels for e in found.effects if e.term in found.request.factors}
     holding = [f for f, own in levels.items() if wanted in own and named in ("", f)]
     if len(holding) != 1:
         every = [name for own in levels.values() for name in own]
@@ -178,10 +177,12 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
         mend = f"write {holding[0]}={wanted}" if holding else nearest(wanted, every)
         raise InputError(Fault("--reference", f"{wanted!r} {rule}", mend))
     factor = holding[0]
-    rows = found.residuals
-    if found.block is None:
+    rows = found.data.residuals
+    if found.data.block is None:
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return factor, dunnett(groups, wanted, alpha=found.alpha, seed=found.seed)
+        return factor, dunnett(groups, wanted, alpha=found.request.alpha, seed=found.request.seed)
     means = rows.pivot_table("response", "block", factor, sort=False).dropna()
     by_level = {str(name): means[name].to_numpy() for name in means.columns}
-    return factor, blocked_dunnett(by_level, wanted, alpha=found.alpha, seed=found.seed)
+    return factor, blocked_dunnett(
+        by_level, wanted, alpha=found.request.alpha, seed=found.request.seed
+    )

@@ -203,11 +203,11 @@ def _known(design: Design, response: Response, results: Path) -> tuple[float, fl
     except StudyError:
         return None
     spread = _scatter(found)
-    if spread is None or found.grand_mean is None:
+    if spread is None or found.data.grand_mean is None:
         return None
     u = max((e.u_num for e in found.effects if e.u_num is not None), default=0.0)
-    log = found.transform == "log"
-    return spread, u / found.grand_mean if log else u, found.grand_mean
+    log = found.request.scale.transform == "log"
+    return spread, u / found.data.grand_mean if log else u, found.data.grand_mean
 
 
 def _scatter(found: AnalysisResult) -> float | None:
@@ -216,9 +216,9 @@ def _scatter(found: AnalysisResult) -> float | None:
 
     if found.error_term.source != "E1":
         return None
-    blocks = found.residuals["block"].nunique()
-    t = float(stdtrit(blocks - 1, 1 - found.alpha / 2))
-    change = math.log if found.transform == "log" else float
+    blocks = found.data.residuals["block"].nunique()
+    t = float(stdtrit(blocks - 1, 1 - found.request.alpha / 2))
+    change = math.log if found.request.scale.transform == "log" else float
     halves = [
         (change(e.ci[1]) - change(e.ci[0])) / 2
         for effect in found.effects

@@ -77,7 +77,7 @@ def _analyses(
                 None if limit is None else limit.value,
                 limit is not None and limit.relative,
                 response.transform,
-                None if result is None else result.u_num,
+                None if result is None else result.detection.u_num,
                 better,
                 refused=refused,
             )

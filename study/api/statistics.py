@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from study.analysis.anova import analyze
@@ -70,7 +70,7 @@ def analyze_records(
         seed=design.seed,
     )
     found = analyze(whole, request)
-    return replace(found, warnings=(*found.warnings, *rows.notes, *gaps))
+    return found.noted(*rows.notes, *gaps)
 
 
 #: spread over the meshes of a cell, over the response, below which the mesh does not enter

@@ -151,7 +151,8 @@ def _print(found: AnalysisResult) -> None:
     if found.anova.rows:
         _print_factors(found)
         output.table(
-            _anova(found), f"Analysis of Variance: {found.response}, type {found.anova.type}"
+            _anova(found),
+            f"Analysis of Variance: {found.request.response}, type {found.anova.type}",
         )
         print()
         _print_summary(found)
@@ -161,9 +162,9 @@ def _print(found: AnalysisResult) -> None:
         _print_bounds(found)
         _print_power(found)
     said: tuple[str, ...] = ()
-    if found.nested is not None:
-        said = _print_nested(found.nested, found.alpha)
-    output.warn([message for message in found.warnings if message not in said])
+    if found.data.nested is not None:
+        said = _print_nested(found.data.nested, found.request.alpha)
+    output.warn([message for message in found.notes if message not in said])
 
 
 def _print_factors(found: AnalysisResult) -> None:
@@ -171,7 +172,7 @@ def _print_factors(found: AnalysisResult) -> None:
     rows += [
         [e.term, str(len(e.levels)), ", ".join(e.levels)]
         for e in found.effects
-        if e.term in found.factors
+        if e.term in found.request.factors
     ]
     output.table(rows, "Factor Information")
     print()
@@ -214,7 +215,7 @@ def _p(p: float | None) -> str:
 
 
 def _print_summary(found: AnalysisResult) -> None:
-    s = found.summary
+    s = found.variation.summary
     if s is None:
         return
     shares = [s.r_sq, s.r_sq_adj, s.r_sq_pred]
@@ -225,12 +226,12 @@ def _print_summary(found: AnalysisResult) -> None:
 
 
 def _print_effects(found: AnalysisResult) -> None:
-    ends = f"{100 * (1 - found.alpha):.4g} % interval"
+    ends = f"{100 * (1 - found.request.alpha):.4g} % interval"
     means = [["Term", "Level", "Mean", ends, "Grouping"]]
     for e in found.effects:
         for i, (level, mean) in enumerate(zip(e.levels, e.mean, strict=True)):
             ci = None if e.mean_ci95 is None else e.mean_ci95[i]
-            if e.term in found.factors:
+            if e.term in found.request.factors:
                 letters = e.letters[i] if e.letters else ""
                 means.append([e.term, level, _number(mean), _interval(ci), letters])
     output.table(means, "Means")
@@ -266,7 +267,7 @@ def _print_simple(found: AnalysisResult, ends: str) -> None:
 
 def what_of(found: AnalysisResult) -> str:
     """Return what an effect is: a difference, or a ratio for a log response."""
-    return "ratio" if found.transform == "log" else "difference"
+    return "ratio" if found.request.scale.is_log else "difference"
 
 
 def _interval(ci: Sequence[float] | None) -> str:
@@ -275,41 +276,42 @@ def _interval(ci: Sequence[float] | None) -> str:
 
 def _print_checks(found: AnalysisResult) -> None:
     rows = [["Check", "statistic", "p", "p simulated"]]
-    rj = found.normality
+    rj = found.assumptions.normality
     if rj is not None and rj.applicable:
         rows.append(["Ryan-Joiner", _number(rj.rj, 4), str(rj.p_minitab), _p(rj.p_exact)])
-    for test in (found.anderson_darling, found.shapiro_wilk):
+    for test in (found.assumptions.anderson_darling, found.assumptions.shapiro_wilk):
         if test is not None and test.p is not None:
             rows.append([test.name, _number(test.statistic, 4), _p(test.p), ""])
-    bartlett, levene = found.bartlett, found.levene
+    bartlett, levene = found.assumptions.bartlett, found.assumptions.levene
     if bartlett is not None and bartlett.applicable:
         line = [_number(bartlett.statistic, 4), _p(bartlett.p), _p(bartlett.p_monte_carlo)]
         rows.append(["Bartlett", *line])
     if levene is not None and levene.applicable:
         line = [_number(levene.statistic, 4), _p(levene.p), _p(levene.p_monte_carlo)]
         rows.append([f"Levene ({levene.center})", *line])
-    tukey = found.non_additivity
+    tukey = found.assumptions.non_additivity
     if tukey is not None and tukey.p is not None:
         rows.append(["Tukey's non-additivity", _number(tukey.f, 4), _p(tukey.p), ""])
-    for term, sphere in found.sphericity.items():
+    for term, sphere in found.assumptions.sphericity.items():
         if sphere.p is not None:
             rows.append([f"Mauchly's sphericity, {term}", _number(sphere.w, 4), _p(sphere.p), ""])
     if len(rows) > 1:
         output.table(rows, "Assumptions")
-    if found.lenth is not None:
-        lenth = found.lenth
+    if found.variation.lenth is not None:
+        lenth = found.variation.lenth
         print(
             f"Lenth: pseudo standard error {_number(lenth.pse, 4)}, margin of error "
             f"{_number(lenth.me, 4)}, simultaneous {_number(lenth.sme, 4)}; beyond it: "
             f"{', '.join(lenth.active) or 'none'}"
         )
-    if found.influence is not None and found.influence.rows:
-        listed = ", ".join(str(i) for i in found.influence.rows[:10])
-        print(f"rows the fit leans on (Cook's distance > {found.influence.limit:.2g}): {listed}")
+    leant_on = found.assumptions.influence
+    if leant_on is not None and leant_on.rows:
+        listed = ", ".join(str(i) for i in leant_on.rows[:10])
+        print(f"rows the fit leans on (Cook's distance > {leant_on.limit:.2g}): {listed}")
 
 
 def _print_robustness(found: AnalysisResult) -> None:
-    table = found.robustness
+    table = found.assumptions.robustness
     if table is None or not table.p:
         return
     methods = list(next(iter(table.p.values())))
@@ -319,16 +321,17 @@ def _print_robustness(found: AnalysisResult) -> None:
         rows.append([term, *(_p(p[m]) or "n/a" for m in methods), verdict])
     print()
     output.table(rows, "p in the defensible analyses")
-    if found.box_cox is not None:
-        low, high = found.box_cox.ci95
-        print(f"Box-Cox exponent {found.box_cox.exponent:.2f} (95 % {low:.2f} to {high:.2f})")
+    power = found.assumptions.box_cox
+    if power is not None:
+        low, high = power.ci95
+        print(f"Box-Cox exponent {power.exponent:.2f} (95 % {low:.2f} to {high:.2f})")
 
 
 def _print_bounds(found: AnalysisResult) -> None:
-    if not found.bounds:
+    if not found.data.bounds:
         return
     rows = [["Term", "lowest", "highest", "p from", "p to", "verdicts", "holds"]]
-    for b in found.bounds:
+    for b in found.data.bounds:
         p = ("", "") if b.p is None else (_p(b.p[0]), _p(b.p[1]))
         holds = "yes" if b.holds else "no"
         verdicts = ", ".join(b.verdicts)
@@ -338,12 +341,14 @@ def _print_bounds(found: AnalysisResult) -> None:
 
 
 def _print_power(found: AnalysisResult) -> None:
-    if not found.power:
+    if not found.detection.power:
         return
-    counts = [str(row.n) for row in next(iter(found.power.values()))]
-    unit = found.block or "replicates a cell"
+    counts = [str(row.n) for row in next(iter(found.detection.power.values()))]
+    unit = found.data.block or "replicates a cell"
     rows = [["Term", *counts]]
-    rows += [[t, *(_number(r.detectable, 3) for r in r_)] for t, r_ in found.power.items()]
+    rows += [
+        [t, *(_number(r.detectable, 3) for r in r_)] for t, r_ in found.detection.power.items()
+    ]
     print()
     output.table(rows, f"Detectable (power 80 %), by {unit}")
 

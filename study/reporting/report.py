@@ -1,4 +1,4 @@
-"""One analysis as the report reads it: the only place that knows the shape of a result.
+"""One analysis as the report shows it, and the cells of a study gathered and named.
 
 A log response is analyzed on logarithms; its effects arrive as ratios and its means as
 geometric means, so everything downstream is in the response's own unit.
@@ -6,17 +6,23 @@ geometric means, so everything downstream is in the response's own unit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, is_dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from study.analysis.anova_table import Effect, ErrorTerm, Row, SimpleEffect
+from study.analysis.result import AnalysisResult, Assumptions
 from study.record.table import answered_often, cell_names
-from study.reporting.effect import Effect, effect_of
 from study.reporting.numbers import clean, count, listing, name_of
 from study.study_result.report_data import ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from study.analysis.unreplicated import LenthResult
+
+_Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 
 
 def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
@@ -27,29 +33,75 @@ def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known about one response."""
+    """One response as a report shows it: its analysis with shown names, in the order of the design.
+
+    Parameters
+    ----------
+    response : ResponseAnalysis
+        The response and its analysis.
+    title, unit : str
+        As they are printed.
+    terms : tuple of Effect
+        Effects with the levels in the order of the design; what is not finite is None.
+    warnings : tuple of str
+        Notes of the analysis, or why there is none.
+    """
 
     response: ResponseAnalysis
     title: str
     unit: str
     terms: tuple[Effect, ...] = ()
-    rows: tuple[Mapping[str, Any], ...] = ()
-    anova_type: str = ""
-    source: str = ""
-    question: str = ""
-    reason: str = ""
-    df: Any = None
-    normality: Mapping[str, Any] | None = None
-    variance: Mapping[str, Any] = field(default_factory=dict)
-    sphericity: Mapping[str, Any] = field(default_factory=dict)
-    non_additivity: Mapping[str, Any] | None = None
     warnings: tuple[str, ...] = ()
-    residuals: pd.DataFrame | None = None
-    distinct: int | None = None
-    copies: tuple[tuple[str, ...], ...] = ()
-    lenth: Mapping[str, Any] | None = None
-    u_num_by_term: bool = False
-    alpha: float = 0.05
+
+    @property
+    def result(self) -> AnalysisResult | None:
+        """The analysis; None where the response could not be analyzed."""
+        return self.response.result
+
+    @property
+    def assumptions(self) -> Assumptions:
+        """Tests of the assumptions; none where there is no analysis."""
+        return Assumptions() if self.result is None else self.result.assumptions
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of the ANOVA table; what is not finite is None."""
+        return () if self.result is None else tuple(map(_finite, self.result.anova.rows))
+
+    @property
+    def error_term(self) -> ErrorTerm | None:
+        """What effects are compared with."""
+        return None if self.result is None else self.result.error_term
+
+    @property
+    def lenth(self) -> LenthResult | None:
+        """Lenth's analysis of an unreplicated design."""
+        return None if self.result is None else self.result.variation.lenth
+
+    @property
+    def residuals(self) -> pd.DataFrame | None:
+        """One row a run; see :class:`study.analysis.result.DataSummary`."""
+        return None if self.result is None else self.result.data.residuals
+
+    @property
+    def distinct(self) -> int | None:
+        """Number of distinct computations."""
+        return None if self.result is None else self.result.data.distinct
+
+    @property
+    def copies(self) -> tuple[tuple[str, ...], ...]:
+        """Cells that agree in every block."""
+        return () if self.result is None else self.result.data.copies
+
+    @property
+    def u_num_by_term(self) -> bool:
+        """Whether each effect has its own numerical uncertainty."""
+        return self.result is not None and self.result.detection.u_num_by_term
+
+    @property
+    def alpha(self) -> float:
+        """One minus the level of the intervals."""
+        return 0.05 if self.result is None else self.result.request.alpha
 
     @property
     def name(self) -> str:
@@ -76,9 +128,9 @@ class Facts:
         """Unit of a difference: percentage points for a response in percent."""
         return "pp" if self.unit == "%" else self.unit
 
-    def row(self, term: str) -> Mapping[str, Any] | None:
+    def row(self, term: str) -> Row | None:
         """Row of the ANOVA table of a term."""
-        return next((row for row in self.rows if row["term"] == term), None)
+        return next((row for row in self.rows if row.term == term), None)
 
 
 def facts(data: ReportData) -> tuple[Facts, ...]:
@@ -88,57 +140,45 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
     title = clean(response.title or name_of(response.name, data.labels))
-    if response.result is None:
+    found = response.result
+    if found is None:
         warned = (response.refused,) if response.refused else ()
         return Facts(response, title, clean(response.unit), warnings=warned)
-    found: Mapping[str, Any] = response.result.to_json()
-    error = found.get("error_term") or {}
-    anova = found.get("anova") or {}
-    distinct = found.get("distinct_computations")
-    return Facts(
-        response=response,
-        title=title,
-        unit=clean(response.unit),
-        terms=tuple(effect_of(item, data.factors) for item in found.get("effects") or ()),
-        rows=tuple(anova.get("rows") or ()),
-        anova_type=str(anova.get("type") or ""),
-        source=str(error.get("source") or ""),
-        question=str(error.get("question") or ""),
-        reason=str(error.get("reason") or ""),
-        df=error.get("df"),
-        normality=_whole(response.result, "normality", found.get("normality")),
-        variance={
-            name: _whole(response.result, name, test)
-            for name, test in (found.get("variance") or {}).items()
-        },
-        sphericity=found.get("sphericity") or {},
-        non_additivity=found.get("non_additivity"),
-        warnings=tuple(str(warning) for warning in found.get("warnings") or ()),
-        residuals=getattr(response.result, "residuals", None),
-        distinct=distinct,
-        copies=tuple(tuple(group) for group in found.get("copies") or ()),
-        lenth=found.get("lenth"),
-        u_num_by_term=bool(getattr(response.result, "u_num_by_term", False)),
-        alpha=float(getattr(response.result, "alpha", 0.05)),
+    terms = tuple(_as_designed(effect, data.factors) for effect in found.effects)
+    return Facts(response, title, clean(response.unit), terms, found.notes)
+
+
+def _finite(value: _Value) -> _Value:
+    """Copy of a value with None for every number that is not finite: a dash is printed for it."""
+    lost: dict[str, Any] = {
+        item.name: None
+        for item in fields(value)
+        if isinstance(number := getattr(value, item.name), float) and not math.isfinite(number)
+    }
+    return replace(value, **lost) if lost else value
+
+
+def _as_designed(effect: Effect, factors: Mapping[str, Sequence[str]]) -> Effect:
+    """Effect with the levels of a factor, their means and intervals in the order of its design."""
+    effect = replace(
+        _finite(effect), simple_effects=tuple(_finite(one) for one in effect.simple_effects)
+    )
+    wanted = [effect.levels.index(v) for v in factors.get(effect.term, ()) if v in effect.levels]
+    if len(wanted) != len(effect.levels):
+        return effect
+    ends, letters = effect.mean_ci95, effect.letters
+    return replace(
+        effect,
+        levels=tuple(effect.levels[i] for i in wanted),
+        mean=tuple(effect.mean[i] for i in wanted),
+        mean_ci95=None if ends is None else tuple(ends[i] for i in wanted),
+        letters=tuple(letters[i] for i in wanted) if letters else (),
     )
 
 
-def _whole(result: Any, name: str, fallback: Any) -> Any:
-    """Return the named test with its reason, which the JSON keeps among the warnings."""
-    test = getattr(result, name, None)
-    return asdict(test) if is_dataclass(test) and not isinstance(test, type) else fallback
-
-
-def deciding_p(row: Mapping[str, Any]) -> float | None:
-    """Return the p that decides: Greenhouse-Geisser's where it applies."""
-    corrected = row.get("p_gg")
-    chosen = corrected if corrected is not None else row.get("p")
-    return None if chosen is None else float(chosen)
-
-
-def is_effect(row: Mapping[str, Any], factors: Sequence[str]) -> bool:
+def is_effect(row: Row, factors: Sequence[str]) -> bool:
     """Whether a row of the table is an effect, not the blocks or an error stratum."""
-    return set(str(row["term"]).split(":")) <= set(factors)
+    return set(row.term.split(":")) <= set(factors)
 
 
 def comparable(data: ReportData, response: str) -> pd.DataFrame:

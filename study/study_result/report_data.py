@@ -21,6 +21,7 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
     from study.study_result.comparison import Beside
 
@@ -40,11 +41,8 @@ class ResponseAnalysis:
         Column of ``ReportData.table``, for example ``"relative_rms_force_error"``.
     unit : str
         Unit of that column, for example ``"%"`` or ``"kPa"``.
-    result : object
-        Result of ``study.analysis.anova.analyze``; only ``to_json()`` (the keys of the
-        interface) and the attributes ``cell_means``, ``residuals``, ``distinct``,
-        ``u_num_by_term`` and ``warnings`` are read, each of them optional. None where it could
-        not be analyzed.
+    result : AnalysisResult or None
+        None where the response could not be analyzed.
     practical : float, optional
         Smallest difference that matters: in ``unit``, or, with ``relative``, a fraction
         of the grand mean (0.1 is ten percent).
@@ -64,7 +62,7 @@ class ResponseAnalysis:
 
     name: str
     unit: str
-    result: Any = None
+    result: AnalysisResult | None = None
     practical: float | None = None
     relative: bool = False
     transform: str = "none"

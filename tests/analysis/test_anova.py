@@ -108,15 +108,15 @@ def test_records_take_own_interactions_and_group_copies() -> None:
         exact=False,
     )
     assert result.error_term.source == "E1"
-    assert result.distinct == 4
-    assert result.representatives == ("A axi", "B axi", "C axi", "D axi")
-    assert result.normality is not None
+    assert result.data.distinct == 4
+    assert result.data.representatives == ("A axi", "B axi", "C axi", "D axi")
+    assert result.assumptions.normality is not None
     # each contrast over the nine mixes is a sample of its own
-    assert result.normality.n == 9
-    assert {row.term for row in result.normality_rows} == {"material"}
+    assert result.assumptions.normality.n == 9
+    assert {row.term for row in result.assumptions.normality_rows} == {"material"}
     assert result.anova.row("space").f is None
     assert result.effect("space").verdict == "no practical difference"
-    assert any("distinct computations" in w for w in result.warnings)
+    assert any("distinct computations" in w for w in result.notes)
     from_csv = anova(table.round(6), "y", ["material", "space"], block="mix", exact=False)
     assert isinstance(from_csv.error_term.df, dict), "copies betray a study's table"
 
@@ -125,7 +125,7 @@ def test_incomplete_blocks_of_records_are_left_out() -> None:
     table = factorial({"a": 3, "mix": 5}, 1, 4)
     table.loc[3, "y"] = np.nan
     result = anova(table, "y", ["a"], block="mix", records=True, exact=False)
-    assert any("incomplete blocks are left out: L3" in w for w in result.warnings)
+    assert any("incomplete blocks are left out: L3" in w for w in result.notes)
     assert result.anova.row("a").df_error == 6
 
 
@@ -148,10 +148,10 @@ def test_ties_in_some_cells_are_a_note() -> None:
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L0", "y"] = 1.0
     result = anova(table, "y", ["a"], exact=False)
-    assert any("zero spread (ties)" in w for w in result.warnings)
-    assert result.bartlett is not None
-    assert not result.bartlett.applicable
-    assert "group L0 has zero variance" in result.bartlett.reason
+    assert any("zero spread (ties)" in w for w in result.notes)
+    assert result.assumptions.bartlett is not None
+    assert not result.assumptions.bartlett.applicable
+    assert "group L0 has zero variance" in result.assumptions.bartlett.reason
     assert result.to_json()["variance"]["bartlett"] is None
 
 
@@ -161,7 +161,7 @@ def test_constant_response_has_no_anova(noise: float) -> None:
     table["y"] = 1.0 + noise * np.random.default_rng(0).normal(size=len(table))
     result = anova(table, "y", ["a", "b"])
     assert result.anova.rows == ()
-    assert any("constant" in w for w in result.warnings)
+    assert any("constant" in w for w in result.notes)
     json.dumps(result.to_json(), allow_nan=False)
 
 
@@ -169,7 +169,7 @@ def test_saturated_design_names_remedies() -> None:
     result = anova(factorial({"a": 2, "b": 2}, 1, 1), "y", ["a", "b"], practical=0.1)
     assert result.error_term.source == "E7"
     assert all(row.f is None and row.p is None for row in result.anova.rows)
-    assert any("no residual degrees of freedom" in w for w in result.warnings)
+    assert any("no residual degrees of freedom" in w for w in result.notes)
     assert result.effect("a").verdict == "cannot tell"
     assert result.to_json()["normality"] is None
 
@@ -178,8 +178,8 @@ def test_declared_pooling_is_labelled() -> None:
     result = anova(factorial({"a": 3, "b": 4}, 1, 1), "y", ["a", "b"], model=1, exact=False)
     assert result.error_term.source == "E5"
     assert "assumption" in result.error_term.reason
-    assert result.non_additivity is not None
-    assert result.non_additivity.df == (1, 5)
+    assert result.assumptions.non_additivity is not None
+    assert result.assumptions.non_additivity.df == (1, 5)
 
 
 def test_aliased_terms_are_named() -> None:
@@ -187,7 +187,7 @@ def test_aliased_terms_are_named() -> None:
     full = factorial({"a": 2, "b": 2, "c": 2}, 2, 1)
     sign = sum(full[f].str[1:].astype(int) for f in "abc") % 2 == 0
     result = anova(full[sign], "y", ["a", "b", "c"], type="III", exact=False)
-    assert any(w.startswith("a:") and "b:c" in w for w in result.warnings)
+    assert any(w.startswith("a:") and "b:c" in w for w in result.notes)
     assert result.anova.row("a").f is None
 
 
@@ -196,7 +196,7 @@ def test_empty_cell_refuses_the_interaction() -> None:
     table = table[~((table["a"] == "L2") & (table["b"] == "L1"))]
     result = anova(table, "y", ["a", "b"], exact=False)
     assert result.anova.type == "III"
-    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.warnings)
+    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.notes)
     assert result.anova.row("a:b").f is None
 
 
@@ -205,8 +205,8 @@ def test_missing_response_switches_to_type_three() -> None:
     table.loc[[0, 5], "y"] = [np.nan, np.inf]
     result = anova(table, "y", ["a", "b"], exact=False)
     assert result.anova.type == "III"
-    assert any("missing in 2 of 18 rows" in w for w in result.warnings)
-    assert any("Type III with sum-to-zero contrasts" in w for w in result.warnings)
+    assert any("missing in 2 of 18 rows" in w for w in result.notes)
+    assert any("Type III with sum-to-zero contrasts" in w for w in result.notes)
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def test_f14_a_response_that_is_no_number_is_listed_and_json_stays_valid(bad: fl
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table.loc[[0, 5], "y"] = bad
     result = anova(table, "y", ["a", "b"], exact=False)
-    assert any("y is missing in 2 of 18 rows (rows 1, 6)" in w for w in result.warnings)
+    assert any("y is missing in 2 of 18 rows (rows 1, 6)" in w for w in result.notes)
     assert "NaN" not in json.dumps(result.to_json(), allow_nan=False)
     with pytest.raises(InputError, match="has 0 values"):
         anova(table.assign(y=bad), "y", ["a", "b"])
@@ -70,12 +70,12 @@ def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> N
     table = factorial({"a": 3}, 3, 1)
     table.loc[table["a"] == "L1", "y"] = 1.0
     result = anova(table, "y", ["a"], exact=False)
-    assert "bartlett: not applicable: group L1 has zero variance" in result.warnings
+    assert "bartlett: not applicable: group L1 has zero variance" in result.notes
     assert result.anova.row("a").f is not None
-    assert result.normality is not None
+    assert result.assumptions.normality is not None
     lone = pd.concat([factorial({"a": 3}, 3, 1), pd.DataFrame([{"a": "L9", "y": 9.0}])])
     result = anova(lone, "y", ["a"], exact=False)
-    assert "bartlett: not applicable: group L9 has one value" in result.warnings
+    assert "bartlett: not applicable: group L9 has one value" in result.notes
     assert levene([[1.0, 2.0, 3.0], [4.0]]).reason.startswith("group 2 has one value")
 
 
@@ -96,7 +96,7 @@ def test_f19_f20_a_constant_response_has_no_anova(noise: float) -> None:
         result = anova(table, "y", ["a", "b"], **options)
         assert result.anova.rows == ()
         assert result.effects == ()
-        assert any("is constant" in w for w in result.warnings)
+        assert any("is constant" in w for w in result.notes)
         json.dumps(result.to_json(), allow_nan=False)
 
 
@@ -109,7 +109,7 @@ def test_f21_aliases_are_named_and_a_saturated_model_has_no_f() -> None:
     listed = [row.term for row in result.anova.rows]
     assert listed == ["a", "b", "c", "a:b", "a:c", "b:c", "a:b:c", "residual"]
     for main, pair in [("a", "b:c"), ("b", "a:c"), ("c", "a:b")]:
-        named = [w for w in result.warnings if w.startswith(f"{main}: 1 of 1 degrees")]
+        named = [w for w in result.notes if w.startswith(f"{main}: 1 of 1 degrees")]
         assert named, main
         assert pair in named[0]
 
@@ -118,8 +118,8 @@ def test_f21_more_terms_than_rows() -> None:
     few = factorial({"a": 3, "b": 3, "c": 3}, 1, 1).iloc[[0, 4, 8, 12, 13, 22]]
     result = anova(few, "y", ["a", "b", "c"], exact=False)
     assert all(row.f is None for row in result.anova.rows)
-    assert sum("not estimable" in w for w in result.warnings) >= 4
-    assert any("no residual degrees of freedom" in w for w in result.warnings)
+    assert sum("not estimable" in w for w in result.notes) >= 4
+    assert any("no residual degrees of freedom" in w for w in result.notes)
     json.dumps(result.to_json(), allow_nan=False)
 
 
@@ -127,16 +127,16 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_refuses_its_int
     table = factorial({"a": 3, "b": 2}, 3, 1)
     lost = anova(table.drop(4), "y", ["a", "b"], exact=False)
     assert lost.anova.type == "III"
-    assert "unbalanced: Type III with sum-to-zero contrasts" in lost.warnings
+    assert "unbalanced: Type III with sum-to-zero contrasts" in lost.notes
     asked = anova(table.drop(4), "y", ["a", "b"], type="II", exact=False)
-    assert "unbalanced: Type II as asked" in asked.warnings
+    assert "unbalanced: Type II as asked" in asked.notes
     empty = table[~((table["a"] == "L2") & (table["b"] == "L1"))]
     result = anova(empty, "y", ["a", "b"], exact=False)
     assert result.anova.row("a:b").f is None
     assert result.effect("a:b").verdict == "cannot tell"
-    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.warnings)
-    assert "a:b: the mean is not estimable at L2 L1" in result.warnings
-    assert "a: the mean is not estimable at L2" in result.warnings
+    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.notes)
+    assert "a:b: the mean is not estimable at L2 L1" in result.notes
+    assert "a: the mean is not estimable at L2" in result.notes
     assert result.effect("a").mean[:2] != (None, None)
 
 
@@ -155,10 +155,10 @@ def test_f22_failed_cells_bound_the_conclusion() -> None:
     options = {"block": "specimen", "records": True, "practical": 0.5, "exact": False}
     table = study(3, gap=1.0)
     whole = anova(table, "y", ["model", "space"], **options)
-    assert whole.bounds == ()
+    assert whole.data.bounds == ()
     table.loc[9, "y"] = np.nan
     result = anova(table, "y", ["model", "space"], **options)
-    bound = {b.term: b for b in result.bounds}["model"]
+    bound = {b.term: b for b in result.data.bounds}["model"]
     truth = whole.effect("model").range
     assert truth is not None
     assert bound.low is not None
@@ -179,10 +179,10 @@ def test_f22_many_failures_overturn_the_verdict_and_say_so() -> None:
     table.loc[(table["model"] == "B") & (table["space"] == "3d"), "y"] = np.nan
     options = {"block": "specimen", "records": True, "practical": 0.4, "exact": False}
     result = anova(table, "y", ["model", "space"], **options)
-    bound = {b.term: b for b in result.bounds}["model"]
+    bound = {b.term: b for b in result.data.bounds}["model"]
     assert not bound.holds
     assert len(bound.verdicts) > 1
-    assert any("6 missing responses" in w and w.startswith("model:") for w in result.warnings)
+    assert any("6 missing responses" in w and w.startswith("model:") for w in result.notes)
     document = result.to_json()["failure_bounds"]
     assert {"term", "low", "high", "verdicts", "p", "holds"} <= set(document[0])
 
@@ -191,9 +191,9 @@ def test_f22_failures_that_cannot_overturn_anything() -> None:
     table = study(4, gap=8.0)
     table.loc[[3], "y"] = np.nan
     result = anova(table, "y", ["model", "space"], block="specimen", exact=False, practical=0.1)
-    held = {b.term: b.holds for b in result.bounds}
+    held = {b.term: b.holds for b in result.data.bounds}
     assert held["model"]
-    assert any("cannot overturn what is said of model" in w for w in result.warnings)
+    assert any("cannot overturn what is said of model" in w for w in result.notes)
 
 
 def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
@@ -207,8 +207,8 @@ def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
         records=True,
         exact=False,
     )
-    assert any("no response at level C" in w for w in result.warnings)
-    bound = {b.term: b for b in result.bounds}["model"]
+    assert any("no response at level C" in w for w in result.notes)
+    bound = {b.term: b for b in result.data.bounds}["model"]
     assert bound.high is not None
     assert bound.high > 1.2
 
@@ -253,9 +253,9 @@ def test_f22_a_unit_without_any_response_is_bounded_and_counted() -> None:
     table.loc[:2, "y"] = np.nan  # the whole first specimen
     table.loc[20, "y"] = np.nan  # one repeat of another
     result = anova(table, "y", ["a"], unit="s", exact=False, practical=1.0)
-    assert any("y is missing in 4 of 36 rows" in w for w in result.warnings)
-    assert any("y is missing in 1 of 12 rows" in w for w in result.warnings)
-    assert [b.term for b in result.bounds] == ["a"]
-    assert result.nested is not None
-    assert result.nested.rows == 32
-    assert result.nested.units == 11
+    assert any("y is missing in 4 of 36 rows" in w for w in result.notes)
+    assert any("y is missing in 1 of 12 rows" in w for w in result.notes)
+    assert [b.term for b in result.data.bounds] == ["a"]
+    assert result.data.nested is not None
+    assert result.data.nested.rows == 32
+    assert result.data.nested.units == 11

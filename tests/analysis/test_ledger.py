@@ -49,7 +49,7 @@ def test_every_source_is_taken_and_says_what_its_p_answers(
     tested = [row.p is not None for row in result.anova.rows if row.term in ("a", "b", "a:b")]
     # Lenth's method is no F, but has its p; E4 and E7 have none
     assert any(tested) == (source not in ("E4", "E7"))
-    assert (REMEDIES in result.warnings) == (source in ("E4", "E6", "E7"))
+    assert (REMEDIES in result.notes) == (source in ("E4", "E6", "E7"))
 
 
 def test_the_override_is_obeyed_and_reported() -> None:
@@ -58,7 +58,7 @@ def test_the_override_is_obeyed_and_reported() -> None:
     own = anova(table, "y", ["a", "b"], block="rep", error="own", exact=False)
     assert pooled.anova.row("a").error == "residual"
     assert pooled.error_term.reason == "asked for instead of own interactions"
-    assert any("p is far too small" in w for w in pooled.warnings)
+    assert any("p is far too small" in w for w in pooled.notes)
     assert own.anova.row("a").error == "rep:a"
     assert own.error_term.reason == "asked for"
     with pytest.raises(InputError, match="several that cross are pooled"):
@@ -95,8 +95,8 @@ def test_seed_columns_declare_the_repeats() -> None:
     table = grid({"a": 3, "b": 2}, 3, 5)
     seeds = anova(table.assign(mesh_seed=table["rep"]), "y", ["a", "b"], records=True)
     assert seeds.error_term.source == "E3"
-    assert any("3 mesh seeds a cell" in w for w in seeds.warnings)
-    assert any("bias of this mesh size is common to all seeds" in w for w in seeds.warnings)
+    assert any("3 mesh seeds a cell" in w for w in seeds.notes)
+    assert any("bias of this mesh size is common to all seeds" in w for w in seeds.notes)
     noise = anova(table.assign(noise_seed=table["rep"]), "y", ["a", "b"], exact=False)
     assert noise.error_term.source == "E2"
 
@@ -111,15 +111,15 @@ def test_numerical_uncertainty_is_a_ratio_and_no_p() -> None:
     assert effect.resolved == "resolved"
     assert effect.verdict == "matters"
     # the half-normal plot keeps its contrasts
-    assert result.lenth is not None
+    assert result.variation.lenth is not None
 
 
 def test_blocked_spread_tests_have_a_p_of_their_own_design() -> None:
     result = anova(grid({"a": 3}, 8, 6), "y", ["a"], block="rep", error="pooled")
-    assert result.bartlett is not None
-    assert result.levene is not None
-    assert result.bartlett.approximate
-    for test in (result.bartlett, result.levene):
+    assert result.assumptions.bartlett is not None
+    assert result.assumptions.levene is not None
+    assert result.assumptions.bartlett.approximate
+    for test in (result.assumptions.bartlett, result.assumptions.levene):
         assert 0 < (test.p_monte_carlo or 0) <= 1
 
 
@@ -130,7 +130,7 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
     """
     from study.analysis.assumption.variance import ResidualDesign, bartlett
     from study.analysis.data import prepare
-    from study.analysis.residuals import additive_fit
+    from study.analysis.error.residuals import additive_fit
 
     table = grid({"a": 4}, 5, 1)
     rng = np.random.default_rng(21)
@@ -150,24 +150,26 @@ def test_influence_and_robustness_are_part_of_the_result() -> None:
     table = grid({"a": 3, "b": 2}, 4, 8)
     table.loc[7, "y"] += 60.0
     result = anova(table, "y", ["a", "b"], exact=False)
-    assert result.influence is not None
-    assert result.influence.max_leverage == pytest.approx(0.25, rel=1e-9)
-    assert result.influence.max_cook == pytest.approx(max(result.residuals["cook"]))
-    assert int(np.argmax(result.residuals["cook"])) == 7
-    assert result.robustness is not None
-    assert set(result.robustness.p["a"]) == {
+    assert result.assumptions.influence is not None
+    assert result.assumptions.influence.max_leverage == pytest.approx(0.25, rel=1e-9)
+    assert result.assumptions.influence.max_cook == pytest.approx(
+        max(result.data.residuals["cook"])
+    )
+    assert int(np.argmax(result.data.residuals["cook"])) == 7
+    assert result.assumptions.robustness is not None
+    assert set(result.assumptions.robustness.p["a"]) == {
         "ordinary F",
         "HC3 Wald",
         "Welch-James",
         "F of the log",
     }
-    assert result.box_cox is not None
+    assert result.assumptions.box_cox is not None
     document = result.to_json()
     assert document["robustness"]["agreement"]["a"].endswith("of 4 analyses")
     assert document["box_cox"]["ci95"][0] < document["box_cox"]["exponent"]
     own = anova(grid({"a": 3, "b": 2}, 6, 8), "y", ["a", "b"], block="rep", error="own")
-    assert own.robustness is not None
-    row = own.robustness.p["a"]
+    assert own.assumptions.robustness is not None
+    row = own.assumptions.robustness.p["a"]
     assert row["own interaction, Greenhouse-Geisser"] == own.anova.row("a").p_gg
     table = grid({"a": 3, "b": 2}, 6, 8)
     pooled = anova(table, "y", ["a", "b"], block="rep", error="pooled", exact=False)
@@ -180,14 +182,14 @@ def test_repeats_within_a_block_are_never_independent() -> None:
     table = grid({"a": 3, "s": 4}, 5, 11)
     result = anova(table, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("residual").df == 6
-    assert any("repeats of a cell within a block are averaged" in w for w in result.warnings)
+    assert any("repeats of a cell within a block are averaged" in w for w in result.notes)
     means = table.groupby(["a", "s"])["y"].mean().reset_index()
     by_hand = anova(means, "y", ["a"], block="s", error="pooled", exact=False)
     assert result.anova.row("a").f == pytest.approx(by_hand.anova.row("a").f, rel=1e-9)
     table.loc[3, "y"] = np.nan
     lost = anova(table, "y", ["a"], block="s", exact=False)
-    assert any("y is missing in 1 of 60 rows" in w for w in lost.warnings)
-    assert lost.bounds
+    assert any("y is missing in 1 of 60 rows" in w for w in lost.notes)
+    assert lost.data.bounds
 
 
 def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
@@ -198,18 +200,18 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
     y = 50 + 4 * columns["D"] + np.random.default_rng(1).normal(size=8) * 0.3
     result = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=1)
     assert result.error_term.source == "E6"
-    assert result.lenth is not None
-    assert result.lenth.names == tuple("ABCDEFG")
-    assert result.lenth.active == ("D",)
-    at = result.lenth.names.index("D")
+    assert result.variation.lenth is not None
+    assert result.variation.lenth.names == tuple("ABCDEFG")
+    assert result.variation.lenth.active == ("D",)
+    at = result.variation.lenth.names.index("D")
     by_hand = y[columns["D"] == 1].mean() - y[columns["D"] == -1].mean()
-    assert result.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
-    assert result.anova.row("D").p == result.lenth.p[at]
+    assert result.variation.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
+    assert result.anova.row("D").p == result.variation.lenth.p[at]
     # with all interactions asked for, every contrast is aliased: said, and no p
     full = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=2)
     assert full.error_term.source == "E7"
-    assert any(w.startswith("D: 1 of 1 degrees") and "A:B" in w for w in full.warnings)
-    assert any("every term is aliased" in w for w in full.warnings)
+    assert any(w.startswith("D: 1 of 1 degrees") and "A:B" in w for w in full.notes)
+    assert any("every term is aliased" in w for w in full.notes)
 
 
 def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
@@ -217,10 +219,10 @@ def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:
     table = grid({"a": 2, "b": 2, "c": 2, "d": 2}, 1, 5)
     table["y"] += 9.0 * (table["a"] == "L1")
     result = anova(table, "y", list("abcd"), practical=2.0)
-    assert result.lenth is not None
+    assert result.variation.lenth is not None
     effect = result.effect("a")
     assert effect.range is not None
-    margin = result.lenth.sme
+    margin = result.variation.lenth.sme
     assert effect.ci95 == pytest.approx((effect.range - margin, effect.range + margin), rel=1e-9)
     assert effect.verdict == "matters"
     pair = result.effect("a:b")
@@ -240,19 +242,19 @@ def test_a_block_that_lies_in_one_cell_is_a_replicate_of_it(options: dict[str, A
     assert result.anova.row("a").f == unit.anova.row("a").f
     assert result.anova.row("residual").df == 9
     assert "other levels of specimen" in result.error_term.question
-    assert result.nested is not None
+    assert result.data.nested is not None
     means = table.groupby(["a", "specimen"])["y"].mean().reset_index()
     single = anova(means, "y", ["a"], block="specimen", exact=False, **options)
     assert single.anova.row("a").f == pytest.approx(result.anova.row("a").f, rel=1e-9)
-    assert single.nested is None
-    assert single.normality is not None
+    assert single.data.nested is None
+    assert single.assumptions.normality is not None
 
 
 def test_spread_of_two_cells_in_blocks_is_not_tested() -> None:
     table = grid({"a": 2}, 6, 9)
     result = anova(table, "y", ["a"], block="rep", error="pooled")
-    assert result.bartlett is not None
-    assert result.levene is not None
-    for test in (result.bartlett, result.levene):
+    assert result.assumptions.bartlett is not None
+    assert result.assumptions.levene is not None
+    for test in (result.assumptions.bartlett, result.assumptions.levene):
         assert not test.applicable
         assert "mirror" in test.reason

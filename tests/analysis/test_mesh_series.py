@@ -118,7 +118,7 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
     assert (material.u_num, space.u_num, mesh.u_num) == (0.5, 2.0, 0.0)
     assert material.effect_over_u_num == pytest.approx((material.range or 0) / 0.5)
     assert (material.verdict, mesh.verdict) == ("matters", "matters")
-    assert (result.u_num, result.u_num_by_term) == (2.0, True)
+    assert (result.detection.u_num, result.detection.u_num_by_term) == (2.0, True)
     rows = {row["factor"]: row["u_num"] for row in result.verdicts()}
     assert rows == {"material": 0.5, "space": 2.0, "mesh": 0.0}
     worse = anova(table, "y", FACTORS, u_num={"material": 9.0}, **options)  # type: ignore[arg-type]
@@ -126,7 +126,7 @@ def test_every_effect_has_its_own_uncertainty_and_one_that_is_absent_none() -> N
     assert "numerical uncertainty would have to be below" in worse.effect("material").why
     one = anova(table, "y", FACTORS, u_num=2.0, **options)  # type: ignore[arg-type]
     assert {e.u_num for e in one.effects} == {2.0}
-    assert not one.u_num_by_term
+    assert not one.detection.u_num_by_term
 
 
 def test_an_uncertainty_of_what_is_no_term_is_refused() -> None:
@@ -141,8 +141,8 @@ def test_cells_are_one_computation_within_the_smallest_uncertainty() -> None:
     options = {"block": "block", "records": True, "exact": False, "model": 1}
     # materials are 1 to 4 apart; the spaces agree, the meshes differ by up to 0.15
     apart = anova(table, "y", FACTORS, u_num={"material": 0.5, "space": 9.0}, **options)  # type: ignore[arg-type]
-    assert apart.distinct == 3
-    assert anova(table, "y", FACTORS, u_num=9.0, **options).distinct == 1  # type: ignore[arg-type]
+    assert apart.data.distinct == 3
+    assert anova(table, "y", FACTORS, u_num=9.0, **options).data.distinct == 1  # type: ignore[arg-type]
 
 
 def test_a_log_effect_is_held_against_its_share_of_the_mean() -> None:

@@ -138,7 +138,7 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     )
     unit = np.repeat(np.arange(8), 6)
     y = 1 + rng.normal(size=8)[unit] + rng.normal(size=48)
-    nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).nested
+    nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).data.nested
     assert nested is not None
     assert nested.units == 8
     from study.analysis.error.nested import _naive_size
@@ -200,7 +200,7 @@ def test_detectable_differences_come_from_the_error_found() -> None:
     ms = one.anova.row("s:a").ms
     assert ms is not None
     by_hand = detectable(float(np.sqrt(ms)), [4, 8, 16, 32], levels=3)
-    assert [r.n for r in one.power["a"]] == [4, 8, 16, 32]
-    for row, expected in zip(one.power["a"], by_hand, strict=True):
+    assert [r.n for r in one.detection.power["a"]] == [4, 8, 16, 32]
+    for row, expected in zip(one.detection.power["a"], by_hand, strict=True):
         assert row.detectable == pytest.approx(expected.detectable, rel=1e-9)
         assert row.df == expected.df

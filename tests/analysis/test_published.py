@@ -162,13 +162,13 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
         assert effects[name] == pytest.approx(value, abs=6e-4)
     result = anova(table, "Y", factors)
     assert result.error_term.source == "E6"
-    assert result.lenth is not None
-    assert {"X3", "X4", "X5"} <= set(result.lenth.active)
+    assert result.variation.lenth is not None
+    assert {"X3", "X4", "X5"} <= set(result.variation.lenth.active)
     assert result.effect("X4").range == pytest.approx(198.473, abs=6e-4)
     assert result.effect("X1:X2:X4").range == pytest.approx(27.147, abs=6e-4)
-    assert result.normality is None
+    assert result.assumptions.normality is None
     assert result.anova.row("X4").f is None
-    assert sum(result.shares.values()) == pytest.approx(1, rel=1e-12)
+    assert sum(result.variation.shares.values()) == pytest.approx(1, rel=1e-12)
 
 
 def test_gear_variance(data_dir: Path) -> None:
@@ -235,10 +235,10 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     for key, term in rows.items():
         assert result.anova.row(term).ss == pytest.approx(expected[f"anova_{key}_ss"], rel=1e-8)
         assert result.anova.row(term).f == pytest.approx(expected[f"anova_{key}_F"], rel=1e-8)
-    assert result.bartlett is not None
-    assert result.bartlett.statistic == pytest.approx(expected["bartlett_K2"], rel=1e-8)
-    assert result.bartlett.df == expected["bartlett_df"]
-    assert result.normality is not None
+    assert result.assumptions.bartlett is not None
+    assert result.assumptions.bartlett.statistic == pytest.approx(expected["bartlett_K2"], rel=1e-8)
+    assert result.assumptions.bartlett.df == expected["bartlett_df"]
+    assert result.assumptions.normality is not None
     nested = anova(
         table,
         "F_at_6mm_N",
@@ -252,9 +252,11 @@ def test_real_factorial_against_r(data_dir: Path) -> None:
     means = table.groupby(["family", "thinner_pct", "specimen"])["y"].mean().reset_index()
     by_hand = anova(means, "y", ["family", "thinner_pct"], exact=False)
     assert nested.anova.row("family").f == pytest.approx(by_hand.anova.row("family").f, rel=1e-9)
-    assert any("independent would have given F(2, 135)" in w for w in nested.warnings)
+    assert any("independent would have given F(2, 135)" in w for w in nested.notes)
     # R's sf.test is the same statistic squared, with ppoints(): 3/8 and 1/4 as here
-    assert result.normality.rj == pytest.approx(expected["ryan_joiner_residuals"], rel=1e-7)
+    assert result.assumptions.normality.rj == pytest.approx(
+        expected["ryan_joiner_residuals"], rel=1e-7
+    )
 
 
 def simon_lesage(pairs: int, large: float) -> pd.DataFrame:

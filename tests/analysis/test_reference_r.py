@@ -188,8 +188,8 @@ def test_own_interactions_in_groups_of_blocks(design: str, kind: str, lost: str)
         same_row(row, figures)
         assert result.anova.row(row.error or "").ss == pytest.approx(figures["ss_error"], rel=1e-8)
     mauchly = terms(design, f"own-{kind}")["speed"]
-    assert result.sphericity["speed"].w == pytest.approx(mauchly["mauchly_w"], rel=1e-8)
-    sphere = result.sphericity["speed"]
+    assert result.assumptions.sphericity["speed"].w == pytest.approx(mauchly["mauchly_w"], rel=1e-8)
+    sphere = result.assumptions.sphericity["speed"]
     blocks = table["specimen"].nunique()
     assert sphere.p == pytest.approx(mauchly_of_r(sphere, blocks - 3, mauchly, 4), rel=1e-8)
     if kind == "II" and lost:
@@ -205,7 +205,7 @@ def test_own_interactions_with_greenhouse_geisser() -> None:
         row = result.anova.row(term)
         same_row(row, figures)
         assert result.anova.row(f"s:{term}").ss == pytest.approx(figures["ss_error"], rel=1e-8)
-        sphere = result.sphericity[term]
+        sphere = result.assumptions.sphericity[term]
         assert sphere.w == pytest.approx(figures["mauchly_w"], rel=1e-8)
         assert sphere.p == pytest.approx(mauchly_of_r(sphere, 7, figures, 9), rel=1e-8)
 
@@ -250,7 +250,7 @@ def test_remedies_and_summary() -> None:
     summary = summary_of(fit)
     assert summary is not None
     assert summary.r_sq_pred == pytest.approx(two["r_sq_pred"], rel=1e-8)
-    whole = anova(table, "y", ["a", "b", "c"], exact=False).summary
+    whole = anova(table, "y", ["a", "b", "c"], exact=False).variation.summary
     assert whole is not None
     expected = terms("crossed-unbalanced", "fit")[""]
     assert whole.s == pytest.approx(expected["s"], rel=1e-10)
@@ -290,4 +290,4 @@ def test_nested_labels_may_start_again_or_be_unique(whole: bool) -> None:
         # means of the specimens' means, whatever their labels
         by_hand = rows.groupby(["mix", "specimen"])["y"].mean().groupby("mix").mean()
         assert result.effect("mix").mean == pytest.approx(by_hand.tolist(), rel=1e-10)
-        assert any("use --unit specimen" in w for w in result.warnings)
+        assert any("use --unit specimen" in w for w in result.notes)

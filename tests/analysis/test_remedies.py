@@ -128,7 +128,10 @@ def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
     _, fit = fitted(table)
     test = hc3(fit)["a:b"]
     assert (test.p, test.reason) == (None, "cells without spread: a singular covariance")
-    assert anova(table, "y", ["a", "b"], exact=False).robustness.p["a:b"]["HC3 Wald"] is None
+    assert (
+        anova(table, "y", ["a", "b"], exact=False).assumptions.robustness.p["a:b"]["HC3 Wald"]
+        is None
+    )
 
 
 def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:

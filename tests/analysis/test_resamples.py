@@ -56,4 +56,4 @@ def test_more_resamples_narrow_no_interval(resamples: int) -> None:
     half = (effect.ci95[1] - effect.ci95[0]) / 2
     # variance of a difference of two pair means: 2 (0.975 - 0.3) = 1.35; sd of 25: 14 %
     assert half == pytest.approx(2.0 * np.sqrt(1.35), rel=0.3)
-    assert not result.power  # nor does a plan promise that they would
+    assert not result.detection.power  # nor does a plan promise that they would

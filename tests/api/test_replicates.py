@@ -125,8 +125,8 @@ def test_noise_is_the_error_of_constants_alone(noisy: StudyResult) -> None:
     assert "larger than the noise in the measured data alone would give" in term.question
     assert "20 refits" in term.question
     assert mismatch.result.error_term.source not in ("E2", "E0")
-    assert any("no E2" in warning for warning in mismatch.result.warnings)
-    assert any("nothing is said of specimens" in w for w in mu0.result.warnings)
+    assert any("no E2" in warning for warning in mismatch.result.notes)
+    assert any("nothing is said of specimens" in w for w in mu0.result.notes)
 
 
 def test_the_interval_of_an_effect_is_that_of_one_fit_however_many_resamples(
@@ -178,7 +178,7 @@ def test_several_specimens_come_before_noise_unless_asked(tmp_path: Path) -> Non
     result = study.analyses[0].result
     assert result is not None
     assert result.error_term.source == "E1"
-    assert any("E1 before E2" in warning for warning in result.warnings)
+    assert any("E1 before E2" in warning for warning in result.notes)
     told = plan(loads(text), data=tmp_path / "data", results=tmp_path / "results")
     assert any("the 2 blocks are the better error term" in w for w in told.warnings)
     assert told.to_json()["design"]["replicates"]["count"] == 20
@@ -206,7 +206,7 @@ def test_mesh_seeds_are_the_error_and_the_bias_stands_beside(
     assert result is not None, study.analyses[0].refused
     assert result.error_term.source == "E3"
     assert "would another mesh of this size change the effect?" in result.error_term.question
-    assert any("bias of this mesh size is common to all seeds" in w for w in result.warnings)
+    assert any("bias of this mesh size is common to all seeds" in w for w in result.notes)
     # E4 beside it: an effect says how far it is above the numerical uncertainty; that of the mesh
     # itself has none, and where a cell diverges with refinement nothing bounds it
     print([(effect.term, effect.u_num, effect.verdict) for effect in result.effects])
@@ -260,7 +260,7 @@ interface = "frictionless"
     assert error.result.error_term.source == "E3"
     assert mu0.result is not None, mu0.refused
     assert mu0.result.error_term.source not in ("E0", "E3")
-    assert any("the mesh does not enter mu0" in w for w in mu0.result.warnings)
+    assert any("the mesh does not enter mu0" in w for w in mu0.result.notes)
 
 
 @pytest.mark.slow

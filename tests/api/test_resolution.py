@@ -180,7 +180,7 @@ def test_the_mesh_itself_has_no_uncertainty(design: Design) -> None:
     result, _ = analyzed(design, records_of(design, lambda levels: 2.0))
     for effect in result.effects:
         assert (effect.u_num == 0) == ("model.mesh" in effect.term)
-    assert result.u_num_by_term
+    assert result.detection.u_num_by_term
 
 
 def test_a_log_response_is_followed_on_the_log(design: Design) -> None:
@@ -223,7 +223,7 @@ def test_a_material_without_the_finest_mesh_is_left_out(design: Design) -> None:
         if (r.levels["material"], r.levels["model.mesh"]) != ("ogden-1", "fine")
     ]
     result, _ = analyzed(design, records)
-    assert any("ogden-1 (material) has an answer in 8 of 12" in w for w in result.warnings)
+    assert any("ogden-1 (material) has an answer in 8 of 12" in w for w in result.notes)
     assert result.effect("material").range == pytest.approx(4.0, abs=0.05)
     assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
 

@@ -47,7 +47,7 @@ def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
     write.write(data, tmp_path)
     text = (tmp_path / "ecoflex-compression-data" / "table-verdicts.csv").read_text()
     first = next(iter(csv.DictReader(io.StringIO(text))))
-    assert float(first["effect"]) == facts(data)[0].effects[0].difference
+    assert float(first["effect"]) == facts(data)[0].effects[0].range
 
 
 def test_unknown_format_is_named_before_anything_is_written(tmp_path: Path, data: ReportData):

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 
+from study.analysis.anova_table import Anova, Effect, ErrorTerm
+from study.analysis.assumption.normality import RyanJoinerResult
+from study.analysis.assumption.variance import BartlettResult, LeveneResult
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
+from study.analysis.request import AnalysisRequest
+from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
 from study.reporting import report
 from study.reporting.content import sentences, verdicts
 from study.reporting.content.hypotheses import cheaper, recommendation
-from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect
 from study.reporting.output.page import prepare, render
 from study.reporting.report import Facts, Group, describe, facts, groups
 from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
@@ -25,13 +31,12 @@ def effect(verdict: str, **changes) -> Effect:
             "plates",
             ("frictionless", "bonded"),
             (5.0, 6.2),
+            (0.9, 1.5),
             1.2,
-            0.9,
-            1.5,
-            0.5,
             verdict,
+            largest=("bonded", "frictionless"),
+            practical=0.5,
             p=0.001,
-            pair=("bonded", "frictionless"),
         ),
         **changes,
     )
@@ -49,6 +54,23 @@ def modulus() -> Facts:
     return Facts(ResponseAnalysis("mu0", "kPa", transform="log"), "initial shear modulus", "kPa")
 
 
+def with_result(facts: Facts, assumptions: Assumptions, *, u_num_by_term: bool = False) -> Facts:
+    """Facts of a response whose analysis holds these tests and nothing else."""
+    none = pd.DataFrame()
+    result = AnalysisResult(
+        AnalysisRequest(facts.name, ("plates",)),
+        ErrorTerm("E1", "", 1.0),
+        Anova("II", ()),
+        Variation({}, None, None),
+        (),
+        Detection(None, None, u_num_by_term, {}),
+        assumptions,
+        DataSummary(0, None, 0.0, none, none, (), 0, ()),
+        (),
+    )
+    return replace(facts, response=replace(facts.response, result=result))
+
+
 def test_matters_names_levels_difference_and_interval():
     assert flat(verdicts.verdict(effect(MATTERS), error())) == (
         "Plates: matters; bonded gives 1.20 pp more relative RMS force error than frictionless "
@@ -57,7 +79,7 @@ def test_matters_names_levels_difference_and_interval():
 
 
 def test_matters_on_the_log_is_a_ratio():
-    one = effect(MATTERS, difference=1.373, low=1.36, high=1.38, practical=1.1, ratio=True)
+    one = effect(MATTERS, range=1.373, ci95=(1.36, 1.38), practical=1.1, scale="ratio")
     assert flat(verdicts.verdict(one, modulus())) == (
         "Plates: matters; bonded gives 1.37 times the initial shear modulus of frictionless "
         "(95 % interval 1.36 to 1.38)."
@@ -65,7 +87,7 @@ def test_matters_on_the_log_is_a_ratio():
 
 
 def test_no_difference_says_that_a_small_p_does_not_decide():
-    one = effect(NO_DIFFERENCE, difference=0.02, low=0.01, high=0.03, p=1e-9)
+    one = effect(NO_DIFFERENCE, range=0.02, ci95=(0.01, 0.03), p=1e-9)
     assert flat(verdicts.verdict(one, error())) == (
         "Plates: no practical difference in the relative RMS force error; the largest is "
         "0.020 pp (95 % interval 0.010 to 0.030 pp), within 0.5 pp (repeatable, p < .001, but "
@@ -74,7 +96,7 @@ def test_no_difference_says_that_a_small_p_does_not_decide():
 
 
 def test_cannot_tell_is_said_whatever_p_is():
-    one = effect(CANNOT_TELL, low=0.1, high=2.3, p=0.0001, why="the interval crosses")
+    one = effect(CANNOT_TELL, ci95=(0.1, 2.3), p=0.0001, why="the interval crosses")
     text = verdicts.verdict(one, error())
     assert "these data cannot show whether it matters" in text
     assert "matters:" not in text
@@ -82,7 +104,7 @@ def test_cannot_tell_is_said_whatever_p_is():
 
 
 def test_not_estimable_keeps_its_reason():
-    one = effect(CANNOT_TELL, difference=None, low=None, high=None, why="not estimable")
+    one = effect(CANNOT_TELL, range=None, ci95=None, why="not estimable")
     assert verdicts.verdict(one, error()) == "Plates: cannot tell; not estimable."
 
 
@@ -97,8 +119,8 @@ def test_not_estimable_keeps_its_reason():
     ],
 )
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
-    found = {"rj": 0.9871, "n": 30, "p_minitab": printed, "p_exact": exact}
-    text = verdicts.normality(replace(error(), normality=found))
+    found = RyanJoinerResult(0.9871, 30, printed, exact, 10_000, 1, True, "", "")
+    text = verdicts.normality(with_result(error(), Assumptions(normality=found)))
     assert ("is rejected" in text) is rejected
     assert ("not rejected" in text) is not rejected
     assert "RJ = 0.9871" in text
@@ -108,14 +130,14 @@ def test_tests_that_do_not_apply_say_why():
     assert verdicts.normality(error()) == (
         "Ryan-Joiner: not applicable, there are no residuals to test."
     )
-    missing = {"statistic": None, "reason": "group a has zero variance"}
+    missing = BartlettResult(None, None, None, False, "group a has zero variance")
     assert verdicts.spread("bartlett", missing) == (
         "Bartlett: not applicable, group a has zero variance."
     )
 
 
 def test_monte_carlo_p_decides_the_spread():
-    found = {"statistic": 9.0, "df": 3, "p": 0.03, "p_monte_carlo": 0.2}
+    found = LeveneResult(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
     assert "not rejected" in verdicts.spread("levene", found)
     assert "p = .200" in verdicts.spread("levene", found)
 
@@ -169,22 +191,24 @@ def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
 
 
 def test_an_effect_is_no_finer_than_a_thousandth_of_what_matters():
-    tiny = effect(NO_DIFFERENCE, difference=0.000267, low=-3.91e-5, high=0.000574)
+    tiny = effect(NO_DIFFERENCE, range=0.000267, ci95=(-3.91e-5, 0.000574))
     assert flat(verdicts.size(tiny, error())) == "< 0.001 pp"
     assert flat(verdicts.size_interval(tiny, error())) == "0.000 to 0.001 pp"
-    same = effect(MATTERS, difference=1.43363, low=1.43362, high=1.43364, practical=1.1, ratio=True)
+    same = effect(MATTERS, range=1.43363, ci95=(1.43362, 1.43364), practical=1.1, scale="ratio")
     assert verdicts.size_interval(same, modulus()) == "narrower than 0.0001"
-    apart = replace(same, low=1.4334, high=1.4338)
+    apart = replace(same, ci95=(1.4334, 1.4338))
     assert verdicts.size_interval(apart, modulus()) == "1.433 to 1.434"
 
 
 def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
     # ln 1.43363 = 0.3602; over 7.4 is 0.04867, a factor of 1.0499
-    one = effect(MATTERS, difference=1.43363, practical=1.1, ratio=True, u_num=0.85, over_u_num=7.4)
+    one = effect(
+        MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
+    )
     assert flat(verdicts.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
     assert verdicts.over_numerical(one) == "7.4"
-    assert verdicts.over_numerical(replace(one, over_u_num=4321.0)) == "> 100"
-    assert verdicts.over_numerical(replace(one, over_u_num=None)) == "\N{EN DASH}"
+    assert verdicts.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
+    assert verdicts.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):
@@ -251,13 +275,13 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
 
 
 def test_a_tiny_threshold_is_printed(data: ReportData):
-    tiny = replace(facts(data)[0].effects[0], practical=7.97e-5, ratio=False)
+    tiny = replace(facts(data)[0].effects[0], practical=7.97e-5, scale="difference")
     assert "7.97e\N{MINUS SIGN}05" in verdicts.practical(tiny, facts(data)[0])
 
 
 def test_the_number_beside_an_effect_is_explained():
     known = replace(error(), terms=(effect(MATTERS, u_num=0.04),))
-    own = replace(known, u_num_by_term=True)
+    own = with_result(known, Assumptions(), u_num_by_term=True)
     assert "is the same for every factor" in sentences.numerical([known])
     assert "of the difference itself" in sentences.numerical([own, own])
     mixed = sentences.numerical([own, known])

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from study.analysis import residuals
 from study.analysis.assumption.normality import RyanJoinerResult, ryan_joiner
 from study.analysis.assumption.row_normality import (
     RowTest,
@@ -27,8 +26,9 @@ from study.analysis.assumption.variance import (
     bartlett,
     levene,
 )
+from study.analysis.error import residuals
 from study.analysis.outcome import Outcome
-from study.arrays import Array
+from study.arrays import Array, Flags
 from study.errors import InputError
 
 _MONTE_CARLO = 10_000
@@ -107,7 +107,7 @@ def _heavy_block(
     ]
 
 
-def is_representative(out: Outcome) -> Any:
+def is_representative(out: Outcome) -> Flags:
     """Whether each row belongs to the cell that stands for its copies."""
     return np.isin(out.data.cell, out.copies.representatives)
 
@@ -144,7 +144,9 @@ def _spread_tests(
     )
 
 
-def _of_residuals(out: Outcome) -> tuple[Outcome, Any, residuals.CellGroups | None]:
+def _of_residuals(
+    out: Outcome,
+) -> tuple[Outcome, RyanJoinerResult | None, residuals.CellGroups | None]:
     """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
     rows = np.flatnonzero(is_representative(out))
     if out.fit is None or out.fit.df_residual == 0:

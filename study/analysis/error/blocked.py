@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
 from study.analysis.effects.estimates import (
@@ -24,7 +23,7 @@ from study.analysis.effects.estimates import (
 )
 from study.analysis.effects.samples import every_simple_effect, over_blocks
 from study.analysis.effects.sizes import size
-from study.analysis.error import ledger
+from study.analysis.error import ledger, residuals
 from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix, term_name
 from study.analysis.linear_model.sums_of_squares import (
     Factored,

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from study.analysis import residuals
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
 from study.analysis.effects.estimates import pooled_estimate
 from study.analysis.effects.sizes import size
-from study.analysis.error import ledger
+from study.analysis.error import ledger, residuals
 from study.analysis.linear_model.design_matrix import ModelMatrix, Term, model_matrix, term_name
 from study.analysis.linear_model.sums_of_squares import (
     ALIAS_TOLERANCE,

@@ -137,11 +137,12 @@ def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
 
 def _pairs(studies: _Studies) -> list[_Pair]:
     first, second = (_analyzed(study) for study in studies)
-    return [
-        _Pair((first[name], second[name]), (first[name].result, second[name].result))
-        for name in first
-        if name in second
-    ]
+    found = []
+    for name in first:
+        own, other = first[name].result, second[name].result if name in second else None
+        if own is not None and other is not None:
+            found.append(_Pair((first[name], second[name]), (own, other)))
+    return found
 
 
 def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:

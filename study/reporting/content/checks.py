@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+from study.analysis.effects.verdict import MATTERS
 from study.reporting.content import sentences, verdicts
-from study.reporting.effect import MATTERS
 from study.reporting.numbers import clean, count, listing, p_phrase, term_name
 from study.reporting.report import Facts
 from study.study_result.report_data import Check, ReportData
@@ -80,14 +80,14 @@ def _not_analyzed(facts: Facts) -> Check:
 
 
 def _normality(facts: Facts, alpha: float) -> Check:
-    found, name = facts.normality, "Residuals as from a normal distribution"
-    if not found or found.get("rj") is None:
+    found, name = facts.assumptions.normality, "Residuals as from a normal distribution"
+    if found is None or found.rj is None:
         finding = verdicts.normality(facts, alpha)
         return Check(name, "not applicable", finding, of=facts.title)
     rejected = verdicts.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
-    if found.get("p_exact") is not None:
-        finding += f" ({p_phrase(found['p_exact'])})"
+    if found.p_exact is not None:
+        finding += f" ({p_phrase(found.p_exact)})"
     if not rejected:
         return Check(name, "pass", finding, of=facts.title)
     return Check(
@@ -101,9 +101,9 @@ def _normality(facts: Facts, alpha: float) -> Check:
     )
 
 
-def _untested(tests: Mapping[str, Any], alpha: float) -> str:
+def _untested(tests: Mapping[str, verdicts.SpreadTest], alpha: float) -> str:
     """Why neither test of the spread applies, said once where both have one reason."""
-    reasons = {str(test.get("reason")) for test in tests.values()}
+    reasons = {test.reason for test in tests.values()}
     if len(tests) == 2 and len(reasons) == 1:
         return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
     return " ".join(verdicts.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
@@ -111,8 +111,8 @@ def _untested(tests: Mapping[str, Any], alpha: float) -> str:
 
 def _spread(facts: Facts, alpha: float) -> Check:
     name = "Equal spread of the cells"
-    tests = {key: test for key, test in facts.variance.items() if test}
-    applicable = {k: t for k, t in tests.items() if t.get("statistic") is not None}
+    tests = facts.assumptions.spread
+    applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
         return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
     against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
@@ -138,9 +138,9 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
     name = "Sphericity"
     finding = f"smallest epsilon {epsilon:.2f}, of {term_name(term, data.labels)}"
     changed = [
-        term_name(str(row["term"]), data.labels)
+        term_name(row.term, data.labels)
         for row in facts.rows
-        if row.get("p_gg") is not None and row["p"] < data.alpha <= row["p_gg"]
+        if row.p is not None and row.p_gg is not None and row.p < data.alpha <= row.p_gg
     ]
     if changed:
         return [
@@ -156,10 +156,10 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:
-    found = facts.non_additivity
-    if not found or found.get("p") is None:
+    found = facts.assumptions.non_additivity
+    if found is None or found.p is None or not math.isfinite(found.p):
         return []
-    p = float(found["p"])
+    p = found.p
     name = f"Cells and {clean(data.block) or 'blocks'} add up"
     if p >= data.alpha:
         finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
@@ -178,7 +178,7 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
 
 def _resolution(facts: Facts, data: ReportData) -> Check:
     name = "Effects resolved by the mesh"
-    known = [effect for effect in facts.effects if effect.over_u_num is not None]
+    known = [effect for effect in facts.effects if effect.effect_over_u_num is not None]
     if not known:
         return Check(
             name,
@@ -187,7 +187,7 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
             "Refine the mesh of one block before trusting small differences.",
             facts.title,
         )
-    weak = [e for e in known if (e.over_u_num or 0) < 3]
+    weak = [e for e in known if (e.effect_over_u_num or 0) < 3]
     named = listing([term_name(effect.term, data.labels) for effect in weak])
     if any(effect.verdict == MATTERS for effect in weak):
         return Check(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import over_numerical, size, size_interval
-from study.reporting.effect import CANNOT_TELL, MATTERS, Effect
 from study.reporting.numbers import (
     MISSING,
     clean,
@@ -155,9 +156,14 @@ def _how(row: Conclusion, beside: Beside) -> str:
 def effect_of(row: Conclusion, found: Found) -> Effect:
     """Effect of one study, as the words of a report want it."""
     return Effect(
-        row.term, (), (), found.effect, found.low, found.high, found.practical, found.verdict,
-        found.p, found.u_num, found.over_u_num, why=found.why, ratio=row.ratio,
+        row.term, (), (), _interval(found.low, found.high), found.effect, found.verdict,
+        "ratio" if row.ratio else "difference", practical=found.practical, p=found.p,
+        u_num=found.u_num, effect_over_u_num=found.over_u_num, why=found.why,
     )  # fmt: skip
+
+
+def _interval(low: float | None, high: float | None) -> tuple[float, float] | None:
+    return None if low is None or high is None else (low, high)
 
 
 def facts_of(row: Conclusion) -> Facts:

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
 from study.record.table import cell_names
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import size, size_interval
-from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, Effect
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -74,7 +75,7 @@ def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     if item.kind == "larger":
         return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
     effect = _effect_of(facts, *item.factors)
-    if effect is None or effect.difference is None:
+    if effect is None or effect.range is None:
         return _UNKNOWN, CANNOT_TELL
     return _sized(effect, facts), _OF_VERDICT.get(effect.verdict, CANNOT_TELL)
 
@@ -90,7 +91,7 @@ def _sized(effect: Effect, facts: Facts) -> str:
 
 def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
     """One effect is larger than another where their intervals do not overlap."""
-    known = [e for e in effects if e is not None and e.difference is not None]
+    known = [e for e in effects if e is not None and e.range is not None]
     if len(known) < 2:
         return _UNKNOWN, CANNOT_TELL
     parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in known]
@@ -101,8 +102,8 @@ def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) ->
 
 def _magnitudes(effect: Effect) -> tuple[float, float]:
     """Smallest and largest size of an effect within its interval."""
-    ends = [effect.difference if v is None else v for v in (effect.low, effect.high)]
-    if effect.ratio:
+    ends = [effect.range if v is None else v for v in (effect.low, effect.high)]
+    if effect.is_ratio:
         ends = [math.log(v) if v and v > 0 else 0.0 for v in ends]
     low, high = sorted(float(v or 0.0) for v in ends)
     inside = low <= 0 <= high
@@ -221,7 +222,7 @@ def cheaper(data: ReportData, facts: Facts) -> str:
 
 
 def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
-    if not effect.term.startswith("model.") or effect.difference is None:
+    if not effect.term.startswith("model.") or effect.range is None:
         return ""
     known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
     seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()

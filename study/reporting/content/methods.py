@@ -63,28 +63,31 @@ def _inputs(data: ReportData) -> str:
 
 
 def _statistics(facts: Facts, data: ReportData) -> str:
+    if facts.result is None:
+        return ""
+    source, sums = facts.result.error_term.source, facts.result.anova.type
     scale = ", analyzed on the logarithm with effects as ratios," if facts.ratio else ""
     how = {
         "E1": f"each effect was tested against its own interaction with the "
         f"{clean(data.block) or 'block'} (Greenhouse-Geisser corrected)"
-        if any(row.get("epsilon_gg") is not None for row in facts.rows)
+        if any(row.epsilon_gg is not None for row in facts.rows)
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",
         "E7": "no test was made, for want of an error term",
-    }.get(facts.source, f"the error term was {facts.source}")
+    }.get(source, f"the error term was {source}")
     limit = next((practical(e, facts) for e in facts.effects if e.practical is not None), "")
     what = "ratio" if facts.ratio else "difference"
     against = (
         f"; a {what} of {limit.removeprefix(TIMES).strip()} was declared to matter" if limit else ""
     )
     return sentence(
-        f"the {facts.title}{scale} was analyzed by a type {facts.anova_type} analysis of "
+        f"the {facts.title}{scale} was analyzed by a type {sums} analysis of "
         f"variance in which {how}{against}"
     )
 
 
 def _checks(found: Sequence[Facts]) -> str:
-    if not any(facts.normality or facts.variance for facts in found):
+    if not any(facts.result is not None for facts in found):
         return ""
     return (
         "Residuals were examined by the Ryan-Joiner test (p simulated for the model matrix), by "

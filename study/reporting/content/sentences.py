@@ -11,8 +11,9 @@ import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from study.analysis.anova_table import Effect, ErrorTerm
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.reporting.content.verdicts import change, size
-from study.reporting.effect import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -96,15 +97,15 @@ def _label(effect: Effect, data: ReportData) -> str:
 
 
 def _to_reader(effect: Effect, facts: Facts) -> str:
-    return size(effect, facts) if effect.ratio else f"{size(effect, facts)} between extremes"
+    return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"
 
 
 def _magnitude(effect: Effect) -> float:
-    if effect.difference is None or not effect.practical:
+    if effect.range is None or not effect.practical:
         return 0.0
-    if effect.ratio:
-        return abs(effect.difference - 1) / max(abs(effect.practical - 1), 1e-12)
-    return abs(effect.difference) / effect.practical
+    if effect.is_ratio:
+        return abs(effect.range - 1) / max(abs(effect.practical - 1), 1e-12)
+    return abs(effect.range) / effect.practical
 
 
 def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
@@ -272,19 +273,20 @@ def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
 
 def error_term(facts: Facts, data: ReportData) -> str:
     """Say where the error of the table comes from and what its p answers."""
-    if not facts.source:
+    term = facts.error_term
+    if term is None:
         return "No error term: the response was not analyzed."
-    what = _SOURCES.get(facts.source, facts.source)
-    reason = f": {facts.reason}" if facts.reason else ""
-    text = sentence(f"the error term is {facts.source}, {what}{reason}")
-    return f"{text} {_question(facts, data)}".strip()
+    what = _SOURCES.get(term.source, term.source)
+    reason = f": {term.reason}" if term.reason else ""
+    text = sentence(f"the error term is {term.source}, {what}{reason}")
+    return f"{text} {_question(term, data)}".strip()
 
 
-def _question(facts: Facts, data: ReportData) -> str:
+def _question(term: ErrorTerm, data: ReportData) -> str:
     """Say what the p-values answer, then how they were made (which comes in parentheses)."""
-    if not facts.question:
+    if not term.question:
         return ""
-    question = facts.question.rstrip(".")
+    question = term.question.rstrip(".")
     if data.block and data.block != "block":
         block = clean(data.block)
         question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
+from study.analysis.anova_table import Row
+from study.canonical import plain
 from study.reporting.content import sentences
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import numerical as u_num_of
@@ -25,7 +27,7 @@ from study.reporting.numbers import (
     significant,
     term_name,
 )
-from study.reporting.report import Facts, cells, deciding_p, is_effect
+from study.reporting.report import Facts, cells, is_effect
 from study.study_result.report_data import NumericalRow, ReportData
 
 if TYPE_CHECKING:
@@ -56,14 +58,14 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     "response": facts.name,
                     "factor": effect.term,
                     "verdict": effect.verdict,
-                    "effect": effect.difference,
+                    "effect": effect.range,
                     "low": effect.low,
                     "high": effect.high,
                     "practical": effect.practical,
                     "u_num": effect.u_num,
-                    "effect_over_u_num": effect.over_u_num,
+                    "effect_over_u_num": effect.effect_over_u_num,
                     "p": effect.p,
-                    "scale": "ratio" if effect.ratio else "difference",
+                    "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
     columns = (
@@ -83,8 +85,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
 def anova(facts: Facts, data: ReportData) -> Table:
     """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
     effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
-    corrected = any(row.get("epsilon_gg") is not None for row in effects)
-    tested = any(row.get("f") is not None for row in effects)
+    corrected = any(row.epsilon_gg is not None for row in effects)
+    tested = any(row.f is not None for row in effects)
     columns = ["term", "df"]
     if tested:
         columns += ["F", "p"] + (["GG epsilon", "p corrected"] if corrected else [])
@@ -94,34 +96,33 @@ def anova(facts: Facts, data: ReportData) -> Table:
     columns.append("share")
     rows = []
     for row in effects:
-        cell = [term_name(str(row["term"]), data.labels), _df(row)]
+        cell = [term_name(row.term, data.labels), _df(row)]
         if tested:
-            cell += [f_value(row.get("f")), p_value(row.get("p"))]
+            cell += [f_value(row.f), p_value(row.p)]
             if corrected:
-                cell += [_fixed(row.get("epsilon_gg")), p_value(deciding_p(row))]
-            cell += [_fixed(row.get("omega_sq"), 3), _eta(row)]
+                cell += [_fixed(row.epsilon_gg), p_value(row.p_deciding)]
+            cell += [_fixed(row.omega_sq, 3), _eta(row)]
         else:
-            cell += [significant(row.get("ss"))]
-            cell += [p_value(row.get("p"))] if facts.lenth else []
-        rows.append((*cell, share(row.get("share")) if row.get("df") else MISSING))
+            cell += [significant(row.ss)]
+            cell += [p_value(row.p)] if facts.lenth else []
+        rows.append((*cell, share(row.share) if row.df else MISSING))
     note = " ".join(_anova_notes(effects, data, tested))
-    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, tuple(facts.rows))
+    raw = tuple(plain(row) for row in facts.rows)
+    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, raw)
 
 
-def _anova_notes(
-    effects: Sequence[Mapping[str, Any]], data: ReportData, tested: bool
-) -> Iterator[str]:
+def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iterator[str]:
     """Say what a reader may stumble over: a huge F, a test that was not made, the share."""
     block = clean(data.block)
-    if any((row.get("f") or 0) > 1e4 for row in effects):
+    if any((row.f or 0) > 1e4 for row in effects):
         where = f"in every {block}" if block else "in every run"
         yield (
             f"F > 10,000: the effect is nearly the same {where}, so the error below the line is "
             "nearly zero; read the size of the effect, not its F."
         )
-    if any(not row.get("df") for row in effects):
+    if any(not row.df for row in effects):
         yield "df 0: not estimable, because cells without any answer leave no such comparison."
-    if block and tested and any(row.get("f") is None and row.get("df") for row in effects):
+    if block and tested and any(row.f is None and row.df for row in effects):
         yield (
             f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "
             "so there is nothing to test it against."
@@ -135,11 +136,11 @@ def strata(facts: Facts, data: ReportData) -> Table:
     names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
     rows = tuple(
         (
-            term_name(str(row["term"]), names),
-            significant(row.get("df")) if row.get("df") is None else f"{row['df']:g}",
-            significant(row.get("ss")),
-            significant(row.get("ms")),
-            share(row.get("share")),
+            term_name(row.term, names),
+            f"{row.df:g}",
+            significant(row.ss),
+            significant(row.ms),
+            share(row.share),
         )
         for row in facts.rows
         if not is_effect(row, list(data.factors))
@@ -148,11 +149,8 @@ def strata(facts: Facts, data: ReportData) -> Table:
     return Table(f"{facts.name}-strata", columns, rows)
 
 
-def _df(row: Mapping[str, Any]) -> str:
-    if row.get("df") is None:
-        return MISSING
-    error = row.get("df_error")
-    return f"{row['df']:g}" + (f", {error:g}" if error is not None else "")
+def _df(row: Row) -> str:
+    return f"{row.df:g}" + (f", {row.df_error:g}" if row.df_error is not None else "")
 
 
 def _fixed(value: float | None, decimals: int = 2) -> str:
@@ -162,9 +160,9 @@ def _fixed(value: float | None, decimals: int = 2) -> str:
     return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
 
 
-def _eta(row: Mapping[str, Any]) -> str:
-    text = _fixed(row.get("partial_eta_sq"), 3)
-    ends = row.get("partial_eta_sq_ci95")
+def _eta(row: Row) -> str:
+    text = _fixed(row.partial_eta_sq, 3)
+    ends = row.partial_eta_sq_ci95
     return f"{text} ({interval(ends[0], ends[1])})" if ends else text
 
 
@@ -203,7 +201,7 @@ def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
 
 
-def _columns(frame: pd.DataFrame, *names: str) -> list[list[Any]]:
+def _columns(frame: pd.DataFrame, *names: str) -> list[list[object]]:
     return [frame[name].tolist() for name in names]
 
 

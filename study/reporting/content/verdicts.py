@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
 
-from study.reporting.effect import MATTERS, NO_DIFFERENCE, NOT_RESOLVED, Effect, Simple
+from study.analysis.anova_table import Effect, SimpleEffect
+from study.analysis.assumption.variance import BartlettResult, LeveneResult
+from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE, NOT_RESOLVED
+from study.analysis.unreplicated import NonAdditivityResult
 from study.reporting.numbers import (
     MINUS,
     MISSING,
@@ -34,6 +36,7 @@ from study.reporting.report import Facts
 from study.study_result.report_data import ReportData
 
 Labels = Mapping[str, str] | None
+SpreadTest = BartlettResult | LeveneResult
 
 PLUS_MINUS = "\u00b1"
 #: ratios effect / u_num beyond this are only said to be so
@@ -44,7 +47,7 @@ def decimals(effect: Effect) -> int | None:
     """Decimals at which an effect is worth printing."""
     if effect.practical is None:
         return None
-    return decimals_that_count(abs(effect.practical - 1) if effect.ratio else effect.practical)
+    return decimals_that_count(abs(effect.practical - 1) if effect.is_ratio else effect.practical)
 
 
 def size(effect: Effect, facts: Facts) -> str:
@@ -52,26 +55,26 @@ def size(effect: Effect, facts: Facts) -> str:
     number = _number(effect)
     if number == MISSING:
         return number
-    if effect.ratio:
+    if effect.is_ratio:
         return f"{TIMES}{THIN}{number}"
     return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
 
 
 def _number(effect: Effect) -> str:
-    digits = ratio_digits(effect.difference) if effect.ratio else 3
-    return rounded(effect.difference, decimals(effect), digits)
+    digits = ratio_digits(effect.range) if effect.is_ratio else 3
+    return rounded(effect.range, decimals(effect), digits)
 
 
 def size_interval(effect: Effect, facts: Facts) -> str:
     """Simultaneous interval of the largest difference."""
-    digits = ratio_digits(effect.difference) if effect.ratio else 3
+    digits = ratio_digits(effect.range) if effect.is_ratio else 3
     places = decimals(effect)
     ends = span(effect.low, effect.high, places, digits)
     low, _, high = ends.partition(" to ")
     if low == high:
         # blocks that answer alike to the last digit leave no width to print
         ends = f"narrower than {10.0**-places:.{places}f}" if places is not None else low
-    if ends == MISSING or effect.ratio or not facts.difference_unit:
+    if ends == MISSING or effect.is_ratio or not facts.difference_unit:
         return ends
     return f"{ends}{THIN}{facts.difference_unit}"
 
@@ -81,16 +84,16 @@ def practical(effect: Effect, facts: Facts) -> str:
     if effect.practical is None:
         return MISSING
     text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
-    return f"{TIMES}{THIN}{text}" if effect.ratio else f"{text}{THIN}{facts.difference_unit}"
+    return f"{TIMES}{THIN}{text}" if effect.is_ratio else f"{text}{THIN}{facts.difference_unit}"
 
 
 def numerical(effect: Effect, facts: Facts) -> str:
     """Numerical uncertainty on the scale of the effect: a ratio for a log response."""
-    if not effect.ratio:
+    if not effect.is_ratio:
         return _with_unit(rounded(effect.u_num, decimals(effect), 2), facts.difference_unit)
-    if effect.over_u_num is None or not effect.over_u_num or not effect.difference:
+    if effect.effect_over_u_num is None or not effect.effect_over_u_num or not effect.range:
         return quantity(effect.u_num, facts.unit, 2)
-    u = math.exp(abs(math.log(effect.difference)) / abs(effect.over_u_num))
+    u = math.exp(abs(math.log(effect.range)) / abs(effect.effect_over_u_num))
     return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
 
 
@@ -100,7 +103,7 @@ def _with_unit(number: str, unit: str) -> str:
 
 def over_numerical(effect: Effect) -> str:
     """Effect over its numerical uncertainty; below 3 it may be the mesh."""
-    times = effect.over_u_num
+    times = effect.effect_over_u_num
     if times is None or not math.isfinite(times):
         return MISSING
     if times >= _FAR:
@@ -114,7 +117,7 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     The verdict itself comes from the analysis; this says it with its numbers.
     """
     name = term_name(effect.term, labels)
-    if effect.difference is None:
+    if effect.range is None:
         return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
     numbers = f"{size(effect, facts)} ({_ninety_five(effect, facts)})"
     if effect.low is None:
@@ -139,40 +142,41 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
 
 def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
     """Name the setting that leaves a factor open although its average does not."""
-    one = effect.largest_simple
-    if one is None or not effect.depends_on_settings or one.interval is None:
+    one = effect.deciding_simple
+    if one is None or not effect.depends_on_settings or one.ci is None:
         return ""
     return f"; the largest single one is {simple(one, effect, facts)}, {setting(one, labels)}"
 
 
-def simple(one: Simple, effect: Effect, facts: Facts) -> str:
+def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
     """Return a simple effect with its interval and its numerical uncertainty."""
     number = _shown(one.difference, effect, facts)
-    ends = one.simultaneous if one.verdict == MATTERS else one.interval
+    ends = one.ci_simultaneous if one.verdict == MATTERS else one.ci
     if ends is None:
         return number
-    shown = span(*ends, decimals(effect), ratio_digits(one.difference) if effect.ratio else 3)
+    shown = span(*ends, decimals(effect), ratio_digits(one.difference) if effect.is_ratio else 3)
     beside = ""
-    if one.u_num and not effect.ratio:
-        beside = f", numerics {PLUS_MINUS}{THIN}{rounded(one.u_num, decimals(effect), 2)}"
+    if one.u and not effect.is_ratio:
+        beside = f", numerics {PLUS_MINUS}{THIN}{rounded(one.u, decimals(effect), 2)}"
     return f"{number} ({shown}{beside})"
 
 
 def _shown(difference: float, effect: Effect, facts: Facts) -> str:
-    number = rounded(difference, decimals(effect), ratio_digits(difference) if effect.ratio else 3)
-    if effect.ratio:
+    digits = ratio_digits(difference) if effect.is_ratio else 3
+    number = rounded(difference, decimals(effect), digits)
+    if effect.is_ratio:
         return f"{TIMES}{THIN}{number}"
     return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
 
 
-def setting(one: Simple, labels: Labels = None) -> str:
+def setting(one: SimpleEffect, labels: Labels = None) -> str:
     """Name a setting: ``at element order linear, mesh fine``."""
     listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in one.at)
     return f"at {listed}" if listed else "whatever the other factors"
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
-    one = effect.largest_simple
+    one = effect.deciding_simple
     if one is None or not effect.depends_on_settings:
         return sentence(
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
@@ -197,9 +201,9 @@ def _repeatable(effect: Effect) -> str:
 
 
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
-    if not effect.is_main or effect.pair is None:
+    if not effect.is_main or effect.largest is None:
         return sentence(f"{name}: matters for the {facts.title}, {numbers}")
-    one = effect.largest_simple
+    one = effect.deciding_simple
     if one is not None and effect.depends_on_settings and not effect.matters_on_average:
         return sentence(
             f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
@@ -210,7 +214,7 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     # "1.37 times the modulus", yet "1.20 pp more error"
     text = f"{high} gives " + (
         f"{_number(effect)} times the {facts.title} of {low}"
-        if effect.ratio
+        if effect.is_ratio
         else f"{size(effect, facts)} more {facts.title} than {low}"
     )
     if effect.low is not None:
@@ -224,8 +228,8 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
 
 def change(effect: Effect, facts: Facts) -> str:
     """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
-    if effect.ratio and effect.difference is not None:
-        return f"{percent(effect.difference - 1)} (ratio {_number(effect)})"
+    if effect.is_ratio and effect.range is not None:
+        return f"{percent(effect.range - 1)} (ratio {_number(effect)})"
     return size(effect, facts)
 
 
@@ -254,10 +258,12 @@ WHAT_IF: tuple[tuple[str, str], ...] = (
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
     """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
-    found = facts.normality or {}
-    exact, printed = found.get("p_exact"), str(found.get("p_minitab") or "")
-    if exact is not None:
-        return bool(exact < alpha)
+    found = facts.assumptions.normality
+    if found is None:
+        return False
+    if found.p_exact is not None:
+        return found.p_exact < alpha
+    printed = found.p_minitab or ""
     number = printed.strip("<> ")
     if not number or printed.startswith(">"):
         return False
@@ -266,69 +272,69 @@ def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
 
 def normality(facts: Facts, alpha: float = 0.05) -> str:
     """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
-    found = facts.normality
-    if not found or found.get("rj") is None:
-        reason = (found or {}).get("reason") or "there are no residuals to test"
+    found = facts.assumptions.normality
+    if found is None or found.rj is None:
+        reason = (found and found.reason) or "there are no residuals to test"
         return sentence(f"Ryan-Joiner: not applicable, {reason}")
-    exact, printed = found.get("p_exact"), str(found.get("p_minitab"))
-    parts = [f"RJ = {found['rj']:.4f}", f"n = {found.get('n')}"]
-    if exact is not None:
-        parts.append(f"simulated {p_phrase(exact)}")
+    printed = str(found.p_minitab)
+    parts = [f"RJ = {found.rj:.4f}", f"n = {found.n}"]
+    if found.p_exact is not None:
+        parts.append(f"simulated {p_phrase(found.p_exact)}")
     parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
     decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
     level = f"{100 * alpha:g}{THIN}%"
     return f"Ryan-Joiner: normality of the residuals is {decision} at {level} ({', '.join(parts)})."
 
 
-def rejects(test: Mapping[str, Any], alpha: float = 0.05) -> bool:
+def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
     """Whether a test rejects; a Monte-Carlo p decides where there is one."""
     p = p_of(test)
     return p is not None and p < alpha
 
 
-def p_of(test: Mapping[str, Any]) -> float | None:
+def p_of(test: SpreadTest) -> float | None:
     """Return the p of a test that decides: the Monte-Carlo one where there is one."""
-    monte = test.get("p_monte_carlo")
-    return monte if monte is not None else test.get("p")
+    return test.p if test.p_monte_carlo is None else test.p_monte_carlo
 
 
-def spread(test: str, found: Mapping[str, Any] | None, alpha: float = 0.05) -> str:
+def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
     """Bartlett or Levene in one sentence."""
     title = test.capitalize()
-    if not found or found.get("statistic") is None:
-        reason = (found or {}).get("reason") or "it was not run"
+    if found is None or found.statistic is None:
+        reason = (found and found.reason) or "it was not run"
         return sentence(f"{title}: not applicable, {reason}")
     decision = "rejected" if rejects(found, alpha) else "not rejected"
-    rough = ", approximate" if found.get("approximate") else ""
-    df = found.get("df")
-    shown = " and ".join(f"{part:g}" for part in df) if isinstance(df, list | tuple) else f"{df:g}"
+    rough = ", approximate" if found.approximate else ""
+    df = found.df if isinstance(found.df, tuple) else (found.df,)
+    shown = " and ".join(f"{part:g}" for part in df if part is not None)
     return (
         f"{title}: equal spread is {decision} at {100 * alpha:g}{THIN}% "
-        f"(statistic {significant(found['statistic'])}, df {shown}, {p_phrase(p_of(found))}"
+        f"(statistic {significant(found.statistic)}, df {shown}, {p_phrase(p_of(found))}"
         f"{rough})."
     )
 
 
-def additivity(found: Mapping[str, Any], data: ReportData) -> str:
+def additivity(found: NonAdditivityResult, data: ReportData) -> str:
     """Tukey's one-degree test in one sentence."""
-    decision = "rejected" if rejects(found, data.alpha) else "not rejected"
+    rejected = found.p is not None and found.p < data.alpha
+    decision = "rejected" if rejected else "not rejected"
     return (
         f"Tukey's one-degree test: that cells and {clean(data.block) or 'block'} simply add up is "
-        f"{decision} (F = {significant(found.get('f'))}, {p_phrase(found.get('p'))})."
+        f"{decision} (F = {significant(found.f)}, {p_phrase(found.p)})."
     )
 
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
     """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
     known = {
-        term: item["epsilon_gg"]
-        for term, item in facts.sphericity.items()
-        if item and item.get("epsilon_gg") is not None and item.get("df") != 0
+        term: found.epsilon_gg
+        for term, found in facts.assumptions.sphericity.items()
+        if math.isfinite(found.epsilon_gg) and found.df != 0
     }
     if not known:
         return None
-    term = min(known, key=lambda t: float(known[t]))
-    return term, float(known[term])
+    term = min(known, key=lambda t: known[t])
+    return term, known[term]
 
 
 def sphericity(facts: Facts, labels: Labels = None) -> str:

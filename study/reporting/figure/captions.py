@@ -21,7 +21,7 @@ from study.reporting.numbers import (
     significant,
     term_name,
 )
-from study.reporting.report import Facts, deciding_p
+from study.reporting.report import Facts
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 def effects(facts: Facts, data: ReportData) -> str:
     """Name the largest effect, and what the band is."""
-    known = [effect for effect in facts.effects if effect.difference is not None]
+    known = [effect for effect in facts.effects if effect.range is not None]
     if not known:
         return ""
-    first = max(known, key=lambda e: abs((e.difference or 0) - (1 if e.ratio else 0)))
+    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
     limit = practical(first, facts)
     text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
     if first.low is not None:
@@ -50,9 +50,9 @@ def effects(facts: Facts, data: ReportData) -> str:
 def means(facts: Facts, data: ReportData) -> str:
     """Say which share of the variation between cells each factor has."""
     shares = [
-        (row["share"], term_name(str(row["term"]), data.labels))
+        (row.share, term_name(row.term, data.labels))
         for row in facts.rows
-        if row["term"] in data.factors and row.get("share") is not None
+        if row.term in data.factors and row.share is not None
     ]
     text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
     band = "two means inside the shaded band differ by less than what matters"
@@ -62,13 +62,14 @@ def means(facts: Facts, data: ReportData) -> str:
 
 def interactions(facts: Facts, data: ReportData) -> str:
     """Say which interaction is the largest and whether it matters."""
-    known = [e for e in facts.interactions if e.term.count(":") == 1 and e.difference is not None]
+    known = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
     key = "lines that are parallel mean that the factors act independently"
     if not known:
         return sentence(key)
-    first = max(known, key=lambda e: abs((e.difference or 0) - (1 if e.ratio else 0)))
+    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
     row = facts.row(first.term)
-    p = f", {p_phrase(deciding_p(row))}" if row is not None and deciding_p(row) is not None else ""
+    decided = None if row is None else row.p_deciding
+    p = "" if decided is None else f", {p_phrase(decided)}"
     return sentence(
         f"the largest two-factor interaction is {term_name(first.term, data.labels)}, "
         f"{size(first, facts)}{p}: {first.verdict}; {key}"
@@ -100,10 +101,10 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
 
 def residuals(facts: Facts, data: ReportData, n: int) -> str:
     """Summarize the four panels and the test."""
-    found = facts.normality
+    found = facts.assumptions.normality
     verdict = "the test of normality does not apply"
-    if found and found.get("rj") is not None:
-        exact = found.get("p_exact")
+    if found is not None and found.rj is not None:
+        exact = found.p_exact
         rejected = exact is not None and exact < data.alpha
         verdict = f"normality is {'rejected' if rejected else 'not rejected'}"
         verdict += f" ({p_phrase(exact)}, simulated)" if exact is not None else ""

@@ -118,11 +118,11 @@ def _normal_plot(ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: 
     ax.plot(
         frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0), markeredgewidth=0
     )
-    found = facts.normality
-    if found and found.get("rj") is not None:
-        text = f"RJ = {found['rj']:.4f}"
-        if found.get("p_exact") is not None:
-            text += f", simulated p {_with_sign(p_value(found['p_exact']))}"
+    found = facts.assumptions.normality
+    if found is not None and found.rj is not None:
+        text = f"RJ = {found.rj:.4f}"
+        if found.p_exact is not None:
+            text += f", simulated p {_with_sign(p_value(found.p_exact))}"
         ax.text(0.03, 0.96, text, transform=ax.transAxes, va="top", fontsize=8)
     ax.set(title="normal plot, with 95 % envelope", xlabel="normal score", ylabel=label)
 
@@ -271,20 +271,20 @@ def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     import pandas as pd
 
     found = facts.lenth
-    if not found:
+    if found is None:
         raise ValueError("there are no single contrasts: the design is replicated")
     frame = pd.DataFrame(
         {
-            "contrast": list(found["names"]),
-            "name": [_name(str(name), data) for name in found["names"]],
-            "size": np.abs(np.asarray(found["values"], dtype=float)),
-            "score": np.asarray(found["half_normal"], dtype=float),
-            "p": np.asarray(found["p"], dtype=float),
-            "margin": float(found["me"]),
-            "simultaneous": float(found["sme"]),
+            "contrast": list(found.names),
+            "name": [_name(name, data) for name in found.names],
+            "size": np.abs(np.asarray(found.values, dtype=float)),
+            "score": np.asarray(found.half_normal, dtype=float),
+            "p": np.asarray(found.p, dtype=float),
+            "margin": found.me,
+            "simultaneous": found.sme,
         }
     ).sort_values("size", ascending=False, kind="stable", ignore_index=True)
-    low, high = _envelope(len(frame), float(found["pse"]), data.seed)
+    low, high = _envelope(len(frame), found.pse, data.seed)
     return frame.assign(active=frame["size"] > frame["margin"], low=low, high=high)
 
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
 from study.reporting.content.verdicts import size, size_interval
-from study.reporting.effect import MATTERS, NO_DIFFERENCE
 from study.reporting.figure.style import (
     BAND,
     INK,
@@ -43,12 +43,12 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
     import pandas as pd
 
     strong = [effect for effect in facts.interactions if effect.verdict != NO_DIFFERENCE]
-    shown = [e for e in (*facts.effects, *strong[:6]) if e.difference is not None]
+    shown = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
     return pd.DataFrame(
         {
             "term": [effect.term for effect in shown],
             "name": [term_name(effect.term, labels) for effect in shown],
-            "difference": [effect.difference for effect in shown],
+            "difference": [effect.range for effect in shown],
             "low": [effect.low for effect in shown],
             "high": [effect.high for effect in shown],
             "practical": [effect.practical for effect in shown],
@@ -133,7 +133,7 @@ def level_means(facts: Facts) -> pd.DataFrame:
         [
             {"factor": effect.term, "level": level, "mean": mean}
             for effect in facts.effects
-            for level, mean in zip(effect.levels, effect.means, strict=False)
+            for level, mean in zip(effect.levels, effect.mean, strict=False)
         ],
         columns=["factor", "level", "mean"],
     ).astype({"mean": float})

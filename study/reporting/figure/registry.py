@@ -81,7 +81,7 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
         "residuals": ("Residuals", lambda: _residuals(data, facts)),
         "spread": ("Spread of the cells", lambda: _spread(data, facts)),
     }
-    if not any(effect.difference is not None for effect in facts.terms):
+    if not any(effect.range is not None for effect in facts.terms):
         # the sentences say that nothing could be estimated
         del makers["effects"], makers["means"]
     if facts.residuals is None or "residual" not in facts.residuals:

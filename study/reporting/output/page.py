@@ -107,12 +107,13 @@ def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
         return ()
     lines = [verdicts.normality(item, data.alpha)]
     lines += [
-        verdicts.spread(test, item.variance.get(test), data.alpha)
+        verdicts.spread(test, item.assumptions.spread.get(test), data.alpha)
         for test in ("bartlett", "levene")
     ]
     lines.append(verdicts.sphericity(item, data.labels))
-    if item.non_additivity and item.non_additivity.get("p") is not None:
-        lines.append(verdicts.additivity(item.non_additivity, data))
+    additive = item.assumptions.non_additivity
+    if additive is not None and additive.p is not None:
+        lines.append(verdicts.additivity(additive, data))
     return tuple(line for line in lines if line)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,9 @@ class CellGroups:
     index: Ints
 
 
-def additive_fit(data: Data, y: Array, rows: Any = None, *, plots: Ints | None = None) -> Factored:
+def additive_fit(
+    data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
+) -> Factored:
     """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them."""
     keep = np.arange(y.size) if rows is None else rows
     cells, index = np.unique(data.cell[keep], return_inverse=True)
@@ -41,7 +42,7 @@ def additive_fit(data: Data, y: Array, rows: Any = None, *, plots: Ints | None =
     return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
 
 
-def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Any) -> Factored:
+def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Ints) -> Factored:
     """Fit of the model's terms (and blocks) to some of the rows."""
     extra: list[Term] = [(name,) for name in data.blocks]
     return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])
