@@ -94,7 +94,7 @@ def analyze(
 
         compared = against_reference(found, reference)
     if as_json:
-        output.warn(found.warnings)
+        output.warn(found.notes)
         beside = {} if compared is None else {"reference": _reference_json(*compared)}
         output.print_json(found.to_json() | beside)
         return
