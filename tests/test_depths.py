@@ -43,13 +43,13 @@ def error(measured: Curve, predicted: Curve, depth_mm: float) -> float:
 def test_whole_depth_is_the_study_itself(outcome: StudyResult) -> None:
     (own,) = [v for v in outcome.verdicts if v["factor"] == "material"]
     row = effects_by_depth(outcome)[-1]
-    assert row["term"] == "material"
-    assert row["depth_mm"] == pytest.approx(6.0)
-    assert row["difference"] == pytest.approx(own["effect"], rel=1e-12)
+    assert row.term == "material"
+    assert row.depth_mm == pytest.approx(6.0)
+    assert row.difference == pytest.approx(own["effect"], rel=1e-12)
 
 
 def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
-    (row,) = [r for r in effects_by_depth(outcome) if r["depth_mm"] == pytest.approx(3.0)]
+    (row,) = [r for r in effects_by_depth(outcome) if r.depth_mm == pytest.approx(3.0)]
     means = {
         level: np.mean(
             [
@@ -61,8 +61,8 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
         )
         for level in ("neo-hookean", "mooney-rivlin")
     }
-    assert row["difference"] == pytest.approx(max(means.values()) - min(means.values()), rel=1e-9)
-    assert row["highest"] == max(means, key=lambda level: means[level])
+    assert row.difference == pytest.approx(max(means.values()) - min(means.values()), rel=1e-9)
+    assert row.highest == max(means, key=lambda level: means[level])
 
 
 def test_the_page_draws_it(outcome: StudyResult) -> None:

@@ -104,15 +104,16 @@ def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
     cells = counts[counts > 0]
     if out.replicates == "noise":
         return {}  # more resamples show no smaller effect: the noise of the curve is what it is
-    blocked = out.crossed is not None
+    blocks = None if out.crossed is None else len(out.crossed.blocks)
     replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
-    if not blocked and not replicated:
+    if blocks is None and not replicated:
         return {}
-    n = len(out.crossed.blocks) if blocked else round(float(cells.mean()))
+    n = round(float(cells.mean())) if blocks is None else blocks
     names = [f for f in out.data.factors if (f,) in out.terms]
     terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    ratio = out.request.scale.is_log
-    return planned(terms, n, cells.size, blocked=blocked, alpha=out.request.alpha, ratio=ratio)
+    asked, blocked = out.request, blocks is not None
+    ratio = asked.scale.is_log
+    return planned(terms, n, cells.size, blocked=blocked, alpha=asked.alpha, ratio=ratio)
 
 
 def _copies_sentence(out: Outcome) -> str:

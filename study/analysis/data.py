@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from study.analysis.linear_model.design_matrix import Layout
-from study.arrays import Array, Ints
+from study.arrays import Array, Flags, Ints
 from study.errors import Fault, InputError
 from study.tidy_csv import _NUMBER, _check_names, names_of
 
 if TYPE_CHECKING:
     import pandas as pd
+
+#: labels of levels, one a row
+Texts = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,7 @@ def _response(table: pd.DataFrame, response: str) -> Array:
     return np.asarray(column.to_numpy(dtype=float, na_value=math.nan), dtype=float)
 
 
-def _missing_warning(keep: Any, response: str) -> list[str]:
+def _missing_warning(keep: Flags, response: str) -> list[str]:
     lost = np.flatnonzero(~keep)
     if not lost.size:
         return []
@@ -120,14 +124,14 @@ def _missing_warning(keep: Any, response: str) -> list[str]:
     return [f"{response} is missing in {lost.size} of {keep.size} rows (rows {listed})"]
 
 
-def _labels(column: pd.Series, name: str) -> Any:
+def _labels(column: pd.Series, name: str) -> Texts:
     if column.isna().any():
         row = int(np.flatnonzero(column.isna().to_numpy())[0]) + 1
         raise InputError(Fault(f"row {row}, column {name!r}", "the level is empty"))
     # 1, 1.0 and True are equal keys, so the type goes along
     keys = [(type(value), value) for value in column.tolist()]
     label = {key: _label(key[1]) for key in dict.fromkeys(keys)}
-    seen: dict[str, Any] = {}
+    seen: dict[str, object] = {}
     for (_, value), text in label.items():
         first = seen.setdefault(text.strip(), value)
         if isinstance(first, str) != isinstance(value, str) or _label(first) != text:
@@ -141,13 +145,13 @@ def _labels(column: pd.Series, name: str) -> Any:
     return np.array([label[key] for key in keys], dtype=object)
 
 
-def _label(value: Any) -> str:
+def _label(value: object) -> str:
     if isinstance(value, float | np.floating) and float(value).is_integer():
         return str(int(value))
     return str(value)
 
 
-def _level_order(column: pd.Series, labels: Any) -> list[str]:
+def _level_order(column: pd.Series, labels: Texts) -> list[str]:
     """Order of the levels: of the categories, numeric where all are numbers, else as met."""
     if hasattr(column, "cat"):
         found = set(labels)
@@ -156,3 +160,64 @@ def _level_order(column: pd.Series, labels: Any) -> list[str]:
     if all(_NUMBER.fullmatch(label) for label in unique):
         return sorted(unique, key=float)
     return unique
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """A complete table of cells against blocks.
+
+    Parameters
+    ----------
+    y : ndarray, shape (cells, blocks)
+        Response, repeats of one cell in one block averaged.
+    cells : ndarray, shape (cells,)
+        Index of each cell in the full grid.
+    layout : Layout
+        Factor levels of each cell.
+    blocks : tuple of str
+        Labels of the blocks kept.
+    """
+
+    y: Array
+    cells: Ints
+    layout: Layout
+    blocks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def crossed(data: Data, y: Array) -> Crossed:
+    """Cells against blocks; incomplete cells and blocks are left out, and said."""
+    block = data.block or ""
+    names = data.layout.levels[block]
+    cells, index = np.unique(data.cell, return_inverse=True)
+    shape = (cells.size, len(names))
+    total, count = np.zeros(shape), np.zeros(shape)
+    at = (index, data.layout.codes[block])
+    shift = float(y[0])
+    np.add.at(total, at, y - shift)
+    np.add.at(count, at, 1.0)
+    warnings = []
+    if count.max() > 1:
+        warnings.append("repeats of a cell within a block are averaged: they are nested in it")
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan) + shift
+    keep_cells = (count > 0).mean(axis=1) > 0.5
+    keep_blocks = (count[keep_cells] > 0).all(axis=0)
+    if not keep_cells.all():
+        labels = data.cell_names()
+        lost = [labels[c] for c in cells[~keep_cells]]
+        warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
+    if not keep_blocks.all():
+        gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
+        warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
+    first = np.array([int(np.flatnonzero(index == i)[0]) for i in np.flatnonzero(keep_cells)])
+    layout = data.layout.take(first) if first.size else data.layout
+    only = Layout(
+        {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}
+    )
+    return Crossed(
+        mean[np.ix_(keep_cells, keep_blocks)],
+        cells[keep_cells],
+        only,
+        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
+        tuple(warnings),
+    )

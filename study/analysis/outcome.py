@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from study.analysis.anova_table import (
     ModelSummary,
     Sensitivity,
 )
-from study.analysis.data import Data
+from study.analysis.data import Crossed, Data
 from study.analysis.effects.numerical_bound import SeriesBounds
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.sizes import MOST_LEVELS
@@ -55,7 +54,7 @@ class Outcome:
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
     fit: Factored | None = None
     lenth: LenthResult | None = None
-    crossed: Any = None
+    crossed: Crossed | None = None
     plots: Ints | None = None
     replicates: str = "runs"
     summary: ModelSummary | None = None

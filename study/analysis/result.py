@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import (
     Anova,
@@ -213,7 +213,7 @@ class AnalysisResult:
         columns = ["term", "level", "mean", "low", "high", "letters", "verdict"]
         return pd.DataFrame(rows, columns=columns)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
         tests, lenth = self.assumptions, self.variation.lenth
         return {
@@ -244,7 +244,7 @@ class AnalysisResult:
             "warnings": list(self.notes),
         }
 
-    def verdicts(self) -> list[dict[str, Any]]:
+    def verdicts(self) -> list[dict[str, object]]:
         """One line a factor or interaction, as ``study run --json`` lists them."""
         return [
             {

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.api.statistics import analyze_records
 from study.curve import Curve
 from study.errors import StudyError
 from study.runner.response import CURVE_RESPONSES
+from study.study_result.report_data import DepthEffect
 
 if TYPE_CHECKING:
     from study.design.spec import Response
@@ -30,15 +31,13 @@ SHARES = (0.25, 0.5, 0.75, 1.0)
 _FEWEST = 5
 
 
-def effects_by_depth(study: StudyResult) -> tuple[dict[str, Any], ...]:
+def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
     """Largest difference of every main effect over the first part of the test.
 
     Returns
     -------
-    tuple of dict
-        ``response``, ``term``, ``depth_mm``, ``difference``, ``low``, ``high`` (simultaneous
-        95 % interval), ``practical``, ``verdict`` and ``highest``, the level with the largest
-        mean. Empty where the tests of the cases differ in depth, or have too few points.
+    tuple of DepthEffect
+        Empty where the tests of the cases differ in depth, or have too few points.
     """
     depth = _common_depth(study.records)
     asked = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
@@ -85,32 +84,18 @@ def _points(records: Sequence[Record], depth_mm: float) -> int:
     )
 
 
-def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterator[dict[str, Any]]:
+def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterator[DepthEffect]:
     records = [_rescored(record, response.name, depth_mm) for record in study.records]
     try:
-        found = analyze_records(study.design, records, response, study.numerical).to_json()
+        found = analyze_records(study.design, records, response, study.numerical)
     except StudyError:
         return  # the study's own analysis says why
-    for item in found.get("effects") or ():
-        if ":" not in item["term"] and item.get("range") is not None:
-            yield _row(response.name, depth_mm, item)
-
-
-def _row(response: str, depth_mm: float, item: dict[str, Any]) -> dict[str, Any]:
-    low, high = item.get("ci95") or (None, None)
-    levels, means = item.get("levels") or (), item.get("mean") or ()
-    known = [pair for pair in zip(means, levels, strict=False) if pair[0] is not None]
-    return {
-        "response": response,
-        "term": item["term"],
-        "depth_mm": depth_mm,
-        "difference": item["range"],
-        "low": low,
-        "high": high,
-        "practical": item.get("practical"),
-        "verdict": item.get("verdict"),
-        "highest": max(known)[1] if known else None,
-    }
+    for e in found.effects:
+        if e.is_main and e.range is not None:
+            yield DepthEffect(
+                response.name, e.term, depth_mm, e.range, e.low, e.high, e.practical, e.verdict,
+                e.highest,
+            )  # fmt: skip
 
 
 def _rescored(record: Record, name: str, depth_mm: float) -> Record:

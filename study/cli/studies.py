@@ -206,7 +206,7 @@ def _print_study(study: StudyResult) -> None:
     from study.cli import report_tables
 
     data = report_data(study, study.manifest.get("timings", {}))
-    print(f"\n{study.design.name}: {output.counts(study.to_json()['cases'])}")
+    print(f"\n{study.design.name}: {output.counts(study.cases)}")
     try:
         for line in report_tables.answer_lines(data):
             output.paragraph(line)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 
-def document(beside: Beside) -> dict[str, Any]:
+def document(beside: Beside) -> dict[str, object]:
     """Comparison as plain JSON."""
     from dataclasses import asdict
 

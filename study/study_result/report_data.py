@@ -178,6 +178,37 @@ class Check:
 
 
 @dataclass(frozen=True)
+class DepthEffect:
+    """Largest difference of a factor with the test scored to a part of its depth.
+
+    Parameters
+    ----------
+    response, term : str
+        Response and factor.
+    depth_mm : float
+        Displacement in mm to which the curves are scored.
+    difference, low, high : float or None
+        With its simultaneous interval, in the unit of the response or as ratios.
+    practical : float or None
+        Smallest difference that matters, on the same scale.
+    verdict : str
+        Of the factor at this depth.
+    highest : str
+        Level with the largest mean.
+    """
+
+    response: str
+    term: str
+    depth_mm: float
+    difference: float
+    low: float | None
+    high: float | None
+    practical: float | None
+    verdict: str
+    highest: str
+
+
+@dataclass(frozen=True)
 class NumericalRow:
     """Numerical standard uncertainty of one response for one kind of discretization.
 
@@ -243,9 +274,8 @@ class ReportData:
     numerical : sequence of NumericalRow
     convergence : sequence of mapping
         Series of three meshes or more, as ``study converge --json`` gives them.
-    depths : sequence of mapping
-        Main effects with the test scored to less of its depth: ``response``, ``term``,
-        ``depth_mm``, ``difference``, ``low``, ``high``, ``practical``, ``verdict``.
+    depths : sequence of DepthEffect
+        Main effects with the test scored to less of its depth.
     validation : sequence of mapping
         E and u_val of every case along its curve, where inputs are uncertain.
     controls : sequence of Check
@@ -295,7 +325,7 @@ class ReportData:
     checks: tuple[Check, ...] = ()
     numerical: tuple[NumericalRow, ...] = ()
     convergence: tuple[Mapping[str, Any], ...] = ()
-    depths: tuple[Mapping[str, Any], ...] = ()
+    depths: tuple[DepthEffect, ...] = ()
     validation: tuple[Mapping[str, Any], ...] = ()
     controls: tuple[Check, ...] = ()
     virtual: bool = False

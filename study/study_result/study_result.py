@@ -78,22 +78,26 @@ class StudyResult:
         return sum(not record.converged for record in self.records)
 
     @property
-    def verdicts(self) -> list[dict[str, Any]]:
+    def cases(self) -> dict[str, int]:
+        """Number of cases: in all, done, failed and missing."""
+        return {
+            "total": self.total,
+            "done": len(self.records) - self.failed,
+            "failed": self.failed,
+            "missing": self.total - len(self.records),
+        }
+
+    @property
+    def verdicts(self) -> list[dict[str, object]]:
         """One verdict for every response and term."""
         results = [a.result for a in self.analyses if a.result is not None]
         return [row for result in results for row in result.verdicts()]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Document of ``study run --json``."""
-        done = len(self.records) - self.failed
-        found = {
+        found: dict[str, object] = {
             "study": self.design.name,
-            "cases": {
-                "total": self.total,
-                "done": done,
-                "failed": self.failed,
-                "missing": self.total - len(self.records),
-            },
+            "cases": self.cases,
             "predicted_seconds": self.predicted_seconds,
             "report": None if self.report is None else str(self.report),
             "verdicts": self.verdicts,

@@ -8,7 +8,6 @@ tails. Each contrast is then a sample of its own over the blocks.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from study.analysis.assumption.variance import (
     bartlett,
     levene,
 )
+from study.analysis.data import Crossed
 from study.analysis.error import residuals
 from study.analysis.outcome import Outcome
 from study.arrays import Array, Flags
@@ -51,16 +51,15 @@ class Diagnostics:
 def diagnose(out: Outcome) -> Diagnostics:
     """Check the assumptions that the tests of an analysis rest on."""
     if out.crossed is not None and out.replicates != "noise":
-        return _by_contrast(out)
+        return _by_contrast(out, out.crossed)
     out, normality, groups = _of_residuals(out)
     equal, spread = _spread_tests(out, groups)
     warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
     return Diagnostics(normality, equal, spread, warnings)
 
 
-def _by_contrast(out: Outcome) -> Diagnostics:
+def _by_contrast(out: Outcome, table: Crossed) -> Diagnostics:
     """Test each contrast over the blocks, and find the block that carries most of them."""
-    table = out.crossed
     unequal = (
         BartlettResult(None, None, None, False, _OWN),
         LeveneResult(None, None, None, False, _OWN),
@@ -128,18 +127,16 @@ def _spread_tests(
     # residuals of a blocked fit are correlated: their own design is simulated
     design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
     count = _MONTE_CARLO if out.request.exact else 0
-    options: dict[str, Any] = {
-        "approximate": groups.approximate,
-        "seed": out.request.seed,
-        "design": design,
-    }
+    rough, seed = groups.approximate, out.request.seed
     return (
-        bartlett(groups.groups, simulations=count, **options),
+        bartlett(groups.groups, approximate=rough, simulations=count, seed=seed, design=design),
         levene(
             groups.groups,
             center="auto" if out.request.exact or design else "median",
+            approximate=rough,
             simulations=count if design else 0,
-            **options,
+            seed=seed,
+            design=design,
         ),
     )
 

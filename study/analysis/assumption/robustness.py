@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.analysis.anova_table import BoxCoxResult, Sensitivity, WaldTest
-from study.analysis.data import Data, prepare
+from study.analysis.data import Crossed, Data, prepare
 from study.analysis.error.blocked import OwnTerm, cell_fit, own_terms
 from study.analysis.linear_model.design_matrix import (
     Layout,
@@ -242,7 +242,7 @@ def add_robustness(out: Outcome) -> Outcome:
     if out.fit is None or out.plots is not None or out.data.also:
         return out
     if out.crossed is not None:
-        return replace(out, robustness=_blocked(out))
+        return replace(out, robustness=_blocked(out, out.crossed))
     if out.data.block is not None or out.replicates != "runs" or out.error.source != "E0":
         return out
     if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
@@ -254,23 +254,23 @@ def add_robustness(out: Outcome) -> Outcome:
     return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
 
 
-def _blocked(out: Outcome) -> Sensitivity | None:
+def _blocked(out: Outcome, table: Crossed) -> Sensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
-    table, kind = out.crossed, out.anova.type
-    tests = _tests(out, table.y, kind)
+    kind = out.anova.type
+    tests = _tests(out, table, kind)
     found: dict[str, Mapping[str, float | None]] = {
         "own interaction, Greenhouse-Geisser": _p(tests, "gg"),
         "own interaction, Huynh-Feldt": _p(tests, "hf"),
         "interactions pooled": _additive(table.layout, out.terms, table.y, kind),
     }
     if not out.request.scale.is_log and table.y.min() > 0:
-        logged = _tests(out, np.log(table.y), kind)
+        logged = _tests(out, replace(table, y=np.log(table.y)), kind)
         found["own interaction of the log"] = _p(logged, "gg")
     return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
 
 
-def _tests(out: Outcome, y: Array, kind: str) -> list[OwnTerm]:
-    table = replace(out.crossed, y=y)
+def _tests(out: Outcome, table: Crossed, kind: str) -> list[OwnTerm]:
+    y = table.y
     floor = max(out.working_tolerance(), ulp_floor(y))
     total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))
     return own_terms(table, cell_fit(table, out.terms), kind, str(out.data.block), floor, total)

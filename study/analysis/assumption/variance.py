@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +34,7 @@ class BartlettResult:
     p_monte_carlo: float | None = None
     approximate: bool = False
 
-    def to_json(self) -> dict[str, Any] | None:
+    def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
         return _document(self, df=self.df)
 
@@ -53,12 +52,12 @@ class LeveneResult:
     p_monte_carlo: float | None = None
     approximate: bool = False
 
-    def to_json(self) -> dict[str, Any] | None:
+    def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
         return _document(self, df=list(self.df or ()), center=self.center)
 
 
-def _document(test: BartlettResult | LeveneResult, **own: Any) -> dict[str, Any] | None:
+def _document(test: BartlettResult | LeveneResult, **own: object) -> dict[str, object] | None:
     """JSON document of either test, with what is its own."""
     if not test.applicable:
         return None
@@ -276,7 +275,7 @@ def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
     return np.asarray(ratio)
 
 
-def _normal_draws(sizes: Any, count: int, seed: int) -> Iterator[list[Array]]:
+def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:
     rng = np.random.default_rng(seed)
     chunk = max(1, int(2e6 // int(sizes.sum())))
     for start in range(0, count, chunk):

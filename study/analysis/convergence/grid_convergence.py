@@ -81,7 +81,7 @@ class ConvergenceResult:
             return self.u_num / math.sqrt(3)
         return self.u_num / (_BIAS_COVERAGE if self.factor_of_safety == SAFE else 2)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """JSON document."""
         return dict(plain(self))
 
@@ -336,7 +336,7 @@ class Comparison:
             return f"the model is off by E = {e:.3g} N +- {u:.2g} N at the end{lacking}"
         return f"|E| = {abs(e):.2g} N is within u_val = {u:.2g} N at the end{lacking}"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """JSON document with the verdict."""
         return dict(plain(self)) | {"outside": self.outside, "verdict": self.verdict}
 

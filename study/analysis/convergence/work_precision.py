@@ -6,22 +6,22 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.analysis.data import prepare
+from study.analysis.data import crossed, prepare
 from study.analysis.effects.estimates import term_rows
-from study.analysis.error.blocked import crossed
 from study.analysis.linear_model.design_matrix import (
     Layout,
+    Model,
     Term,
     model_matrix,
     term_name,
     terms_of,
 )
 from study.analysis.linear_model.sums_of_squares import Factored, factor
-from study.arrays import Array
+from study.arrays import Array, Flags
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -184,7 +184,7 @@ def mesh_series(
     meshes: Sequence[str],
     *,
     block: str | None = None,
-    model: Any = "full",
+    model: Model = "full",
     transform: str = "none",
 ) -> dict[str, MeshSeries]:
     """Follow every effect but those of the mesh from mesh to mesh.
@@ -252,9 +252,7 @@ def _cells(
     return data.layout.take(first), y[0] + total / np.bincount(index)
 
 
-def _complete(
-    layout: Layout, others: Sequence[str], mesh: str, codes: Sequence[int]
-) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _complete(layout: Layout, others: Sequence[str], mesh: str, codes: Sequence[int]) -> Flags:
     """Whether the column of each cell has all meshes."""
     column = layout.cell(others)
     full = set(column.tolist())

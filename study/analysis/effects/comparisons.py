@@ -38,20 +38,8 @@ class Comparisons:
     letters: dict[str, str]
 
 
-@dataclass(frozen=True)
-class _Groups:
-    names: tuple[str, ...]
-    n: Array
-    mean: Array
-    variance: Array
-
-    @property
-    def pooled(self) -> tuple[float, int]:
-        df = self.n - 1
-        return float((df * self.variance).sum() / df.sum()), int(df.sum())
-
-
-def _summary(groups: Mapping[str, ArrayLike]) -> _Groups:
+def _checked(groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Values of every group, two or more and finite."""
     values = {str(k): np.asarray(v, dtype=float) for k, v in groups.items()}
     faults = [
         Fault(f"group {k}", f"needs at least two finite values, got {v.tolist()[:5]}")
@@ -62,45 +50,43 @@ def _summary(groups: Mapping[str, ArrayLike]) -> _Groups:
         faults.append(Fault("groups", "at least two groups are needed"))
     if faults:
         raise InputError(faults)
-    return _Groups(
-        tuple(values),
-        np.array([float(v.size) for v in values.values()]),
-        np.array([v[0] + np.mean(v - v[0]) for v in values.values()]),
-        np.array([np.var(v - v[0], ddof=1) for v in values.values()]),
-    )
+    return values
 
 
 def tukey_kramer(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
     """All pairs, equal variances (Tukey 1953, Kramer 1956)."""
-    g = _summary(groups)
-    s2, df = g.pooled
-    k = len(g.names)
-    q = studentized_range_quantile(1 - alpha, k, df)
-    pairs = []
-    for i, j in combinations(range(k), 2):
-        se = math.sqrt(s2 / 2 * (1 / g.n[i] + 1 / g.n[j]))
-        pairs.append(_range_pair(g, i, j, se, q, k, df))
-    return _family("Tukey-Kramer", alpha, g.names, pairs, g.mean)
+    return _all_pairs("Tukey-Kramer", groups, alpha, equal_var=True)
 
 
 def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
     """All pairs, unequal variances (Games and Howell 1976, J. Educ. Stat. 1, 113-125)."""
-    g = _summary(groups)
-    k = len(g.names)
-    share = g.variance / g.n
-    pairs = []
-    for i, j in combinations(range(k), 2):
-        both = share[i] + share[j]
-        df = both**2 / (share[i] ** 2 / (g.n[i] - 1) + share[j] ** 2 / (g.n[j] - 1))
-        q = studentized_range_quantile(1 - alpha, k, float(df))
-        pairs.append(_range_pair(g, i, j, math.sqrt(both / 2), q, k, float(df)))
-    return _family("Games-Howell", alpha, g.names, pairs, g.mean)
+    return _all_pairs("Games-Howell", groups, alpha, equal_var=False)
 
 
-def _range_pair(g: _Groups, i: int, j: int, se: float, q: float, k: int, df: float) -> Pair:
-    difference = float(g.mean[i] - g.mean[j])
-    p = max(0.0, 1 - studentized_range_cdf(abs(difference) / se, k, df))
-    return Pair(g.names[i], g.names[j], difference, difference - q * se, difference + q * se, p)
+def _all_pairs(
+    method: str, groups: Mapping[str, ArrayLike], alpha: float, *, equal_var: bool
+) -> Comparisons:
+    from scipy.stats import tukey_hsd
+
+    values = _checked(groups)
+    names = list(values)
+    # differences from one value are exact where doubles are close
+    shift = values[names[0]][0]
+    shifted = [v - shift for v in values.values()]
+    found = tukey_hsd(*shifted, equal_var=equal_var)
+    ends = found.confidence_interval(1 - alpha)
+    pairs = [
+        Pair(
+            names[i],
+            names[j],
+            float(found.statistic[i, j]),
+            float(ends.low[i, j]),
+            float(ends.high[i, j]),
+            float(found.pvalue[i, j]),
+        )
+        for i, j in combinations(range(len(names)), 2)
+    ]
+    return _family(method, alpha, names, pairs, np.array([v.mean() for v in shifted]))
 
 
 def dunnett(
@@ -119,7 +105,7 @@ def dunnett(
         )
     from scipy.stats import dunnett as scipy_dunnett
 
-    _summary(groups)
+    _checked(groups)
     others = [str(k) for k in groups if k != control]
     found = scipy_dunnett(
         *(np.asarray(groups[k], float) for k in others),

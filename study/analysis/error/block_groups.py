@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.data import Crossed, crossed
 from study.analysis.effects.estimates import pooled_estimate
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
-from study.analysis.error.blocked import Crossed, crossed
 from study.analysis.error.split_plot import Plots
 from study.analysis.linear_model.design_matrix import (
     Layout,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from study.analysis.anova_table import Anova, ErrorTerm, Row
-from study.analysis.data import Data
+from study.analysis.data import Crossed, crossed
 from study.analysis.effects.estimates import (
     TermEstimate,
     own_critical,
@@ -24,7 +24,7 @@ from study.analysis.effects.estimates import (
 from study.analysis.effects.samples import every_simple_effect, over_blocks
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
-from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix, term_name
+from study.analysis.linear_model.design_matrix import Term, model_matrix, term_name
 from study.analysis.linear_model.sums_of_squares import (
     Factored,
     TermSum,
@@ -36,30 +36,7 @@ from study.analysis.linear_model.sums_of_squares import (
 from study.analysis.outcome import Outcome, kind_of
 from study.analysis.pseudoreplication import ulp_floor
 from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
-from study.arrays import Array, Ints
-
-
-@dataclass(frozen=True)
-class Crossed:
-    """A complete table of cells against blocks.
-
-    Parameters
-    ----------
-    y : ndarray, shape (cells, blocks)
-        Response, repeats of one cell in one block averaged.
-    cells : ndarray, shape (cells,)
-        Index of each cell in the full grid.
-    layout : Layout
-        Factor levels of each cell.
-    blocks : tuple of str
-        Labels of the blocks kept.
-    """
-
-    y: Array
-    cells: Ints
-    layout: Layout
-    blocks: tuple[str, ...]
-    warnings: tuple[str, ...]
+from study.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -71,44 +48,6 @@ class OwnTerm:
     error: Row
     sphericity: SphericityResult
     warning: str = ""
-
-
-def crossed(data: Data, y: Array) -> Crossed:
-    """Cells against blocks; incomplete cells and blocks are left out, and said."""
-    block = data.block or ""
-    names = data.layout.levels[block]
-    cells, index = np.unique(data.cell, return_inverse=True)
-    shape = (cells.size, len(names))
-    total, count = np.zeros(shape), np.zeros(shape)
-    at = (index, data.layout.codes[block])
-    shift = float(y[0])
-    np.add.at(total, at, y - shift)
-    np.add.at(count, at, 1.0)
-    warnings = []
-    if count.max() > 1:
-        warnings.append("repeats of a cell within a block are averaged: they are nested in it")
-    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan) + shift
-    keep_cells = (count > 0).mean(axis=1) > 0.5
-    keep_blocks = (count[keep_cells] > 0).all(axis=0)
-    if not keep_cells.all():
-        labels = data.cell_names()
-        lost = [labels[c] for c in cells[~keep_cells]]
-        warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
-    if not keep_blocks.all():
-        gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
-        warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
-    first = np.array([int(np.flatnonzero(index == i)[0]) for i in np.flatnonzero(keep_cells)])
-    layout = data.layout.take(first) if first.size else data.layout
-    only = Layout(
-        {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}
-    )
-    return Crossed(
-        mean[np.ix_(keep_cells, keep_blocks)],
-        cells[keep_cells],
-        only,
-        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
-        tuple(warnings),
-    )
 
 
 def single_noise(table: Crossed) -> Crossed:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS
@@ -303,7 +302,7 @@ def _lines(row: Conclusion, beside: Beside, labels: Labels) -> Iterator[tuple[st
         )
 
 
-def _raw(row: Conclusion, beside: Beside) -> Iterator[dict[str, Any]]:
+def _raw(row: Conclusion, beside: Beside) -> Iterator[dict[str, object]]:
     for name, one in zip(beside.names, row.found, strict=True):
         yield {
             "response": row.response,

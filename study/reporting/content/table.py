@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -22,5 +21,5 @@ class Table:
     left: int = 1
     tail: int = 0
     note: str = ""
-    raw: tuple[Mapping[str, Any], ...] = field(default=(), repr=False)
+    raw: tuple[Mapping[str, object], ...] = field(default=(), repr=False)
     grouped: bool = False

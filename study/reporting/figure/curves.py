@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -90,7 +90,7 @@ def curve_panels(data: ReportData) -> CurvePanels:
 
 def _spread(pairs: Sequence[CurvePair], factor: str) -> float:
     """Variance between levels of the residual averaged at each tenth of the range."""
-    groups: dict[str, list[Any]] = {}
+    groups: dict[str, list[Array]] = {}
     for pair in pairs:
         d = np.linspace(0.1, 1, 10) * _end(pair)
         gap = pair.predicted.force_at(d) - pair.measured.force_at(d)
@@ -103,7 +103,7 @@ def _end(pair: CurvePair) -> float:
     return float(min(pair.measured.displacement_mm[-1], pair.predicted.displacement_mm[-1]))
 
 
-def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[Any, ...]]:
+def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, ...]]:
     start = max(float(pair.measured.displacement_mm[0]), 0.0)
     d = np.linspace(start, _end(pair), _POINTS)
     measured, predicted = pair.measured.force_at(d), pair.predicted.force_at(d)
@@ -312,10 +312,10 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
     force.plot(d[thin], panel.measured_N[thin], "o", color=INK, markersize=1.9, label="measured")
     residual.axhline(0, color=INK, linewidth=0.6)
     if panel.predicted_N is not None:
-        look: dict[str, Any] = {"color": color_of(0 if panel.fitted else 1), "linewidth": 1.1}
+        color = color_of(0 if panel.fitted else 1)
         label = "fit" if panel.fitted else "prediction (held out)"
-        force.plot(d, panel.predicted_N, label=label, **look)
-        residual.plot(d, panel.predicted_N - panel.measured_N, **look)
+        force.plot(d, panel.predicted_N, label=label, color=color, linewidth=1.1)
+        residual.plot(d, panel.predicted_N - panel.measured_N, color=color, linewidth=1.1)
     force.set_title(clean(panel.title, 44), fontsize=7.5)
     force.tick_params(labelbottom=False)
     force.legend(loc="upper left", fontsize=7)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from study.reporting.figure.style import BAND, INK, MARKERS, MUTED, WIDTH_IN, canvas, color_of
 from study.reporting.numbers import listing, quantity, term_name
 from study.reporting.report import Facts
-from study.study_result.report_data import ReportData
+from study.study_result.report_data import DepthEffect, ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 _BESIDE = 0.05
 
 
-def points(rows: Sequence[Mapping[str, Any]], response: str, data: ReportData) -> pd.DataFrame:
+def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
     """Rows of one response with the names of their factors."""
     import pandas as pd
 
-    frame = pd.DataFrame([row for row in rows if row["response"] == response])
+    frame = pd.DataFrame([asdict(row) for row in rows if row.response == response])
     names = [term_name(str(term), data.labels) for term in frame["term"]]
     numbers = {"difference": float, "low": float, "high": float, "practical": float}
     return frame.assign(name=names).astype(numbers)

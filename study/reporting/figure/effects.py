@@ -7,7 +7,7 @@ frame is the figure's CSV.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -225,7 +225,7 @@ def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) ->
         )
 
 
-def _at_right(ax: Axes, words: str, height: float, **looks: Any) -> None:
+def _at_right(ax: Axes, words: str, height: float, color: str | None = None) -> None:
     """Write outside the right edge at a height of the vertical axis."""
     ax.annotate(
         words,
@@ -236,7 +236,7 @@ def _at_right(ax: Axes, words: str, height: float, **looks: Any) -> None:
         va="center",
         fontsize=7.5,
         annotation_clip=False,
-        **looks,
+        color=color,
     )
 
 

@@ -6,7 +6,7 @@ mirrored at its axis (left before, right after), a solid is seen from a fixed di
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from study.reporting.numbers import count, quantity, sentence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure as Canvas
 
 
@@ -122,7 +123,6 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     figure = canvas(WIDTH_IN, float(np.clip(0.47 * WIDTH_IN * size[1] / size[0], 2.2, 6.0)) + 0.3)
     axes = figure.subplots(1, 2, sharex=True, sharey=True)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
-    made = None
     for ax, seen, values in zip(axes, turned, (None, color), strict=True):
         far_first = np.argsort(seen[faces][:, :, 2].mean(axis=1), kind="stable")
         ordered = faces[far_first]
@@ -148,7 +148,9 @@ def _shade(corners: Array) -> Array:
     return np.asarray(0.62 + 0.38 * np.clip(normal @ _LIGHT, 0, 1))
 
 
-def _polygons(ax: Axes, corners: Array, values: Array | None, shade: Array | None = None) -> Any:
+def _polygons(
+    ax: Axes, corners: Array, values: Array | None, shade: Array | None = None
+) -> ScalarMappable:
     """Draw faces; without values they are plain."""
     import matplotlib as mpl
     from matplotlib.collections import PolyCollection
@@ -179,7 +181,7 @@ def _frame(ax: Axes, points: Array) -> None:
     ax.set_aspect("equal")
 
 
-def _bar(figure: Canvas, ax: Axes, made: Any) -> None:
+def _bar(figure: Canvas, ax: Axes, made: ScalarMappable) -> None:
     bar = figure.colorbar(made, ax=ax, shrink=0.7, aspect=18, pad=0.02)
     bar.set_label("displacement (mm)")
     bar.outline.set_visible(False)

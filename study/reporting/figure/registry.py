@@ -92,7 +92,7 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
         makers["contrasts"] = (title, lambda: _contrasts(data, facts))
     if len(data.factors) < 2:
         del makers["interactions"]
-    if any(row["response"] == facts.name for row in data.depths):
+    if any(row.response == facts.name for row in data.depths):
         makers["depth"] = ("Effects against depth", lambda: _depth(data, facts))
     if facts.response.better and "seconds" in data.table:
         makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))

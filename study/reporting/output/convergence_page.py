@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from study.arrays import Array, Ints
 from study.reporting.content.table import Table
 from study.reporting.figure import convergence
-from study.reporting.figure.registry import Figure, make, slug
+from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.numbers import MISSING, clean, significant
 from study.reporting.output import write
 from study.reporting.output.page import _environment
@@ -20,7 +22,7 @@ from study.reporting.output.write import _replace
 if TYPE_CHECKING:
     from study.reporting.figure.convergence import Document
 
-Meshes = Sequence[tuple[str, Any, Any]]
+Meshes = Sequence[tuple[str, Array, Ints]]
 
 
 def write_convergence(
@@ -29,7 +31,7 @@ def write_convergence(
     document: Document,
     out_dir: str | Path,
     meshes: Meshes = (),
-    window: Any = None,
+    window: ArrayLike | None = None,
 ) -> Path:
     """Write the page of a convergence document, with the data of its figures beside it.
 
@@ -66,7 +68,7 @@ def convergence_figures(
     cells: Sequence[Document],
     fronts: Sequence[Document] = (),
     meshes: Meshes = (),
-    window: Any = None,
+    window: ArrayLike | None = None,
 ) -> list[Figure]:
     """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
@@ -83,23 +85,23 @@ def convergence_figures(
     return found
 
 
-def _values(cells: Sequence[Document]) -> Any:
+def _values(cells: Sequence[Document]) -> Drawn:
     frame = convergence.value_points(cells)
     return frame, lambda: convergence.draw_values(frame), convergence.value_caption(cells)
 
 
-def _errors(cells: Sequence[Document]) -> Any:
+def _errors(cells: Sequence[Document]) -> Drawn:
     frame = convergence.error_points(cells)
     return frame, lambda: convergence.draw_errors(frame), convergence.error_caption(cells)
 
 
-def _front(front: Document) -> Any:
+def _front(front: Document) -> Drawn:
     frame = convergence.front_points(front)
     accuracy = float(front["accuracy"])
     return frame, lambda: convergence.draw_front(frame, accuracy), f"{front['answer']}."
 
 
-def _meshes(meshes: Meshes, window: Any) -> Any:
+def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
     import pandas as pd
 
     counts = pd.DataFrame(
@@ -186,7 +188,7 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     return [Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw))]
 
 
-def _warnings(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+def _warnings(cells: Sequence[Document]) -> list[str]:
     found = [
         f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from study.reporting.content import (
     checks,
@@ -24,6 +24,10 @@ from study.reporting.figure.registry import Figure
 from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
 from study.reporting.report import Facts, facts, grouped_inputs
 from study.study_result.report_data import ReportData, ResponseAnalysis
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from markupsafe import Markup
 
 _NO_FIGURE = "was not drawn"
 _VERSION = "version of "
@@ -198,7 +202,7 @@ def _warnings(contents: Contents) -> tuple[str, ...]:
     return (*dict.fromkeys(contents.data.warnings), *folded(found, contents.data))
 
 
-def _environment() -> Any:
+def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -221,7 +225,7 @@ def _environment() -> Any:
     return environment
 
 
-def _subscripts(text: str) -> Any:
+def _subscripts(text: str) -> Markup:
     """Text with ``u_num`` and its kin as a letter and its subscript, all else escaped."""
     from markupsafe import Markup, escape
 
@@ -230,7 +234,7 @@ def _subscripts(text: str) -> Any:
     return Markup(parts)  # noqa: S704
 
 
-def _drawing(figure: Figure) -> Any:
+def _drawing(figure: Figure) -> Markup:
     from markupsafe import Markup
 
     return Markup(figure.svg)  # noqa: S704

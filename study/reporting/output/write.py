@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.errors import Fault, InputError, StudyError, nearest
 from study.reporting.content.methods import paragraph
@@ -96,7 +96,7 @@ def _tables(contents: Contents, beside: Path) -> None:
 
 
 def _numbers(contents: Contents, beside: Path) -> None:
-    numbers: dict[str, Any] = {
+    numbers = {
         response.name: None if response.result is None else response.result.to_json()
         for response in contents.data.responses
     }
@@ -283,7 +283,7 @@ def print_page(page: Path, out: Path) -> None:
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
-def safe_cell(value: Any) -> Any:
+def safe_cell(value: object) -> object:
     """Cell for a CSV: numbers stay numbers, text that could be a formula gets a quote.
 
     Examples
@@ -308,13 +308,13 @@ def of_frame(frame: pd.DataFrame) -> str:
     return of_rows(list(frame.columns), frame.itertuples(index=False, name=None))
 
 
-def of_records(records: Sequence[Mapping[str, Any]]) -> str:
+def of_records(records: Sequence[Mapping[str, object]]) -> str:
     """CSV text of mappings; columns in the order of first appearance."""
     columns = list(dict.fromkeys(key for record in records for key in record))
     return of_rows(columns, ([record.get(key) for key in columns] for record in records))
 
 
-def of_rows(columns: Iterable[Any], rows: Iterable[Iterable[Any]]) -> str:
+def of_rows(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """CSV text: comma, quotes where needed, one newline a row."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
