@@ -19,6 +19,7 @@ PUBLIC = {
     "analyze",
     "converge",
     "report",
+    "power",
     "anova",
     "ryan_joiner",
     "bartlett",
