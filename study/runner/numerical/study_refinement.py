@@ -204,9 +204,12 @@ def series_uncertainty(
 
     Examples
     --------
-    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0)
+    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0, formal=1.0)
     >>> behaviour, round(u, 6)
     ('monotone', 0.5)
+    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0)  # without a formal order: thrice
+    >>> round(u, 6)
+    1.2
     """
     usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
     nominal = [ratio**-k for k in range(len(values))]
@@ -342,7 +345,7 @@ def fine_uncertainty(
 
     Examples
     --------
-    >>> behaviour, u = fine_uncertainty([1.4, 1.2, 1.1], [4.0, 2.0, 1.0])
+    >>> behaviour, u = fine_uncertainty([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], formal=1.0)
     >>> behaviour, round(u, 6)
     ('monotone', 0.125)
     """
