@@ -13,6 +13,7 @@ from study.analysis.assembly import assemble
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, prepare
+from study.analysis.effects.leave_one_out import without_each
 from study.analysis.error import ledger, nested
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
@@ -196,6 +197,12 @@ def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:
 def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Analysis of the rows there are, and what the missing ones could do to it."""
     out = _found(table, request)
+    if len(request.layout.block) == 1 and out.error.source == "E1":
+
+        def refound(rows: pd.DataFrame) -> tuple[Effect, ...]:
+            return _found(rows, request).effects
+
+        out = replace(out, effects=without_each(table, *request.layout.block, out.effects, refound))
     result = assemble(add_robustness(out))
     if not out.data.missing:
         return result

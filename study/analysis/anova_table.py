@@ -164,7 +164,9 @@ class Effect:
     one of the ``letters`` are not told apart. ``u_num`` bounds the numerical error of the largest
     difference, ``u_needed`` is what a claim would need. The verdict of a factor is that of its
     ``simple_effects``; ``always`` lists the pairs of levels (larger, smaller) whose difference
-    is beyond the practical one at every setting of the other factors.
+    is beyond the practical one at every setting of the other factors. An interaction has no
+    verdict; ``of_components`` says what the interval of its largest pure component allows.
+    ``lost_without`` names the blocks without which the claim is not made: a fragile one.
     """
 
     term: str
@@ -188,11 +190,18 @@ class Effect:
     u_needed: float | None = None
     simple_effects: tuple[SimpleEffect, ...] = ()
     always: tuple[tuple[str, str], ...] = ()
+    of_components: str = ""
+    lost_without: tuple[str, ...] | None = None
 
     @property
     def is_main(self) -> bool:
         """Whether this is the effect of one factor alone."""
         return ":" not in self.term
+
+    @property
+    def strength(self) -> str:
+        """Verdict of a factor; of an interaction what its components allow."""
+        return self.of_components or self.verdict
 
     @property
     def is_ratio(self) -> bool:
@@ -222,13 +231,13 @@ class Effect:
     @property
     def largest_simple(self) -> SimpleEffect | None:
         """Simple effect that is farthest from no difference."""
-        return max(self.simple_effects, key=self._distance, default=None)
+        return max(self.simple_effects, key=self.distance, default=None)
 
     @property
     def deciding_simple(self) -> SimpleEffect | None:
         """Largest of the simple effects that have the verdict of the term, if any has it."""
         chosen = [e for e in self.simple_effects if e.verdict == self.verdict]
-        return max(chosen, key=self._distance, default=self.largest_simple)
+        return max(chosen, key=self.distance, default=self.largest_simple)
 
     @property
     def depends_on_settings(self) -> bool:
@@ -245,7 +254,8 @@ class Effect:
         pairs = zip(self.levels, self.mean, strict=False)
         return [(level, mean) for level, mean in pairs if mean is not None]
 
-    def _distance(self, one: SimpleEffect) -> float:
+    def distance(self, one: SimpleEffect) -> float:
+        """How far a simple effect is from no difference, on the scale of the analysis."""
         return abs(math.log(one.difference) if self.is_ratio else one.difference)
 
 

@@ -262,6 +262,7 @@ class AnalysisResult:
                 "U": plain(effect.u_num),
                 "U_needed": plain(effect.u_needed),
                 "p_holm": plain(effect.p_holm),
+                "lost_without": plain(effect.lost_without),
                 "simple_effects": plain(effect.simple_effects),
             }
             for effect in self.effects

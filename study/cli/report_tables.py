@@ -20,7 +20,7 @@ def verdict_rows(data: ReportData) -> Rows:
 def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
     """Title and verdict table of each response, narrow enough for a terminal."""
     header, *rows = verdict_rows(data)
-    shown = [i for i, name in enumerate(header) if name not in ("response", "effect / u_num")]
+    shown = [i for i, name in enumerate(header) if name != "response"]
     found: dict[str, Rows] = {}
     for row in rows:
         table = found.setdefault(row[0], [[header[i] for i in shown]])

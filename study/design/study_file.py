@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from study import units
+from study.design.roles import read_roles
 from study.setup.quantity import Duration, integer, number, shown
 from study.setup.section import Bad, Read, Reads, section
 from study.setup.text import choice
@@ -126,6 +127,7 @@ class Analysis:
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
+    roles: Annotated[tuple[tuple[str, str], ...], Reads(read_roles)] = ()
 
 
 @section

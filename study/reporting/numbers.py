@@ -168,6 +168,31 @@ def span(low: float | None, high: float | None, decimals: int | None, digits: in
     return f"{_fixed(low, places)} to {_fixed(high, places)}"
 
 
+def inside(
+    value: float | None, low: float | None, high: float | None, shown: str, ends: str
+) -> str:
+    """Write an estimate as finely as its interval where it would else stand outside of it.
+
+    Parameters
+    ----------
+    shown, ends : str
+        The estimate and its interval as they would be printed.
+
+    Examples
+    --------
+    >>> inside(1.42716, 1.4271, 1.4272, "1.43", "1.4271 to 1.4272")
+    '1.4272'
+    >>> inside(0.156, 0.026, 0.286, "0.156", "0.026 to 0.286")
+    '0.156'
+    """
+    places = [len(text.partition(".")[2]) for text in (shown, ends.partition(" to ")[0])]
+    if value is None or low is None or high is None or places[1] <= places[0]:
+        return shown
+    if round(low, places[1]) <= round(value, places[0]) <= round(high, places[1]):
+        return shown
+    return _fixed(value, places[1])
+
+
 def _decimals(value: float, digits: int) -> int:
     # log10 of the value as it will be printed: 9.999 is 10.0
     exponent = math.floor(math.log10(float(f"{value:.{digits - 1}e}")))

@@ -45,6 +45,8 @@ class Facts:
         Effects with the levels in the order of the design; what is not finite is None.
     warnings : tuple of str
         Notes of the analysis, or why there is none.
+    block : str
+        What the blocks are: phantom, batch.
     """
 
     response: ResponseAnalysis
@@ -52,6 +54,7 @@ class Facts:
     unit: str
     terms: tuple[Effect, ...] = ()
     warnings: tuple[str, ...] = ()
+    block: str = "block"
 
     @property
     def result(self) -> AnalysisResult | None:
@@ -145,7 +148,8 @@ def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
         warned = (response.refused,) if response.refused else ()
         return Facts(response, title, clean(response.unit), warnings=warned)
     terms = tuple(_as_designed(effect, data.factors) for effect in found.effects)
-    return Facts(response, title, clean(response.unit), terms, found.notes)
+    block = clean(data.block) or "block"
+    return Facts(response, title, clean(response.unit), terms, found.notes, block)
 
 
 def _finite(value: _Value) -> _Value:

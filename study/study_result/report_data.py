@@ -302,6 +302,8 @@ class ReportData:
         Cells of that part.
     labels : mapping of str to str
         Better names for factors or responses; made from the key when absent.
+    roles : mapping of str to str
+        ``"choice"``, ``"condition"`` or ``"unknown"`` by factor; a choice where it is absent.
     expected : tuple of Expected
         What was expected before the study ran.
     beside : Beside, optional
@@ -340,6 +342,7 @@ class ReportData:
     scheme: str = ""
     cells: int | None = None
     labels: Mapping[str, str] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
     expected: tuple[Expected, ...] = ()
     beside: Beside | None = None
 

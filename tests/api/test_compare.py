@@ -43,7 +43,7 @@ def test_each_number_is_that_of_its_own_study(tmp_path: Path) -> None:
         for row_ in found.conclusions:
             effect = study.analyses[0].result.effect(row_.term)
             one = row_.found[which]
-            assert (one.verdict, one.effect, one.p) == (effect.verdict, effect.range, effect.p)
+            assert (one.verdict, one.effect, one.p) == (effect.strength, effect.range, effect.p)
             assert (one.low, one.high) == effect.ci95
             assert one.practical == effect.practical
     assert "the smallest difference that matters is not the same in both" in found.warnings[0]

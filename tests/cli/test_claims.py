@@ -112,3 +112,44 @@ def test_how_many_specimens_a_claim_needs(capsys: pytest.CaptureFixture[str]) ->
         assert rows[b]["double"]["matters"] == pytest.approx(matters, abs=0.012)
     assert run(["power", design, "--sd", "-1"]) == 2
     assert "positive" in capsys.readouterr().err
+
+
+def test_a_claim_that_rests_on_one_block_names_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Differences 0, 2.8 (five times): the interval reaches 1.16 with s0 and 2.8 without it.
+
+    With practical 2.6 only the five equal ones would make a claim; with practical 1 all do, and
+    without any one of the five the interval of the others reaches below 1.
+    """
+    differences = [0.0, 2.79, 2.80, 2.81, 2.80, 2.80]
+    rows = ["m,specimen,y"]
+    for k, d in enumerate(differences):
+        rows += [f"x,s{k},{10 + k}", f"y,s{k},{10 + k + d}"]
+    path = tmp_path / "six.csv"
+    path.write_text("\n".join(rows) + "\n")
+
+    def verdict(kept: list[float], practical: float) -> bool:
+        d = np.array(kept)
+        half = stats.t.ppf(0.975, d.size - 1) * d.std(ddof=1) / np.sqrt(d.size)
+        return bool(d.mean() - half > practical)
+
+    assert verdict(differences, 1.0)
+    expected = [
+        f"s{k}" for k in range(6) if not verdict(differences[:k] + differences[k + 1 :], 1.0)
+    ]
+    found = ask(capsys, "analyze", str(path), "--response", "y", "--factors", "m",
+                "--block", "specimen", "--practical", "1")  # fmt: skip
+    (effect,) = found["effects"]
+    assert effect["verdict"] == "matters"
+    assert effect["lost_without"] == expected == [f"s{k}" for k in range(1, 6)]
+
+
+def test_an_interaction_has_no_verdict_of_its_own(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    found = ask(capsys, "analyze", eighth(tmp_path, interaction=True), "--response", "y",
+                "--factors", "a,b,c", "--block", "specimen", "--practical", "1")  # fmt: skip
+    for effect in found["effects"]:
+        assert (effect["verdict"] == "see simple effects") is (":" in effect["term"])
+        assert effect["p"] is not None

@@ -94,7 +94,7 @@ def _bound(
 ) -> FailureBound:
     filled = [effect for effects in found for effect in effects if effect.term == term]
     every = [*(e for e in now if e.term == term), *filled]
-    verdicts = tuple(dict.fromkeys(e.verdict for e in every))
+    verdicts = tuple(dict.fromkeys(e.strength for e in every))
     sizes = [e.range for e in every if e.range is not None]
     p = [e.p for e in every if e.p is not None]
     significant = {value < alpha for value in p}

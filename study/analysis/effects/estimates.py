@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import product
+from typing import overload
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class TermEstimate:
         Marginal means, NaN where not estimable.
     covariance : ndarray, shape (k, k), or None
         Covariance of ``component``; None where there is no error.
-    critical : float or None
+    critical : float or ndarray, shape (k, k), or None
         Simultaneous multiplier of the standard error of a difference.
     mean_half : ndarray, shape (k,), or None
         Half-width of the interval of each mean.
@@ -41,7 +42,7 @@ class TermEstimate:
     component: Array
     mean: Array
     covariance: Array | None
-    critical: float | None
+    critical: float | Array | None
     mean_half: Array | None
     p: float | None
     settings: tuple[tuple[str, ...], ...] = ()
@@ -127,11 +128,16 @@ def _df_of(layout: Layout, term: Term) -> int:
     return int(np.prod([len(layout.levels[name]) - 1 for name in term]))
 
 
-def t_quantile(upper: float, df: float) -> float:
+@overload
+def t_quantile(upper: float, df: float) -> float: ...
+@overload
+def t_quantile(upper: float, df: Array) -> Array: ...
+def t_quantile(upper: float, df: float | Array) -> float | Array:
     """Upper quantile of Student's t."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(df, 1 - upper))
+    found = stdtrit(df, 1 - upper)
+    return np.asarray(found) if np.ndim(found) else float(found)
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:

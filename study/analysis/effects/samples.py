@@ -17,7 +17,7 @@ from study.analysis.effects.simple_effects import (
 from study.analysis.effects.simultaneous import block_multiplier, pooled_multiplier
 from study.analysis.linear_model.design_matrix import Layout, Term
 from study.analysis.linear_model.sums_of_squares import ALIAS_TOLERANCE, Factored
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 
 def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> Sample:
@@ -41,6 +41,50 @@ def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> 
         )
 
     return estimate
+
+
+def over_groups(
+    fit: Factored, added: Array, groups: Sequence[Ints], alpha: float, seed: int
+) -> Sample:
+    """Estimate combinations by their own variance in each group of blocks (Welch 1938).
+
+    Parameters
+    ----------
+    added : ndarray, shape (p, b)
+        What each block adds to the coefficients, which are its sum.
+    groups : sequence of ndarray of int
+        Blocks of each group.
+    """
+
+    def estimate(rows: Array) -> Estimates:
+        value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
+        error, df = group_errors(value, groups)
+        known = np.isfinite(value).all(axis=1)
+        wide = np.zeros(len(value))
+        if known.any():
+            wide[known] = block_multiplier(value[known], alpha, seed, groups, df[known])
+        return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide)
+
+    return estimate
+
+
+def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
+    """Find the standard errors of sums over blocks and their degrees of freedom, shape (m,).
+
+    Parameters
+    ----------
+    value : ndarray, shape (m, b)
+        What each block adds.
+    groups : sequence of ndarray of int
+        Blocks of each group, three of them at least.
+    """
+    n = np.array([len(group) for group in groups])
+    parts = n[:, None] * np.array([value[:, group].var(axis=1, ddof=1) for group in groups])
+    total = parts.sum(axis=0)
+    below = np.sum(parts**2 / (n - 1)[:, None], axis=0)
+    all_of_them = np.full(len(value), float((n - 1).sum()))
+    df = np.divide(total**2, below, out=all_of_them, where=below > 0)
+    return np.sqrt(total), df
 
 
 def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:

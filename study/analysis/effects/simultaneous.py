@@ -8,10 +8,12 @@ Resampling-Based Multiple Testing, chapter 2). Neither sphericity nor equal vari
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import overload
 
 import numpy as np
 
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 #: Draws of the largest |t|; 2,000 give its .96 quantile to about 3 %.
 DRAWS = 4000
@@ -20,60 +22,101 @@ DRAWS = 4000
 SHARPER = 0.8
 #: With fewer blocks their covariance is too unsure to be simulated from: Bonferroni instead.
 FEWEST_BLOCKS = 5
+#: Blocks beyond which their covariance is factored first; below, that saves nothing.
+MANY_BLOCKS = 9
 #: Values held at once by a simulation: 64 MB.
 _AT_ONCE = 8_000_000
 
 
-def bonferroni(contrasts: int, df: float, alpha: float) -> float:
+@overload
+def bonferroni(contrasts: int, df: float, alpha: float) -> float: ...
+@overload
+def bonferroni(contrasts: int, df: Array, alpha: float) -> Array: ...
+def bonferroni(contrasts: int, df: float | Array, alpha: float) -> float | Array:
     """Multiplier that holds whatever the dependence."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(df, 1 - alpha / (2 * contrasts)))
+    found = stdtrit(df, 1 - alpha / (2 * contrasts))
+    return np.asarray(found) if np.ndim(found) else float(found)
 
 
-def block_multiplier(contrasts: Array, alpha: float, seed: int) -> float:
+@overload
+def block_multiplier(contrasts: Array, alpha: float, seed: int) -> float: ...
+@overload
+def block_multiplier(
+    contrasts: Array, alpha: float, seed: int, groups: Sequence[Ints], df: Array
+) -> Array: ...
+def block_multiplier(
+    contrasts: Array, alpha: float, seed: int, groups: Sequence[Ints] = (), df: Array | None = None
+) -> float | Array:
     """Multiplier of the standard errors for simultaneous intervals of all contrasts.
 
     Parameters
     ----------
     contrasts : ndarray, shape (m, b)
-        Value of every contrast in every block.
+        Value of every contrast in every block; in groups, what each block adds to it.
     alpha : float
         1 - level of the intervals together.
     seed : int
         Of the simulation.
+    groups : sequence of ndarray of int, optional
+        Blocks of each group, which have a covariance of their own; one group by default.
+    df : ndarray, shape (m,), optional
+        Degrees of freedom of each contrast, b - 1 by default.
 
     Returns
     -------
-    float
-        Bonferroni's with fewer than five blocks or where that is smaller.
+    float or ndarray, shape (m,)
+        Bonferroni's with fewer than five blocks in a group or where that is smaller.
     """
     m, b = contrasts.shape
-    safe = bonferroni(max(m, 1), b - 1, alpha)
-    if m <= 1 or b < FEWEST_BLOCKS:
+    parts = list(groups) or [np.arange(b)]
+    safe = bonferroni(max(m, 1), b - 1 if df is None else df, alpha)
+    if m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
         return safe
-    z = (contrasts - contrasts.mean(axis=1, keepdims=True)) / math.sqrt(b - 1)
+    roots = [_centred(contrasts[:, part]) for part in parts]
+    z = np.concatenate(roots, axis=1)
     spread = np.sqrt(np.sum(z**2, axis=1))
     z = z[spread > 1e-12 * spread.max(initial=0.0)]
     if not len(z):
         return safe
     z = np.unique((z / np.sqrt(np.sum(z**2, axis=1))[:, None]).round(9), axis=0)
-    largest = _largest_t(z, b, seed)
-    return min(safe, float(np.quantile(largest, 1 - SHARPER * alpha)))
+    ends = np.cumsum([len(part) for part in parts])[:-1]
+    largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in parts], seed)
+    found = float(np.quantile(largest, 1 - SHARPER * alpha))
+    return np.minimum(safe, found) if isinstance(safe, np.ndarray) else min(safe, found)
 
 
-def _largest_t(z: Array, b: int, seed: int) -> Array:
-    """Largest |t| of all contrasts in each draw of b blocks from N(0, z z')."""
+def _centred(values: Array) -> Array:
+    """Root of the covariance of some blocks: z z' is their covariance, shape (m, b)."""
+    centre = values.mean(axis=1, keepdims=True)
+    return np.asarray((values - centre) / math.sqrt(values.shape[1] - 1))
+
+
+def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Array:
+    """Largest |t| of all contrasts in each draw of blocks from N(0, z z') of each group."""
     random = np.random.default_rng(seed)
     found = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // (len(z) * b)))
+    short = [_short(z) for z in roots]
+    most = max(len(z) * b for z, b in zip(short, blocks, strict=True))
+    step = max(1, min(DRAWS, _AT_ONCE // most))
     for start in range(0, DRAWS, step):
         n = min(step, DRAWS - start)
-        draws = z @ random.standard_normal((n, b, b))
-        mean = draws.mean(axis=2)
-        error = np.sqrt(np.maximum(draws.var(axis=2, ddof=1), 1e-300) / b)
-        found[start : start + n] = np.abs(mean / error).max(axis=1)
+        total, variance = np.zeros((n, len(roots[0]))), np.zeros((n, len(roots[0])))
+        for z, b in zip(short, blocks, strict=True):
+            draws = z @ random.standard_normal((n, z.shape[1], b))
+            total += draws.sum(axis=2)
+            variance += b * draws.var(axis=2, ddof=1)
+        found[start : start + n] = np.abs(total / np.sqrt(np.maximum(variance, 1e-300))).max(axis=1)
     return found
+
+
+def _short(z: Array) -> Array:
+    """Root of z z' with no more columns than rows where blocks are many (400 resamples)."""
+    if z.shape[1] <= MANY_BLOCKS or z.shape[1] <= z.shape[0]:
+        return z
+    upper = np.asarray(np.linalg.qr(z.T, mode="r"))
+    return np.asarray(upper.T)
 
 
 def pooled_multiplier(root: Array, df: float, alpha: float, seed: int) -> float:

@@ -23,6 +23,7 @@ from study.analysis.effects.verdict import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
+    SEE_SIMPLE,
     Judgement,
     judge_all,
 )
@@ -69,18 +70,20 @@ def size(
         interval = (largest - half[top, bottom], largest + half[top, bottom])
     u = scale.between(estimate, top, bottom)
     found = _judged(estimate, half, scale, own)
+    main = len(estimate.term) == 1
     pairs, tags = _pairs(estimate, half, back)
     return replace(
         effect,
         ci95=None if interval is None else (back(interval[0]), back(interval[1])),
         range=back(largest),
-        verdict=found.verdict,
+        verdict=found.verdict if main else SEE_SIMPLE,
+        of_components="" if main else found.verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
         mean_ci95=_mean_intervals(estimate, back),
         u_num=None if u is None else u / scale.unit,
         effect_over_u_num=largest / u if u else None,
         resolved=_resolved(largest / u) if u else None,
-        why=found.why,
+        why=found.why if main else "an interaction is read from the simple effects of its factors",
         pairs=pairs,
         letters=tags,
         u_needed=None if found.u_needed is None else found.u_needed / scale.unit,

@@ -19,6 +19,8 @@ MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
 NOT_RESOLVED = "not resolved by the mesh"
 CANNOT_TELL = "cannot tell"
+#: of an interaction, whose pure components nobody chooses between
+SEE_SIMPLE = "see simple effects"
 
 
 @dataclass(frozen=True)

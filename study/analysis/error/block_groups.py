@@ -3,20 +3,32 @@
 A block (specimen) belongs to one group (its mix, say) and is scored in every cell of the other
 factors. An effect within blocks, and its interaction with the groups, is tested against its own
 interaction with the blocks of a group; an effect between blocks against the blocks themselves.
+Each group has a covariance of its own (Welch-Box) from three blocks a group on; with two, one
+covariance serves all groups.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
-from study.analysis.anova_table import Anova, ErrorTerm, Row
+from study.analysis.anova_table import Anova, Effect, ErrorTerm, Row
 from study.analysis.data import Crossed, crossed
-from study.analysis.effects.estimates import pooled_estimate
+from study.analysis.effects.estimates import (
+    TermEstimate,
+    pooled_estimate,
+    settings_of,
+    t_quantile,
+    term_rows,
+)
+from study.analysis.effects.samples import every_simple_effect, group_errors, over_groups
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
 from study.analysis.error.split_plot import Plots
+from study.analysis.error.welch_box import LEAST_OWN, welch_box
 from study.analysis.linear_model.design_matrix import (
     Layout,
     Term,
@@ -25,6 +37,7 @@ from study.analysis.linear_model.design_matrix import (
     terms_of,
 )
 from study.analysis.linear_model.sums_of_squares import (
+    ALIAS_TOLERANCE,
     Factored,
     complement,
     factor,
@@ -34,7 +47,7 @@ from study.analysis.linear_model.sums_of_squares import (
 from study.analysis.outcome import Outcome, kind_of
 from study.analysis.pseudoreplication import ulp_floor
 from study.analysis.sphericity import SphericityResult, epsilon_gg, sphericity
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 
 @dataclass(frozen=True)
@@ -56,13 +69,14 @@ def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
     fit = factor(between, np.arange(float(groups.n)))
     if fit.df_residual < 1:
         return None
-    counts = np.bincount(groups.cell(plots.between))
-    kind, out = kind_of(out, bool(np.ptp(counts) == 0))
+    code = groups.cell(plots.between)
+    members = [np.flatnonzero(code == g) for g in np.unique(code)]
+    kind, out = kind_of(out, len({len(m) for m in members}) == 1)
     out = out.warn(*table.warnings)
-    whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     shifted = table.y - table.y[0, 0]
     total = float(np.sum((shifted - shifted.mean()) ** 2))
     floor = max(out.working_tolerance(), ulp_floor(table.y))
+    apart = members if min(len(m) for m in members) >= LEAST_OWN else []
     rows: dict[Term, Row] = {}
     errors, spheres = [], {}
     for part_term, part in _parts(out, table, within, block, fit).items():
@@ -72,12 +86,28 @@ def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
         for group_term, direction in _directions(fit, kind, part_term):
             term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
             if term in out.terms:
-                rows[term] = _row(term, part, direction, total, floor)
-    found = _outcome(out, plots, rows, errors, whole)
+                rows[term] = _row(term, part, direction, apart, total, floor)
+    choice = ledger.strata_choice(
+        block, plots.name, plots.between, ledger.OWN, "own" if apart else "pooled"
+    )
+    if out.request.error == "own":
+        choice = replace(choice, reason="asked for")
+    effects = _welch_effects(out, rows, table, apart) if apart else _effects(out, rows, errors)
     listed = [rows[t] for t in out.terms if t in rows]
-    table_of = with_shares([*listed, *errors], total)
-    anova = Anova(kind, table_of, out.y.size - 1, total)
-    return replace(found, anova=anova, sphericity=spheres)
+    return replace(
+        out,
+        error=ErrorTerm(
+            choice.source,
+            choice.question,
+            {r.term: float(r.df_error or 0) for r in listed},
+            choice.reason,
+        ),
+        anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
+        effects=effects,
+        sphericity=spheres,
+        fit=residuals.additive_fit(out.data, out.y, plots=plots.code),
+        plots=plots.code,
+    )
 
 
 def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed, Layout]:
@@ -124,9 +154,14 @@ def _directions(fit: Factored, kind: str, part: Term) -> list[tuple[Term, Array]
     return found + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
 
 
-def _row(term: Term, part: _Part, direction: Array, total: float, floor: float) -> Row:
-    from scipy.special import fdtrc
-
+def _row(
+    term: Term,
+    part: _Part,
+    direction: Array,
+    groups: Sequence[Ints],
+    total: float,
+    floor: float,
+) -> Row:
     effect = part.values @ direction
     df, ss = effect.size, float(np.sum(effect**2))
     ss_error = float(np.sum(part.residual**2))
@@ -136,22 +171,34 @@ def _row(term: Term, part: _Part, direction: Array, total: float, floor: float) 
     if float(np.abs(part.residual).max(initial=0.0)) <= floor:
         return Row(name, df, ss, ss / df)
     ms_error = ss_error / part.df
-    f = ss / df / ms_error
-    epsilon = epsilon_gg(part.residual @ part.residual.T)
+    f, epsilon, df_error = _f(part, direction, groups, ss / df / ms_error)
     return Row(
         name,
         df,
         ss,
         ss / df,
         f,
-        float(fdtrc(df, part.df, f)),
+        float(fdtrc(df, df_error, f)),
         part.name,
-        part.df,
+        df_error,
         epsilon,
-        float(fdtrc(df * epsilon, part.df * epsilon, f)),
+        float(fdtrc(df * epsilon, df_error * epsilon, f)),
         max(0.0, (ss - df * ms_error) / (total + ms_error)),
         ss / (ss + ss_error),
     )
+
+
+def _f(
+    part: _Part, direction: Array, groups: Sequence[Ints], pooled: float
+) -> tuple[float, float, float]:
+    """F, epsilon and the degrees of freedom of the error before their correction by epsilon."""
+    if groups:
+        weights = np.array([direction[group].sum(axis=0) for group in groups]).T
+        found = welch_box([part.values[:, group] for group in groups], weights)
+        if found.f is not None and found.df1 is not None and found.df2 is not None:
+            epsilon = found.df1 / (part.values.shape[0] * direction.shape[1])
+            return found.f, epsilon, found.df2 / epsilon
+    return pooled, epsilon_gg(part.residual @ part.residual.T), part.df
 
 
 def _error_row(part: _Part) -> Row:
@@ -169,10 +216,69 @@ def _sphere(part: _Part, fit: Factored) -> SphericityResult:
     return sphericity(scores @ helmert[:, 1 : scores.shape[1] + 1].T)
 
 
-def _outcome(
-    out: Outcome, plots: Plots, rows: dict[Term, Row], errors: list[Row], whole: Factored
-) -> Outcome:
-    """Error term and effects of every term, each with the error of its own stratum."""
+def _welch_effects(
+    out: Outcome, rows: dict[Term, Row], table: Crossed, groups: Sequence[Ints]
+) -> tuple[Effect, ...]:
+    """Effects with variances of their own in each group of blocks, and simple effects."""
+    data, asked = out.data, out.request
+    index = {name: i for i, name in enumerate(table.blocks)}
+    names = data.layout.levels[str(data.block)]
+    of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
+    kept = of_row >= 0
+    layout = Layout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
+    fit = factor(model_matrix(layout, out.terms), out.y[kept])
+    inverse = np.linalg.pinv(fit.r, rcond=ALIAS_TOLERANCE) / fit.scale[:, None]
+    per_row = (inverse @ fit.q.T) * (out.y[kept] - fit.shift)
+    added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
+    sample = over_groups(fit, added, groups, asked.alpha, asked.seed)
+    simple = every_simple_effect(out.terms, layout, fit, sample, out.scale)
+    return tuple(
+        size(_welch_estimate(out, fit, term, rows, added, groups), out.scale, simple)
+        for term in out.terms
+    )
+
+
+def _welch_estimate(
+    out: Outcome,
+    fit: Factored,
+    term: Term,
+    rows: dict[Term, Row],
+    added: Array,
+    groups: Sequence[Ints],
+) -> TermEstimate:
+    """Estimate of a term; each difference has Welch's degrees of freedom."""
+    levels, component_rows, mean_rows = term_rows(out.data.layout, fit, term)
+    alpha, k = out.request.alpha, len(levels)
+    component, mean = component_rows @ added, mean_rows @ added
+    if not fit.estimable(component_rows).all():
+        component = np.full_like(component, np.nan)
+    first, second = (index.ravel() for index in np.indices((k, k)))
+    df = group_errors(component[first] - component[second], groups)[1].reshape(k, k)
+    error, df_mean = group_errors(mean, groups)
+    centre = fit.shift + mean.sum(axis=1)
+    centre[np.logical_not(fit.estimable(mean_rows))] = np.nan
+    return TermEstimate(
+        term,
+        levels,
+        component.sum(axis=1),
+        centre,
+        sum_of_covariances(component, groups),
+        t_quantile(alpha / max(2, k * (k - 1)), df),
+        t_quantile(alpha / 2, df_mean) * error,
+        rows[term].p_deciding if term in rows else None,
+        settings_of(out.data.layout, term),
+    )
+
+
+def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
+    """Covariance of sums over blocks, from the scatter in each group, shape (m, m)."""
+    parts = [len(group) * np.atleast_2d(np.cov(value[:, group])) for group in groups]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def _effects(out: Outcome, rows: dict[Term, Row], errors: list[Row]) -> tuple[Effect, ...]:
+    """Effects with the pooled error of their stratum."""
+    whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     by_error = {row.term: row for row in errors}
     effects = []
     for term in out.terms:
@@ -184,17 +290,4 @@ def _outcome(
             out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
         )
         effects.append(size(replace(estimate, mean_half=None), out.scale))
-    choice = ledger.strata_choice(str(out.data.block), plots.name, plots.between, "own")
-    listed = [rows[t] for t in out.terms if t in rows]
-    return replace(
-        out,
-        error=ErrorTerm(
-            choice.source,
-            choice.question,
-            {r.term: float(r.df_error or 0) for r in listed},
-            "asked for" if out.request.error == "own" else choice.reason,
-        ),
-        effects=tuple(effects),
-        fit=residuals.additive_fit(out.data, out.y, plots=plots.code),
-        plots=plots.code,
-    )
+    return tuple(effects)

@@ -146,8 +146,23 @@ def noise_choice(resamples: int) -> Choice:
     )
 
 
-def strata_choice(block: str, plots: str, between: tuple[str, ...], how: str) -> Choice:
-    """E1 of a split plot: some factors vary between whole plots, the others within."""
+_GROUPS = {
+    "": "",
+    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
+    "pooled": "; a group has two blocks only, so one covariance serves all groups",
+}
+
+
+def strata_choice(
+    block: str, plots: str, between: tuple[str, ...], how: str, groups: str = ""
+) -> Choice:
+    """E1 of a split plot: some factors vary between whole plots, the others within.
+
+    Parameters
+    ----------
+    groups : {"", "own", "pooled"}
+        Whether each group of blocks has a covariance of its own.
+    """
     named = ", ".join(between)
     rest = "own interactions" if how == OWN else "the pooled scatter within whole plots"
     return Choice(
@@ -155,7 +170,7 @@ def strata_choice(block: str, plots: str, between: tuple[str, ...], how: str) ->
         how,
         f"would the ranking change with another {block}? ({named} against whole plots "
         f"({plots}), the others against {rest})",
-        f"split plot: {named} is the same on the whole of a {plots}",
+        f"split plot: {named} is the same on the whole of a {plots}{_GROUPS[groups]}",
     )
 
 

@@ -234,7 +234,7 @@ def _judge(
 def _found(effect: Effect, best: str) -> Found:
     low, high = effect.ci95 or (None, None)
     return Found(
-        effect.verdict, effect.range, low, high, effect.practical, effect.p, effect.u_num,
+        effect.strength, effect.range, low, high, effect.practical, effect.p, effect.u_num,
         effect.effect_over_u_num, best, effect.why,
     )  # fmt: skip
 

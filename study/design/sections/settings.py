@@ -130,6 +130,9 @@ def read_analysis(table: Any, faults: Faults, factors: Sequence[str]) -> Analysi
     """Read ``[analysis]``; terms are names of factors, never code."""
     found = read_table(Analysis, {} if table is None else table, "analysis", faults)
     model = noted(partial(_model, factors=factors), found.model, "analysis.model", faults)
+    for name, _ in found.roles or ():
+        if name not in factors:
+            faults.add("analysis.roles", f"no factor {shown(name)}", nearest(name[:80], factors))
     return replace(found, model=model)
 
 

@@ -6,9 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from study.analysis.effects.verdict import MATTERS
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import NOT_RESOLVED
 from study.reporting.content import sentences, verdicts
-from study.reporting.numbers import clean, count, listing, p_phrase, term_name
+from study.reporting.content.verdicts import shown_difference
+from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts
 from study.study_result.report_data import Check, ReportData
 
@@ -61,6 +63,7 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
                 *_sphericity(facts, data),
                 *_additivity(facts, data),
                 _resolution(facts, data),
+                *_fragile(facts, data),
             ]
         else:
             made.append(_not_analyzed(facts))
@@ -178,28 +181,56 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
 
 def _resolution(facts: Facts, data: ReportData) -> Check:
     name = "Effects resolved by the mesh"
-    known = [effect for effect in facts.effects if effect.effect_over_u_num is not None]
+    known = [effect for effect in facts.effects if effect.u_num is not None]
     if not known:
         return Check(
             name,
             "not applicable",
             "No numerical uncertainty is known.",
-            "Refine the mesh of one block before trusting small differences.",
+            "Every claim holds at this mesh: the discretization was not examined.",
             facts.title,
         )
-    weak = [e for e in known if (e.effect_over_u_num or 0) < 3]
-    named = listing([term_name(effect.term, data.labels) for effect in weak])
-    if any(effect.verdict == MATTERS for effect in weak):
-        return Check(
-            name, "fail", f"within 3 u_num: {named}", "Refine before believing these.", facts.title
-        )
-    if weak:
-        return Check(
-            name,
-            "pass",
-            f"{len(known) - len(weak)} of {count(len(known), 'effect')} exceed 3 u_num; "
-            f"{named} {'does' if len(weak) == 1 else 'do'} not and "
-            f"{'is' if len(weak) == 1 else 'are'} not called a difference",
-            of=facts.title,
-        )
-    return Check(name, "pass", f"all {count(len(known), 'effect')} exceed 3 u_num", of=facts.title)
+    open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
+    if not open_ones:
+        finding = f"U, added to the interval, leaves {_every(known, 'verdict')} as it is"
+        return Check(name, "pass", finding, of=facts.title)
+    needed = [
+        f"{term_name(effect.term, data.labels)} below "
+        f"{shown_difference(effect.u_needed, effect, facts)}"
+        for effect in open_ones
+        if effect.u_needed is not None and not effect.is_ratio
+    ]
+    named = listing([term_name(effect.term, data.labels) for effect in open_ones])
+    finding = f"U leaves {named} open, which the interval alone would decide"
+    mend = f"Refine: U would have to be, for {listing(needed)}." if needed else "Refine the mesh."
+    return Check(name, "caution", finding, mend, facts.title)
+
+
+def _every(items: Sequence[Effect], noun: str) -> str:
+    return f"the {noun}" if len(items) == 1 else f"each of {count(len(items), noun)}"
+
+
+def _fragile(facts: Facts, data: ReportData) -> list[Check]:
+    """Say which claims fall with one block."""
+    known = [effect for effect in facts.effects if effect.lost_without is not None]
+    if not known:
+        return []
+    block = clean(data.block) or "block"
+    name = f"Claims hold with any one {block} left out"
+    lost = [
+        f"{term_name(effect.term, data.labels)} (not without {_some(effect.lost_without)})"
+        for effect in known
+        if effect.lost_without
+    ]
+    if not lost:
+        said = "the claim does" if len(known) == 1 else f"all {count(len(known), 'claim')} do"
+        return [Check(name, "pass", said, of=facts.title)]
+    more = (
+        f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."
+    )
+    return [Check(name, "caution", f"fragile: {listing(lost)}", more, facts.title)]
+
+
+def _some(blocks: Sequence[str] | None) -> str:
+    named = [clean(name) for name in blocks or ()]
+    return listing(named, "or") if len(named) < 4 else f"any one of {len(named)}"

@@ -10,6 +10,7 @@ from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
 from study.record.table import cell_names
+from study.reporting.content import roles
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import size, size_interval
 from study.reporting.numbers import (
@@ -21,6 +22,7 @@ from study.reporting.numbers import (
     level,
     listing,
     name_of,
+    percent,
     quantity,
     rounded,
     sentence,
@@ -77,7 +79,7 @@ def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     effect = _effect_of(facts, *item.factors)
     if effect is None or effect.range is None:
         return _UNKNOWN, CANNOT_TELL
-    return _sized(effect, facts), _OF_VERDICT.get(effect.verdict, CANNOT_TELL)
+    return _sized(effect, facts), _OF_VERDICT.get(effect.strength, CANNOT_TELL)
 
 
 def _effect_of(facts: Facts, *factors: str) -> Effect | None:
@@ -148,8 +150,15 @@ def _difference(value: float, limit: float, facts: Facts) -> str:
     return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
 
 
-def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
+def cost_front(
+    data: ReportData, facts: Facts, factors: Sequence[str] | None = None
+) -> pd.DataFrame:
     """Mean seconds and mean response of every cell, and which cells no other one dominates.
+
+    Parameters
+    ----------
+    factors : sequence of str, optional
+        Factors that make a cell, all by default.
 
     Returns
     -------
@@ -161,10 +170,10 @@ def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
     """
     import pandas as pd
 
-    factors = list(data.factors)
+    factors = list(data.factors if factors is None else factors)
     if "seconds" not in data.table or not data.table["seconds"].notna().any():
         return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
-    frame = cells(data, facts.name)
+    frame = cells(data, facts.name, factors)
     known = data.table[data.table[facts.name].notna()]
     keys = cell_names(known, factors)
     seconds = known["seconds"].astype(float).groupby(keys).mean()
@@ -181,32 +190,62 @@ def cost_front(data: ReportData, facts: Facts) -> pd.DataFrame:
 
 
 def recommendation(data: ReportData, facts: Facts) -> str:
-    """Say which cell to use: the cheapest within the practical difference of the best."""
-    frame = cost_front(data, facts)
+    """Say which choices to use: the cheapest within the practical difference of the best.
+
+    Conditions get a recommendation each; over what nobody measured the mean is taken.
+    """
+    chosen = roles.factors_of(data, roles.CHOICE)
+    if not chosen:
+        return "No factor is a choice, so nothing is recommended."
+    said: dict[str, list[str]] = {}
+    for setting in roles.settings(data):
+        text = _recommended(roles.at(data, setting), facts, chosen)
+        said.setdefault(text, []).append(roles.named(setting, data))
+    return " ".join(
+        sentence(f"at {listing(where)}: {text}" if where[0] else text)
+        for text, where in said.items()
+    )
+
+
+def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
+    frame = cost_front(data, facts, factors)
     if frame.empty:
-        return "No computing times are known, so accuracy alone decides."
+        return "no computing times are known, so accuracy alone decides"
     sign = -1.0 if facts.response.better == "higher" else 1.0
     best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
     good = frame[frame["within"]]
     # a quarter more time is no reason to give up accuracy
     quick = good[good["seconds"] <= 1.25 * good["seconds"].min()]
     cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
-    factors = list(data.factors)
     named = listing([clean(cheap[name]) for name in factors])
-    cost = duration(cheap["seconds"])
-    text = f"use {named}: {quantity(cheap['mean'], facts.unit)} in {cost} a case"
+    text = (
+        f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
+    )
     if cheap["cell"] == best["cell"]:
-        return sentence(f"{text}; it is the most accurate cell and none within reach is cheaper")
-    places = decimals_that_count(practical_of(facts, frame))
-    gap = rounded(abs(float(best["mean"] - cheap["mean"])), places)
+        return f"{text}; {_why_best(cheap, good)}"
+    limit = practical_of(facts, frame)
+    gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
     if facts.difference_unit:
         gap += f"{THIN}{facts.difference_unit}"
     times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
     other = listing([clean(best[name]) for name in factors])
-    return sentence(
+    return (
         f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
-        f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit} that matters, and takes "
+        f"{limit:.3g}{THIN}{facts.difference_unit} that matters, and takes "
         f"{times} times as long ({duration(best['seconds'])})"
+    )
+
+
+def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
+    """Say why the most accurate cell is also the one to use."""
+    if len(good) == 1:
+        return "no other cell comes within the difference that matters"
+    share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
+    if share >= 1:
+        return "it is the most accurate cell, and of those within reach the cheapest"
+    return (
+        "it is the most accurate cell; the cheapest one within reach takes "
+        f"{percent(share)} of its time"
     )
 
 

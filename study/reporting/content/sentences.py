@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
+from study.reporting.content import roles
 from study.reporting.content.verdicts import change, size
 from study.reporting.numbers import (
     MISSING,
@@ -46,16 +47,18 @@ _SOURCES = {
 
 
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
-    """Three sentences that answer the study's question: what matters, what does not, so what."""
+    """Sentences that answer the study's question: what matters, what does not, so what."""
     if not any(facts.terms for facts in found):
         return ("No response could be analyzed; the reasons stand below.",)
-    return (
-        " ".join(
-            [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
-        ),
+    first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
+    said = (
+        " ".join(text for text in first if text),
+        *roles.by_condition(data, found),
         _one_not_other(data, found),
         best_cell(data, found),
+        *roles.unknowns(data, found),
     )
+    return tuple(text for text in said if text)
 
 
 def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
@@ -72,7 +75,8 @@ def _which(data: ReportData, facts: Facts) -> str:
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
-    for effect in sorted(facts.effects, key=_magnitude, reverse=True):
+    chosen = [e for e in facts.effects if roles.role(data, e.term) == roles.CHOICE]
+    for effect in sorted(chosen, key=_magnitude, reverse=True):
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
     if named[MATTERS]:
@@ -89,7 +93,7 @@ def _which(data: ReportData, facts: Facts) -> str:
     if named[CANNOT_TELL]:
         names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
         parts.append(f"these data cannot show whether {names} matters")
-    return sentence(f"for the {facts.title}, " + "; ".join(parts))
+    return sentence(f"for the {facts.title}, " + "; ".join(parts)) if parts else ""
 
 
 def _label(effect: Effect, data: ReportData) -> str:
@@ -113,6 +117,8 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
     by_factor: dict[str, dict[str, Effect]] = {}
     for facts in found:
         for effect in facts.effects:
+            if roles.role(data, effect.term) != roles.CHOICE:
+                continue
             by_factor.setdefault(effect.term, {})[facts.name] = effect
     titles = {facts.name: facts for facts in found}
     contrasts = [
@@ -140,14 +146,15 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
         (facts, effect)
         for facts in found
         for effect in facts.interactions
-        if effect.verdict == MATTERS
+        if effect.strength == MATTERS
     ]
     if not strong:
         return _no_interaction(data, found)
     facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
     return sentence(
-        f"the factors do not act alone: {term_name(effect.term, data.labels)} matters for the "
-        f"{facts.title} ({size(effect, facts)})"
+        f"the factors do not act alone: in the {facts.title}, "
+        f"{term_name(effect.term, data.labels)} differ by {size(effect, facts)} from what each "
+        "does on average"
     )
 
 
@@ -155,19 +162,23 @@ def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
     every = [effect for facts in found for effect in facts.interactions]
     if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
         return "Interactions are no part of this analysis, so it cannot rule them out."
-    every_factor = [e for facts in found for e in facts.effects]
-    alone = [e for e in every_factor if _may_be_chosen_alone(e)]
-    if len(alone) == len(every_factor):
+    every_factor = [
+        e for facts in found for e in facts.effects if roles.role(data, e.term) == roles.CHOICE
+    ]
+    together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
+    if not together:
         return (
             "Each factor may be chosen on its own: at every setting of the others it makes no "
             "practical difference, or the same level is best."
         )
-    names = list(dict.fromkeys(_label(e, data) for e in alone))
-    if not names:
+    names = list(dict.fromkeys(_label(e, data) for e in every_factor))
+    alone = [name for name in names if name not in together]
+    if not alone:
         return "What one factor does may depend on the others, so they are chosen together."
-    own = "its own" if len(names) == 1 else "their own"
+    own = "its own" if len(alone) == 1 else "their own"
+    rest = listing([name for name in names if name in together])
     return sentence(
-        f"{listing(names)} may be chosen on {own}; what the others do may depend on the rest"
+        f"{listing(alone)} may be chosen on {own}; whether the same holds for {rest} is not shown"
     )
 
 
@@ -189,6 +200,8 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
     for facts in found:
         if facts.response.better not in ("lower", "higher"):
             continue
+        if roles.factors_of(data, roles.CONDITION, roles.UNKNOWN):
+            return _best_choice(data, facts)
         ranked = groups(data, facts)
         if not ranked:
             continue
@@ -201,6 +214,45 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
             f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
         )
     return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def _best_choice(data: ReportData, facts: Facts) -> str:
+    """Name the best combination of the choices, at each setting of the conditions."""
+    chosen = roles.factors_of(data, roles.CHOICE)
+    if not chosen:
+        return "No factor is a choice, so nothing is recommended; the effects are what counts."
+    last = facts.response.better == "higher"
+    best: dict[str, list[str]] = {}
+    ties = []
+    for setting in roles.settings(data):
+        frame = cells(roles.at(data, setting), facts.name, chosen)
+        if frame.empty:
+            continue
+        row = frame.iloc[-1 if last else 0]
+        limit = practical_of(facts, frame)
+        ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
+        mean = quantity(float(row["mean"]), facts.unit)
+        where = f"{roles.named(setting, data)} ({mean})" if setting else mean
+        best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
+    over = [name_of(n, data.labels) for n in roles.factors_of(data, roles.UNKNOWN)]
+    mean_of = f", averaged over {listing(over)}" if over else ""
+    word = "highest" if last else "lowest"
+    if not roles.settings(data)[0]:
+        named, (mean,) = next(iter(best.items()))
+        tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
+        return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
+    parts = [f"with {named} at {listing(where)}" for named, where in best.items()]
+    return sentence(f"the {word} {facts.title} is reached {'; '.join(parts)}{mean_of}")
+
+
+def _within(others: int, facts: Facts, data: ReportData) -> str:
+    """Say how many other combinations are as good in practice."""
+    chosen = roles.factors_of(data, roles.CHOICE)
+    frame = cells(data, facts.name, chosen)
+    limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
+    every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
+    verb = "lies" if others == 1 and others < len(frame) - 1 else "lie"
+    return f"{every} {verb} within {limit} of it, so cost may decide"
 
 
 def _over_fewer(data: ReportData, facts: Facts) -> str:

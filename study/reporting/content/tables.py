@@ -10,7 +10,7 @@ from study.canonical import plain
 from study.reporting.content import sentences
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import numerical as u_num_of
-from study.reporting.content.verdicts import over_numerical, practical, size, size_interval
+from study.reporting.content.verdicts import practical, size, size_interval
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -38,7 +38,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
     """One row a factor and response, and interactions that are not negligible."""
     rows, raw = [], []
     for facts in found:
-        strong = [e for e in facts.interactions if e.verdict == "matters"]
+        strong = [e for e in facts.interactions if e.strength == "matters"]
         for effect in (*facts.effects, *strong):
             rows.append(
                 (
@@ -49,8 +49,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     size_interval(effect, facts),
                     practical(effect, facts),
                     u_num_of(effect, facts),
-                    over_numerical(effect),
                     p_value(effect.p),
+                    p_value(effect.p_holm),
                 )
             )
             raw.append(
@@ -65,6 +65,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     "u_num": effect.u_num,
                     "effect_over_u_num": effect.effect_over_u_num,
                     "p": effect.p,
+                    "p_holm": effect.p_holm,
                     "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
@@ -76,8 +77,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         f"{level(data.alpha)} interval".replace(THIN, " "),
         "matters from",
         "U",
-        "effect / U",
         "p",
+        "p (Holm)",
     )
     return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(found), tuple(raw))
 

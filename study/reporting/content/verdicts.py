@@ -20,7 +20,9 @@ from study.reporting.numbers import (
     TIMES,
     clean,
     decimals_that_count,
+    inside,
     level,
+    listing,
     name_of,
     p_phrase,
     percent,
@@ -61,8 +63,12 @@ def size(effect: Effect, facts: Facts) -> str:
 
 
 def _number(effect: Effect) -> str:
-    digits = ratio_digits(effect.range) if effect.is_ratio else 3
-    return rounded(effect.range, decimals(effect), digits)
+    digits, places = ratio_digits(effect.range) if effect.is_ratio else 3, decimals(effect)
+    shown = rounded(effect.range, places, digits)
+    if shown == MISSING or "<" in shown:
+        return shown
+    ends = span(effect.low, effect.high, places, digits)
+    return inside(effect.range, effect.low, effect.high, shown, ends)
 
 
 def size_interval(effect: Effect, facts: Facts) -> str:
@@ -122,10 +128,15 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     numbers = f"{size(effect, facts)} ({_ninety_five(effect, facts)})"
     if effect.low is None:
         numbers = size(effect, facts)
+    if not effect.is_main:
+        return sentence(
+            f"{name}: its largest component in the {facts.title} is {numbers}; read it from the "
+            "simple effects"
+        )
     if effect.verdict == MATTERS:
-        return _matters(effect, facts, name, numbers, labels)
+        return sentence(_matters(effect, facts, name, numbers, labels) + robust(effect, facts))
     if effect.verdict == NO_DIFFERENCE:
-        return _no_difference(effect, facts, name, numbers)
+        return sentence(_no_difference(effect, facts, name, numbers) + robust(effect, facts))
     if effect.verdict == NOT_RESOLVED:
         return sentence(
             f"{name}: not resolved by the mesh; the largest difference in the {facts.title} is "
@@ -150,7 +161,7 @@ def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
 
 def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
     """Return a simple effect with its interval and its numerical uncertainty."""
-    number = _shown(one.difference, effect, facts)
+    number = shown_difference(one.difference, effect, facts)
     ends = one.ci_simultaneous if one.verdict == MATTERS else one.ci
     if ends is None:
         return number
@@ -161,7 +172,8 @@ def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
     return f"{number} ({shown}{beside})"
 
 
-def _shown(difference: float, effect: Effect, facts: Facts) -> str:
+def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:
+    """Difference (or ratio) of two levels with its unit, rounded to what counts."""
     digits = ratio_digits(difference) if effect.is_ratio else 3
     number = rounded(difference, decimals(effect), digits)
     if effect.is_ratio:
@@ -175,14 +187,26 @@ def setting(one: SimpleEffect, labels: Labels = None) -> str:
     return f"at {listed}" if listed else "whatever the other factors"
 
 
+def robust(effect: Effect, facts: Facts) -> str:
+    """Say whether a claim holds with any one block left out; empty where that is not known."""
+    if effect.lost_without is None:
+        return ""
+    block = facts.block
+    if not effect.lost_without:
+        return f"; so with any one {block} left out"
+    named = [clean(name) for name in effect.lost_without]
+    which = listing(named, "or") if len(named) < 4 else f"any one of {len(named)}"
+    return f"; fragile, for it is not shown without {block} {which}"
+
+
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
     one = effect.deciding_simple
     if one is None or not effect.depends_on_settings:
-        return sentence(
+        return (
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
             f"within {practical(effect, facts)}{_repeatable(effect)}"
         )
-    return sentence(
+    return (
         f"{name}: no practical difference in the {facts.title}, whatever the other factors; the "
         f"largest at any setting is {simple(one, effect, facts)}, within "
         f"{practical(effect, facts)}{_repeatable(effect)}"
@@ -201,11 +225,11 @@ def _repeatable(effect: Effect) -> str:
 
 
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
-    if not effect.is_main or effect.largest is None:
-        return sentence(f"{name}: matters for the {facts.title}, {numbers}")
+    if effect.largest is None:
+        return f"{name}: matters for the {facts.title}, {numbers}"
     one = effect.deciding_simple
     if one is not None and effect.depends_on_settings and not effect.matters_on_average:
-        return sentence(
+        return (
             f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
             f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "
             f"on average over the other factors the largest difference is {numbers}"
@@ -220,10 +244,10 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     if effect.low is not None:
         text += f" ({_ninety_five(effect, facts)})"
     if not effect.depends_on_settings:
-        return sentence(f"{name}: matters; {text}")
+        return f"{name}: matters; {text}"
     if (effect.highest, effect.lowest) in effect.always:
-        return sentence(f"{name}: matters; {text}, and more than matters at every setting")
-    return sentence(f"{name}: matters; {text} on average, not at every setting")
+        return f"{name}: matters; {text}, and more than matters at every setting"
+    return f"{name}: matters; {text} on average, not at every setting"
 
 
 def change(effect: Effect, facts: Facts) -> str:

@@ -61,7 +61,7 @@ def means(facts: Facts, data: ReportData) -> str:
 
 
 def interactions(facts: Facts, data: ReportData) -> str:
-    """Say which interaction is the largest and whether it matters."""
+    """Say which interaction is the largest."""
     known = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
     key = "lines that are parallel mean that the factors act independently"
     if not known:
@@ -72,7 +72,7 @@ def interactions(facts: Facts, data: ReportData) -> str:
     p = "" if decided is None else f", {p_phrase(decided)}"
     return sentence(
         f"the largest two-factor interaction is {term_name(first.term, data.labels)}, "
-        f"{size(first, facts)}{p}: {first.verdict}; {key}"
+        f"{size(first, facts)}{p}; {key}"
     )
 
 

@@ -42,7 +42,7 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
     """Largest difference of every term with its interval; factors first, then interactions."""
     import pandas as pd
 
-    strong = [effect for effect in facts.interactions if effect.verdict != NO_DIFFERENCE]
+    strong = [effect for effect in facts.interactions if effect.strength != NO_DIFFERENCE]
     shown = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
     return pd.DataFrame(
         {
@@ -52,7 +52,7 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
             "low": [effect.low for effect in shown],
             "high": [effect.high for effect in shown],
             "practical": [effect.practical for effect in shown],
-            "verdict": [effect.verdict for effect in shown],
+            "verdict": [effect.strength for effect in shown],
         }
     ).astype({"difference": float, "low": float, "high": float, "practical": float})
 

@@ -92,7 +92,7 @@ def prepare(data: ReportData) -> Contents:
 
 def _section(data: ReportData, item: Facts) -> Section:
     strata = tables.strata(item, data) if item.rows else None
-    judged = [effect for effect in item.terms if effect.is_main or effect.verdict == "matters"]
+    judged = [effect for effect in item.terms if effect.is_main or effect.strength == "matters"]
     return Section(
         facts=item,
         anchor=f"r-{registry.slug(item.name)}",

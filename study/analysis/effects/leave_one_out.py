@@ -1,0 +1,63 @@
+"""Claims held against the loss of one block: one that falls with it is fragile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
+from study.errors import StudyError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: analyses that are made again at most, and rows of each
+MOST_BLOCKS, MOST_ROWS = 40, 5000
+#: two blocks are the least that an analysis needs, so that three are needed to leave one out
+FEWEST_BLOCKS = 3
+
+
+def without_each(
+    table: pd.DataFrame,
+    block: str,
+    effects: Sequence[Effect],
+    analyze: Callable[[pd.DataFrame], Sequence[Effect]],
+) -> tuple[Effect, ...]:
+    """Name the blocks without which a claim is not made.
+
+    Parameters
+    ----------
+    table : DataFrame
+        The rows that were analyzed.
+    block : str
+        Column of the blocks.
+    effects : sequence of Effect
+        Of all rows.
+    analyze : callable
+        Effects of other rows, by the same request.
+
+    Returns
+    -------
+    tuple of Effect
+        With ``lost_without``, which stays None for what claims nothing, and everywhere where
+        blocks or rows are too few or too many.
+    """
+    labels = table[block].astype(str)
+    names = list(dict.fromkeys(labels))
+    claims = {e.term: e.verdict for e in effects if e.verdict in (MATTERS, NO_DIFFERENCE)}
+    if not (claims and FEWEST_BLOCKS <= len(names) <= MOST_BLOCKS and len(table) <= MOST_ROWS):
+        return tuple(effects)
+    lost: dict[str, list[str]] = {term: [] for term in claims}
+    for name in names:
+        try:
+            found = {e.term: e.verdict for e in analyze(table[labels != name])}
+        except StudyError:
+            return tuple(effects)  # the rest makes no analysis, so nothing is known
+        for term, verdict in claims.items():
+            if found.get(term) != verdict:
+                lost[term].append(name)
+    return tuple(
+        replace(e, lost_without=tuple(lost[e.term])) if e.term in lost else e for e in effects
+    )

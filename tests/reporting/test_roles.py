@@ -1,0 +1,90 @@
+"""Answers by the role of a factor: conditions, unknowns, and recommendations among choices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from study.analysis.anova import anova
+from study.reporting.content import hypotheses, roles, sentences
+from study.reporting.report import facts
+from study.study_result.report_data import ReportData, ResponseAnalysis
+
+FACTORS = {"material": ("soft", "stiff"), "range": ("20 %", "60 %"), "plates": ("dry", "glued")}
+
+
+def study(declared: Mapping[str, str] | None = None, glue: float = 3.0) -> ReportData:
+    """The material matters at 60 % (soft is 5 better) and not at 20 %; glue adds ``glue``."""
+    random = np.random.default_rng(1)
+    rows = []
+    for material, span, held, block in product(*FACTORS.values(), "abcdef"):
+        gain = (5.0 if span == "60 %" else 0.1) * (material == "stiff")
+        y = 10 + gain + glue * (held == "glued") + ord(block) / 50 + random.normal(0, 0.01)
+        seconds = 1.0 if material == "soft" else 2.0
+        rows.append((material, span, held, block, y, seconds))
+    table = pd.DataFrame(rows, columns=[*FACTORS, "block", "error", "seconds"])
+    result = anova(table, "error", list(FACTORS), block="block", practical=1.0, exact=False)
+    response = ResponseAnalysis("error", "%", result, practical=1.0, better="lower")
+    return ReportData(
+        "ranges", "", FACTORS, table, (response,), "phantom", tuple("abcdef"), roles=declared or {}
+    )
+
+
+DECLARED = {"range": "condition", "plates": "unknown"}
+
+
+def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
+    data = study(DECLARED)
+    (line,) = roles.by_condition(data, facts(data))
+    assert line.startswith("Material by range, for the error: no practical difference at 20 % (")
+    means = data.table.groupby(["range", "plates", "material"])["error"].mean()
+    for span, sizes in zip(FACTORS["range"], re.findall(r"\(([\d.]+)", line), strict=True):
+        apart = [means[span, p, "stiff"] - means[span, p, "soft"] for p in FACTORS["plates"]]
+        assert float(sizes) == pytest.approx(max(apart), abs=0.005)
+    assert "; it matters at 60 %" in line
+
+
+@pytest.mark.parametrize(
+    ("glue", "words"),
+    [(3.0, "so measuring it pays"), (0.0, "does not pay")],
+)
+def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> None:
+    data = study(DECLARED, glue)
+    (line,) = roles.unknowns(data, facts(data))
+    assert line.startswith("Nobody measured plates")
+    assert words in line
+
+
+def test_only_choices_are_recommended() -> None:
+    data = study(DECLARED)
+    found = facts(data)
+    said = " ".join([sentences.best_cell(data, found), hypotheses.recommendation(data, found[0])])
+    assert "soft" in said
+    assert "dry" not in said
+    assert "glued" not in said
+    first = sentences.answer(data, found)[0]
+    assert "choice of material" in first
+    assert "plates" not in first
+    assert "range" not in first
+
+
+def test_all_factors_are_choices_unless_said_otherwise() -> None:
+    data = study()
+    assert roles.factors_of(data, roles.CHOICE) == list(FACTORS)
+    assert "dry" in hypotheses.recommendation(data, facts(data)[0])
+
+
+def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None:
+    """The best cell takes 2.0 s; one within reach takes 1.7 s, a gain too small to give it up."""
+    data = study()
+    dry = data.table["plates"] == "dry"
+    table = data.table.assign(seconds=np.where(dry, 2.0, 1.7), error=np.where(dry, 9.5, 10.0))
+    said = hypotheses.recommendation(replace(data, table=table), facts(data)[0])
+    assert "dry" in said
+    assert "the cheapest one within reach takes 85" in said
