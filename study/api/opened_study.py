@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from study.analysis.convergence.grid_convergence import Numerical
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
+from study.api.scored_on import scored_on
 from study.api.statistics import analyze_records
 from study.api.uncertainty.numerical import stored_cells
 from study.design.load import loads
@@ -80,6 +81,7 @@ def _analyses(
                 None if result is None else result.detection.u_num,
                 better,
                 refused=refused,
+                scored_on=scored_on(design, response.name),
             )
         )
     return tuple(found)

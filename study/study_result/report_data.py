@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 #: level of a factor that a fit does not depend on
 ANY = "any"
+#: what a score was taken on
+FITTED_CURVE, OTHER_TEST = "the curve fitted", "same specimen, other test"
+OTHER_SPECIMEN = "other specimen"
 OUTCOMES = ("pass", "caution", "fail", "not applicable")
 
 
@@ -58,6 +61,9 @@ class ResponseAnalysis:
         Name in sentences; made from ``name`` when empty.
     refused : str
         Why there is no ``result``.
+    scored_on : str
+        ``"the curve fitted"``, ``"same specimen, other test"``, ``"other specimen"``; empty for
+        what is no score of a calibrated model.
     """
 
     name: str
@@ -70,6 +76,7 @@ class ResponseAnalysis:
     better: str = ""
     title: str = ""
     refused: str = ""
+    scored_on: str = ""
 
 
 @dataclass(frozen=True)

@@ -90,8 +90,12 @@ class StudyResult:
     @property
     def verdicts(self) -> list[dict[str, object]]:
         """One verdict for every response and term."""
-        results = [a.result for a in self.analyses if a.result is not None]
-        return [row for result in results for row in result.verdicts()]
+        return [
+            row | {"scored_on": analysis.scored_on or None}
+            for analysis in self.analyses
+            if analysis.result is not None
+            for row in analysis.result.verdicts()
+        ]
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study run --json``."""

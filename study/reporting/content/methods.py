@@ -69,7 +69,7 @@ def _statistics(facts: Facts, data: ReportData) -> str:
     scale = ", analyzed on the logarithm with effects as ratios," if facts.ratio else ""
     how = {
         "E1": f"each effect was tested against its own interaction with the "
-        f"{clean(data.block) or 'block'} (Greenhouse-Geisser corrected)"
+        f"{clean(data.block) or 'block'} ({_corrected(facts)})"
         if any(row.epsilon_gg is not None for row in facts.rows)
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",
@@ -86,6 +86,12 @@ def _statistics(facts: Facts, data: ReportData) -> str:
     )
 
 
+def _corrected(facts: Facts) -> str:
+    """Name the correction for unequal covariances."""
+    reason = "" if facts.error_term is None else facts.error_term.reason
+    return "Welch-Box over groups" if "Welch-Box" in reason else "Greenhouse-Geisser corrected"
+
+
 def _checks(found: Sequence[Facts]) -> str:
     if not any(facts.result is not None for facts in found):
         return ""
@@ -100,13 +106,10 @@ def _numerics(data: ReportData, found: Sequence[Facts]) -> str:
         return ""
     how = "by mesh refinement for each kind of discretization"
     if any(facts.u_num_by_term for facts in found):
-        how = (
-            "for each effect, by the grid convergence index of the same contrast on the meshes of "
-            "the study"
-        )
+        how = "for each difference, by following the same difference over a series of meshes"
     return (
-        f"Numerical uncertainty was estimated {how}; differences below three times it were not "
-        "interpreted."
+        f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "
+        "interval before it was held against what matters."
     )
 
 

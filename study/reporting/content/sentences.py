@@ -29,7 +29,7 @@ from study.reporting.numbers import (
     term_name,
 )
 from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
-from study.study_result.report_data import Failure, ReportData
+from study.study_result.report_data import FITTED_CURVE, Failure, ReportData
 
 if TYPE_CHECKING:
     from study.reporting.report import Group
@@ -93,7 +93,11 @@ def _which(data: ReportData, facts: Facts) -> str:
     if named[CANNOT_TELL]:
         names = listing([_label(e, data) for e in named[CANNOT_TELL]], "or")
         parts.append(f"these data cannot show whether {names} matters")
-    return sentence(f"for the {facts.title}, " + "; ".join(parts)) if parts else ""
+    if not parts:
+        return ""
+    fitted = facts.response.scored_on == FITTED_CURVE
+    sample = " (of the curves that were fitted: a fit is no prediction)" if fitted else ""
+    return sentence(f"for the {facts.title}{sample}, " + "; ".join(parts))
 
 
 def _label(effect: Effect, data: ReportData) -> str:

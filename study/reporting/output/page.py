@@ -23,7 +23,7 @@ from study.reporting.figure import registry, validation
 from study.reporting.figure.registry import Figure
 from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
 from study.reporting.report import Facts, facts, grouped_inputs
-from study.study_result.report_data import ReportData, ResponseAnalysis
+from study.study_result.report_data import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -251,6 +251,10 @@ def response_note(response: ResponseAnalysis) -> str:
         parts.append(f"a difference of {limit.strip()} matters")
     if response.transform == "log":
         parts.append("analyzed on the log, effects are ratios")
+    if response.scored_on == FITTED_CURVE:
+        parts.append("scored on the curve fitted: it says how well a model fits, not predicts")
+    elif response.scored_on:
+        parts.append(f"scored on: {response.scored_on}")
     if response.better:
         parts.append(f"{response.better} is better")
     return "; ".join(parts)

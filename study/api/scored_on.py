@@ -1,0 +1,43 @@
+"""What a response was scored on: the curve that was fitted, or one that the fit never saw."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from study.design.study_file import SCORED
+from study.study_result.report_data import FITTED_CURVE, OTHER_SPECIMEN, OTHER_TEST
+
+if TYPE_CHECKING:
+    from study.design.spec import Design
+
+#: words in the name of a column that tell specimens apart
+_SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "batch")
+
+
+def scored_on(design: Design, response: str) -> str:
+    """Say what a response was scored on.
+
+    Parameters
+    ----------
+    response : str
+        Name of a response.
+
+    Returns
+    -------
+    str
+        ``"the curve fitted"``, ``"same specimen, other test"`` or ``"other specimen"``; empty
+        for a response that is no score, or without a calibration.
+    """
+    fitted, measured = design.calibration, design.measurements
+    if response not in SCORED or measured is None or fitted.method == "none":
+        return ""
+    if fitted.leave_out is not None:
+        return OTHER_SPECIMEN if fitted.leave_out == "specimen" else OTHER_TEST
+    if fitted.problem:
+        return OTHER_TEST
+    fit, score = dict(measured.fit or {}), dict(measured.score or measured.fit or {})
+    if fit == score:
+        return FITTED_CURVE
+    changed = [name for name in {**fit, **score} if fit.get(name) != score.get(name)]
+    apart = any(word in name.lower() for name in changed for word in _SPECIMENS)
+    return OTHER_SPECIMEN if apart else OTHER_TEST
