@@ -30,6 +30,7 @@ _HOME = {
     "choose_energy": "study.api.single",
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single",
+    "export": "study.api.haptics.export",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 
