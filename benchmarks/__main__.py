@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import fitting, indentation, launch, table
+from benchmarks import fitting, force_law, indentation, launch, table
 from benchmarks.cases import CASES, Case
 from benchmarks.peers import NAMES
 
-EXTRAS = ("indentation-3k", "fitting")
+EXTRAS = ("indentation-3k", "fitting", "force-law")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             table.write(path, rows, machine)
     if not chosen.only or "fitting" in chosen.only:
         fitting.main()
+    if not chosen.only or "force-law" in chosen.only:
+        force_law.main()
 
 
 def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:

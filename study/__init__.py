@@ -16,6 +16,7 @@ _LAZY = {
     "converge": "study.api",
     "report": "study.api",
     "power": "study.api",
+    "export": "study.api",
     "anova": "study.api",
     "ryan_joiner": "study.api",
     "bartlett": "study.api",

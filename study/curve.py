@@ -187,9 +187,9 @@ class Curve:
             return d, f, s
         if s is None:
             return np.r_[0.0, d], np.r_[0.0, f], None
-        return np.r_[0.0, d], np.r_[0.0, f], np.r_[self._slope_at_origin(), s]
+        return np.r_[0.0, d], np.r_[0.0, f], np.r_[self.slope_at_origin(), s]
 
-    def _slope_at_origin(self) -> float:
+    def slope_at_origin(self) -> float:
         """dF/dd with which the first interval's cubic does its work.
 
         Where the work is not known, the one that makes it a parabola.

@@ -20,6 +20,7 @@ PUBLIC = {
     "converge",
     "report",
     "power",
+    "export",
     "anova",
     "ryan_joiner",
     "bartlett",

@@ -13,10 +13,10 @@ _HOME = {
     "load_design": "study.api.study",
     "run": "study.api.study",
     "demo": "study.api.study",
-    "plan": "study.api.planning",
-    "power": "study.api.detection",
-    "status": "study.api.planning",
-    "why": "study.api.planning",
+    "plan": "study.api.planning.plan",
+    "power": "study.api.planning.detection",
+    "status": "study.api.planning.plan",
+    "why": "study.api.planning.plan",
     "report": "study.api.study",
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
@@ -30,6 +30,7 @@ _HOME = {
     "choose_energy": "study.api.single",
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single",
+    "export": "study.api.haptics.export",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

@@ -13,7 +13,7 @@ from study.api.comparison.compare import compare
 from study.api.comparison.design_changes import read_truths
 from study.api.folders import REPORTS, RESULTS, data_root
 from study.api.opened_study import open_study
-from study.api.remaining_time import (
+from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
     refinement_seconds,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
-from study.cli import power, single, statistics, studies
+from study.cli import haptics, power, single, statistics, studies
 from study.cli.output import complain
 from study.errors import StudyError
 
@@ -23,7 +23,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (*studies.VERBS, power.power, *statistics.VERBS, *single.VERBS):
+for verb in (*studies.VERBS, power.power, *statistics.VERBS, *single.VERBS, *haptics.VERBS):
     app.command()(verb)
 
 

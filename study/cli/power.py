@@ -12,7 +12,7 @@ from study.cli import output
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 
 if TYPE_CHECKING:
-    from study.api.detection import Detection
+    from study.api.planning.detection import Detection
 
 
 def power(

@@ -11,7 +11,7 @@ import typer
 from study.cli import output
 
 if TYPE_CHECKING:
-    from study.api.planning import Plan
+    from study.api.planning.plan import Plan
     from study.study_result.comparison import Beside
     from study.study_result.study_result import StudyResult
 

@@ -6,7 +6,7 @@ import datetime
 
 import pytest
 
-from study.api import remaining_time
+from study.api.planning import remaining_time
 from study.record.store import Store
 from study.runner.batch import Progress
 

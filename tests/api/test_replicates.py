@@ -9,7 +9,7 @@ import pytest
 
 from study import api
 from study.api.opened_study import open_study
-from study.api.planning import plan
+from study.api.planning.plan import plan
 from study.design.cases import treatments
 from study.design.load import loads
 from study.errors import InputError

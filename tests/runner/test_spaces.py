@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from study.api.planning import plan
+from study.api.planning.plan import plan
 from study.api.uncertainty.credibility import checks_of_spaces, compare_spaces
 from study.design.load import loads
 from study.record.record import Record

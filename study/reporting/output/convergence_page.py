@@ -13,11 +13,9 @@ from numpy.typing import ArrayLike
 from study.arrays import Array, Ints
 from study.reporting.content.table import Table
 from study.reporting.figure import convergence
-from study.reporting.figure.registry import Drawn, Figure, make, slug
+from study.reporting.figure.registry import Drawn, Figure, make
 from study.reporting.numbers import MISSING, clean, significant
-from study.reporting.output import write
-from study.reporting.output.page import _environment
-from study.reporting.output.write import _replace
+from study.reporting.output.answer_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
     from study.reporting.figure.convergence import Document
@@ -47,21 +45,11 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
-    folder = Path(out_dir)
-    stem = f"{slug(name)}-convergence"
-    beside = folder / f"{stem}-data"
-    beside.mkdir(parents=True, exist_ok=True)
-    for figure in figures:
-        if figure.data is not None:
-            _replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
-    for table in tables:
-        _replace(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
-    text = _environment().get_template("convergence.html.j2").render(
-        name=clean(name), question=clean(question), answer=answers(cells, document),
-        figures=figures, tables=tables, warnings=_warnings(cells),
+    page = AnswerPage(
+        "mesh convergence", "convergence", name, question, answers(cells, document), figures,
+        tables, _warnings(cells),
     )  # fmt: skip
-    _replace(folder / f"{stem}.html", clean(text))
-    return folder / f"{stem}.html"
+    return write_answer(page, out_dir)
 
 
 def convergence_figures(

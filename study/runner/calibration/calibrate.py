@@ -306,6 +306,10 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
         lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
         pattern=order,
         warnings=(*warnings_of(curves), *cautions),
+        tests=tuple(
+            {table: test[table] for table in ("specimen", "test", "material", "model")}
+            for test in setting.tests
+        ),
     )
 
 

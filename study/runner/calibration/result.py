@@ -15,6 +15,7 @@ from study.material.material import Material
 from study.measurement.measured_test import MeasuredTest
 from study.record.record import plain
 from study.runner import response
+from study.setup.setup import ResolvedTables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -135,6 +136,8 @@ class CalibrationResult:
         Profile-likelihood intervals, where asked.
     warnings, notes : tuple of str
         Cautions, and what was done to the measured rows.
+    tests : tuple of mapping
+        Resolved tables of every test (mm, N, MPa), so that what was fitted can be simulated again.
     """
 
     name: str
@@ -156,6 +159,7 @@ class CalibrationResult:
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    tests: tuple[ResolvedTables, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -204,6 +208,8 @@ class CalibrationResult:
             "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
             "warnings": list(self.warnings),
             "notes": list(self.notes),
+            "name": self.name,
+            "tests": [{name: dict(table) for name, table in one.items()} for one in self.tests],
         }
         made: dict[str, Any] = plain(content, "calibration", {})
         return made

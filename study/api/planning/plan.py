@@ -8,7 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.api.folders import RESULTS, data_root, results_folder
-from study.api.remaining_time import control_seconds, controls_of, refinement_seconds, seconds_left
+from study.api.planning.remaining_time import (
+    control_seconds,
+    controls_of,
+    refinement_seconds,
+    seconds_left,
+)
 from study.design.load import load
 from study.design.overview import describe
 from study.design.spec import Design
