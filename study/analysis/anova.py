@@ -13,7 +13,7 @@ from study.analysis.assembly import assemble
 from study.analysis.assumption import missing_cases
 from study.analysis.assumption.robustness import add_robustness
 from study.analysis.data import Data, prepare
-from study.analysis.effects.leave_one_out import without_each
+from study.analysis.effects.jackknife import without_each
 from study.analysis.error import ledger, nested
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own

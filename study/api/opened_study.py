@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from study.analysis.convergence.grid_convergence import Numerical
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
-from study.api.scored_on import scored_on
+from study.api.scoring import scored_on
 from study.api.statistics import analyze_records
 from study.api.uncertainty.numerical import stored_cells
 from study.design.load import loads

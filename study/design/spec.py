@@ -186,6 +186,17 @@ class Design:
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 
+    @property
+    def roles(self) -> dict[str, str]:
+        """Role of every factor: as declared, else unknown where all its keys are assumed."""
+        declared = dict(self.analysis.roles)
+        return {f.name: declared.get(f.name, self._role(f)) for f in self.factors}
+
+    def _role(self, factor: Factor) -> str:
+        keys = {key for level in factor.levels for key in level.settings}
+        covered = all(any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in keys)
+        return "unknown" if keys and covered else "choice"
+
 
 @dataclass(frozen=True)
 class Treatment:

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from study import units
-from study.design.roles import read_roles
 from study.setup.quantity import Duration, integer, number, shown
 from study.setup.section import Bad, Read, Reads, section
 from study.setup.text import choice
@@ -39,6 +38,10 @@ RESPONSES = {
 }
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
+
+#: what a factor is to the question: decided by the analyst; a part of it, which is answered at
+#: each level; a fact that nobody measured, of which no level is recommended
+ROLES = ("choice", "condition", "unknown")
 
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
@@ -117,6 +120,20 @@ class Report:
     """Formats of the report."""
 
     format: Annotated[tuple[str, ...], Reads(formats)] = ("html",)
+
+
+def read_roles(value: object) -> tuple[tuple[str, str], ...]:
+    """Read ``[analysis] roles``: factor to role."""
+    if not isinstance(value, Mapping):
+        mend = 'for example { plates = "unknown", range = "condition" }'
+        raise Bad(f"must be a table of factors, got {shown(value)}", mend)
+    found: list[tuple[str, str]] = []
+    for name, role in value.items():
+        if isinstance(role, Mapping):  # a dotted key that was not quoted
+            found += [(f"{name}.{rest}", one) for rest, one in read_roles(role)]
+        else:
+            found.append((str(name), choice(*ROLES)(role)))
+    return tuple(found)
 
 
 @section

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 #: level of a factor that a fit does not depend on
 ANY = "any"
 #: what a score was taken on
-FITTED_CURVE, OTHER_TEST = "the curve fitted", "same specimen, other test"
+FITTED_CURVE = "the curve fitted"
+OTHER_TEST = "same specimen, other test"
 OTHER_SPECIMEN = "other specimen"
 OUTCOMES = ("pass", "caution", "fail", "not applicable")
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from study.analysis.unreplicated import pseudo_standard_error
-from study.reporting.content.hypotheses import cost_front
+from study.reporting.content.recommendation import cost_front
 from study.reporting.figure import constants, curves, diagnostics, effects, style
 from study.reporting.output.page import build
 from study.reporting.report import cells, facts

@@ -33,6 +33,7 @@ SECTIONS = [
     "recommendation",
     "methods",
     "provenance",
+    "glossary",
 ]
 
 CORPUS = [

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from study.analysis.anova import anova
-from study.reporting.content import hypotheses, roles, sentences
+from study.reporting.content import recommendation, roles, sentences
 from study.reporting.report import facts
 from study.study_result.report_data import ReportData, ResponseAnalysis
 
@@ -64,7 +64,9 @@ def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> N
 def test_only_choices_are_recommended() -> None:
     data = study(DECLARED)
     found = facts(data)
-    said = " ".join([sentences.best_cell(data, found), hypotheses.recommendation(data, found[0])])
+    said = " ".join(
+        [recommendation.best_cell(data, found), recommendation.recommendation(data, found[0])]
+    )
     assert "soft" in said
     assert "dry" not in said
     assert "glued" not in said
@@ -77,7 +79,7 @@ def test_only_choices_are_recommended() -> None:
 def test_all_factors_are_choices_unless_said_otherwise() -> None:
     data = study()
     assert roles.factors_of(data, roles.CHOICE) == list(FACTORS)
-    assert "dry" in hypotheses.recommendation(data, facts(data)[0])
+    assert "dry" in recommendation.recommendation(data, facts(data)[0])
 
 
 def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None:
@@ -85,6 +87,6 @@ def test_the_best_cell_is_not_called_cheapest_where_another_is_cheaper() -> None
     data = study()
     dry = data.table["plates"] == "dry"
     table = data.table.assign(seconds=np.where(dry, 2.0, 1.7), error=np.where(dry, 9.5, 10.0))
-    said = hypotheses.recommendation(replace(data, table=table), facts(data)[0])
+    said = recommendation.recommendation(replace(data, table=table), facts(data)[0])
     assert "dry" in said
     assert "the cheapest one within reach takes 85" in said

@@ -15,7 +15,7 @@ from study.analysis.request import AnalysisRequest
 from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
 from study.reporting import report
 from study.reporting.content import sentences, verdicts
-from study.reporting.content.hypotheses import cheaper, recommendation
+from study.reporting.content.recommendation import best_cell, cheaper, recommendation
 from study.reporting.output.page import prepare, render
 from study.reporting.report import Facts, Group, describe, facts, groups
 from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
@@ -270,8 +270,8 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     found = facts(data)
     every = report.groups(data, found[0])
     one = report.Group(5.0, tuple(m for group in every for m in group.members))
-    monkeypatch.setattr("study.reporting.content.sentences.groups", lambda *_: (one,))
-    assert "no cell can be told from another" in sentences.best_cell(data, found)
+    monkeypatch.setattr("study.reporting.content.recommendation.groups", lambda *_: (one,))
+    assert "no cell can be told from another" in best_cell(data, found)
 
 
 def test_a_tiny_threshold_is_printed(data: ReportData):

@@ -195,14 +195,14 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         finding = f"U, added to the interval, leaves {_every(known, 'verdict')} as it is"
         return Check(name, "pass", finding, of=facts.title)
     needed = [
-        f"{term_name(effect.term, data.labels)} below "
-        f"{shown_difference(effect.u_needed, effect, facts)}"
+        f"below {shown_difference(effect.u_needed, effect, facts)} for "
+        f"{term_name(effect.term, data.labels)}"
         for effect in open_ones
         if effect.u_needed is not None and not effect.is_ratio
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
     finding = f"U leaves {named} open, which the interval alone would decide"
-    mend = f"Refine: U would have to be, for {listing(needed)}." if needed else "Refine the mesh."
+    mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
     return Check(name, "caution", finding, mend, facts.title)
 
 
@@ -223,7 +223,8 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
         if effect.lost_without
     ]
     if not lost:
-        said = "the claim does" if len(known) == 1 else f"all {count(len(known), 'claim')} do"
+        many = {1: "the claim does", 2: "both claims do"}
+        said = many.get(len(known), f"all {len(known)} claims do")
         return [Check(name, "pass", said, of=facts.title)]
     more = (
         f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
-from study.record.table import cell_names
-from study.reporting.content import roles
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import size, size_interval
 from study.reporting.numbers import (
@@ -18,22 +16,19 @@ from study.reporting.numbers import (
     THIN,
     clean,
     decimals_that_count,
-    duration,
     level,
     listing,
     name_of,
-    percent,
     quantity,
     rounded,
     sentence,
-    significant,
     term_name,
 )
 from study.reporting.report import Facts, cells, practical_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -148,141 +143,3 @@ def _worse(mean: float, facts: Facts) -> float:
 def _difference(value: float, limit: float, facts: Facts) -> str:
     number = rounded(value, decimals_that_count(limit or None))
     return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
-
-
-def cost_front(
-    data: ReportData, facts: Facts, factors: Sequence[str] | None = None
-) -> pd.DataFrame:
-    """Mean seconds and mean response of every cell, and which cells no other one dominates.
-
-    Parameters
-    ----------
-    factors : sequence of str, optional
-        Factors that make a cell, all by default.
-
-    Returns
-    -------
-    DataFrame
-        Factor columns, ``cell``, ``mean`` (response), ``seconds``, ``front`` (bool),
-        ``within`` (bool: no more than the practical difference from the best); cheapest
-        first. A gain below a thousandth of the practical difference makes no front. Empty
-        where no seconds are known.
-    """
-    import pandas as pd
-
-    factors = list(data.factors if factors is None else factors)
-    if "seconds" not in data.table or not data.table["seconds"].notna().any():
-        return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
-    frame = cells(data, facts.name, factors)
-    known = data.table[data.table[facts.name].notna()]
-    keys = cell_names(known, factors)
-    seconds = known["seconds"].astype(float).groupby(keys).mean()
-    frame["seconds"] = frame["cell"].map(seconds)
-    frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
-    sign = -1.0 if facts.response.better == "higher" else 1.0
-    score = sign * frame["mean"]
-    limit = practical_of(facts, frame)
-    # a gain of less than a thousandth of what matters is no step
-    best = score.cummin().shift(fill_value=float("inf"))
-    frame["front"] = score < best - limit / 1000
-    frame["within"] = score - score.min() <= limit
-    return frame.reset_index(drop=True)
-
-
-def recommendation(data: ReportData, facts: Facts) -> str:
-    """Say which choices to use: the cheapest within the practical difference of the best.
-
-    Conditions get a recommendation each; over what nobody measured the mean is taken.
-    """
-    chosen = roles.factors_of(data, roles.CHOICE)
-    if not chosen:
-        return "No factor is a choice, so nothing is recommended."
-    said: dict[str, list[str]] = {}
-    for setting in roles.settings(data):
-        text = _recommended(roles.at(data, setting), facts, chosen)
-        said.setdefault(text, []).append(roles.named(setting, data))
-    return " ".join(
-        sentence(f"at {listing(where)}: {text}" if where[0] else text)
-        for text, where in said.items()
-    )
-
-
-def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
-    frame = cost_front(data, facts, factors)
-    if frame.empty:
-        return "no computing times are known, so accuracy alone decides"
-    sign = -1.0 if facts.response.better == "higher" else 1.0
-    best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
-    good = frame[frame["within"]]
-    # a quarter more time is no reason to give up accuracy
-    quick = good[good["seconds"] <= 1.25 * good["seconds"].min()]
-    cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
-    named = listing([clean(cheap[name]) for name in factors])
-    text = (
-        f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
-    )
-    if cheap["cell"] == best["cell"]:
-        return f"{text}; {_why_best(cheap, good)}"
-    limit = practical_of(facts, frame)
-    gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
-    if facts.difference_unit:
-        gap += f"{THIN}{facts.difference_unit}"
-    times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
-    other = listing([clean(best[name]) for name in factors])
-    return (
-        f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
-        f"{limit:.3g}{THIN}{facts.difference_unit} that matters, and takes "
-        f"{times} times as long ({duration(best['seconds'])})"
-    )
-
-
-def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
-    """Say why the most accurate cell is also the one to use."""
-    if len(good) == 1:
-        return "no other cell comes within the difference that matters"
-    share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
-    if share >= 1:
-        return "it is the most accurate cell, and of those within reach the cheapest"
-    return (
-        "it is the most accurate cell; the cheapest one within reach takes "
-        f"{percent(share)} of its time"
-    )
-
-
-def cheaper(data: ReportData, facts: Facts) -> str:
-    """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
-
-    Only factors of the computation are compared: plates or specimens are no choice.
-    """
-    if not facts.response.better or "seconds" not in data.table:
-        return ""
-    said = [_cheaper_level(data, effect, facts) for effect in facts.effects]
-    return " ".join(text for text in said if text)
-
-
-def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
-    if not effect.term.startswith("model.") or effect.range is None:
-        return ""
-    known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
-    seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()
-    if len(seconds) < 2:
-        return ""
-    cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
-    times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
-    cost = (
-        f"takes {duration(seconds.min())} a case instead of {duration(seconds.max())} "
-        f"({times} times as long)"
-    )
-    name, gap = name_of(effect.term, data.labels), size(effect, facts)
-    if effect.verdict == NO_DIFFERENCE:
-        gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
-        return sentence(
-            f"{name}: {clean(cheap)} is enough, for it differs from {clean(dear)} by {gap} "
-            f"in the {facts.title} and {cost}"
-        )
-    weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
-    return sentence(
-        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves the {facts.title} by up to "
-        f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
-        f"it {cost}"
-    )

@@ -17,7 +17,9 @@ from study.reporting.numbers import clean, listing, name_of, sentence, term_name
 from study.reporting.report import Facts
 from study.study_result.report_data import ReportData
 
-CHOICE, CONDITION, UNKNOWN = "choice", "condition", "unknown"
+CHOICE = "choice"
+CONDITION = "condition"
+UNKNOWN = "unknown"
 _SAID = {
     MATTERS: "it matters",
     NO_DIFFERENCE: "no practical difference",

@@ -13,26 +13,24 @@ from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.reporting.content import roles
+from study.reporting.content import recommendation, roles
 from study.reporting.content.verdicts import change, size
 from study.reporting.numbers import (
     MISSING,
-    THIN,
     clean,
     count,
     listing,
     name_of,
     percent,
     plural_of,
-    quantity,
     sentence,
     term_name,
 )
-from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
+from study.reporting.report import Facts
 from study.study_result.report_data import FITTED_CURVE, Failure, ReportData
 
 if TYPE_CHECKING:
-    from study.reporting.report import Group
+    pass
 
 _SOURCES = {
     "E0": "independent replicates in the cells",
@@ -55,7 +53,7 @@ def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
         " ".join(text for text in first if text),
         *roles.by_condition(data, found),
         _one_not_other(data, found),
-        best_cell(data, found),
+        recommendation.best_cell(data, found),
         *roles.unknowns(data, found),
     )
     return tuple(text for text in said if text)
@@ -199,96 +197,6 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
     )
 
 
-def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
-    """Name the best cell of the first response that has a better end, and the tie around it."""
-    for facts in found:
-        if facts.response.better not in ("lower", "higher"):
-            continue
-        if roles.factors_of(data, roles.CONDITION, roles.UNKNOWN):
-            return _best_choice(data, facts)
-        ranked = groups(data, facts)
-        if not ranked:
-            continue
-        if facts.response.better == "higher":
-            ranked = ranked[::-1]
-        word = "lowest" if facts.response.better == "lower" else "highest"
-        mean = quantity(ranked[0].mean, facts.unit)
-        return sentence(
-            f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
-            f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
-        )
-    return "No response has a better end, so no cell is the best; the effects are what counts."
-
-
-def _best_choice(data: ReportData, facts: Facts) -> str:
-    """Name the best combination of the choices, at each setting of the conditions."""
-    chosen = roles.factors_of(data, roles.CHOICE)
-    if not chosen:
-        return "No factor is a choice, so nothing is recommended; the effects are what counts."
-    last = facts.response.better == "higher"
-    best: dict[str, list[str]] = {}
-    ties = []
-    for setting in roles.settings(data):
-        frame = cells(roles.at(data, setting), facts.name, chosen)
-        if frame.empty:
-            continue
-        row = frame.iloc[-1 if last else 0]
-        limit = practical_of(facts, frame)
-        ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
-        mean = quantity(float(row["mean"]), facts.unit)
-        where = f"{roles.named(setting, data)} ({mean})" if setting else mean
-        best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
-    over = [name_of(n, data.labels) for n in roles.factors_of(data, roles.UNKNOWN)]
-    mean_of = f", averaged over {listing(over)}" if over else ""
-    word = "highest" if last else "lowest"
-    if not roles.settings(data)[0]:
-        named, (mean,) = next(iter(best.items()))
-        tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
-        return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
-    parts = [f"with {named} at {listing(where)}" for named, where in best.items()]
-    return sentence(f"the {word} {facts.title} is reached {'; '.join(parts)}{mean_of}")
-
-
-def _within(others: int, facts: Facts, data: ReportData) -> str:
-    """Say how many other combinations are as good in practice."""
-    chosen = roles.factors_of(data, roles.CHOICE)
-    frame = cells(data, facts.name, chosen)
-    limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
-    every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
-    verb = "lies" if others == 1 and others < len(frame) - 1 else "lie"
-    return f"{every} {verb} within {limit} of it, so cost may decide"
-
-
-def _over_fewer(data: ReportData, facts: Facts) -> str:
-    """Say where means are taken over fewer blocks than there are."""
-    if not data.blocks or "block" not in data.table:
-        return ""
-    shared = comparable(data, facts.name)["block"].nunique()
-    if shared == len(data.blocks):
-        return ""
-    blocks = plural_of(clean(data.block) or "block")
-    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
-
-
-def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
-    """Say how many other computations are as good in practice."""
-    if len(ranked) == 1 and len(ranked[0]) > 1:
-        return "; on these meshes no cell can be told from another"
-    limit = practical_of(facts, cells(data, facts.name))
-    near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
-    if not near:
-        return "; no other cell comes within the difference that matters" if limit else ""
-    within = f"within {limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
-    copies = any(len(group) > 1 for group in ranked)
-    noun = "distinct computation" if copies else "cell"
-    holding = f" ({count(sum(map(len, near)), 'cell')})" if copies else ""
-    others = f"the {len(near)} other" if len(near) == len(ranked) - 1 else f"{len(near)} other"
-    if len(near) == 1:
-        other = "the other" if len(ranked) == 2 else "one other"
-        return f"; {other} {noun}{holding} lies {within}"
-    return f"; {others} {plural_of(noun)}{holding} lie {within}"
-
-
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
     """Say what would change the answer."""
     undecided = (CANNOT_TELL, NOT_RESOLVED)
@@ -302,6 +210,11 @@ def would_change(data: ReportData, found: Sequence[Facts]) -> str:
             f"more {plural_of(unit)} would narrow the interval"
             f"{'s' if len(doubts) > 1 else ''} of {listing(doubts)}"
         )
+    claims = [e for facts in found for e in facts.effects if e.lost_without]
+    if claims:
+        unit = plural_of(clean(data.block) or "block")
+        named = listing(_names(claims, data))
+        parts.append(f"more {unit} could overturn or confirm what is said of {named}")
     if coarse:
         parts.append(f"finer meshes could resolve {listing(coarse)}")
     if data.assumed:

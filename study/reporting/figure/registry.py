@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.reporting.content import sentences
-from study.reporting.content.hypotheses import cost_front
+from study.reporting.content.recommendation import cost_front
 from study.reporting.figure import (
     captions,
     constants,

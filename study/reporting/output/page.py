@@ -11,8 +11,10 @@ from study.reporting.content import (
     checks,
     comparison,
     fit_tables,
+    glossary,
     hypotheses,
     methods,
+    recommendation,
     sentences,
     tables,
     verdicts,
@@ -102,7 +104,7 @@ def _section(data: ReportData, item: Facts) -> Section:
         figures=registry.of_response(data, item),
         assumptions=_assumptions(data, item),
         recommendation=_recommendation(data, item),
-        cheaper=hypotheses.cheaper(data, item),
+        cheaper=recommendation.cheaper(data, item),
     )
 
 
@@ -126,7 +128,7 @@ def _recommendation(data: ReportData, item: Facts) -> str:
         return ""
     if not data.table[item.name].notna().any():
         return ""
-    return hypotheses.recommendation(data, item)
+    return recommendation.recommendation(data, item)
 
 
 def build(context: ReportData) -> str:
@@ -161,7 +163,7 @@ def render(contents: Contents) -> str:
         failures=sentences.failures(data.failures, len(data.table)),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
-        interval_level=contents.tables["verdicts"].columns[4].removesuffix(" interval"),
+        glossary=glossary.TERMS,
         what_if=verdicts.WHAT_IF,
         two=comparison,
         provenance=_provenance(data),
@@ -219,6 +221,8 @@ def _environment() -> Environment:
     environment.filters["slug"] = registry.slug
     environment.filters["sentence"] = sentence
     environment.filters["sub"] = _subscripts
+    environment.filters["term"] = _heading
+    environment.filters["gloss"] = glossary.glossed
     environment.globals["groups"] = _groups
     environment.globals["plural_of"] = plural_of
     environment.globals["response_note"] = response_note
@@ -232,6 +236,11 @@ def _subscripts(text: str) -> Markup:
     parts = re.sub(r"\bu_(num|val|input|D)\b", r"u<sub>\1</sub>", str(escape(text)))
     # escaped first, so nothing but these tags is markup
     return Markup(parts)  # noqa: S704
+
+
+def _heading(text: str) -> Markup:
+    """Heading of a column, explained where the glossary holds it."""
+    return glossary.explained(text) if text in glossary.TERMS else _subscripts(text)
 
 
 def _drawing(figure: Figure) -> Markup:

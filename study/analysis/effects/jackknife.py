@@ -1,4 +1,7 @@
-"""Claims held against the loss of one block: one that falls with it is fragile."""
+"""Claims held against the loss of one block: one that falls with it is fragile.
+
+Blocks are left out one at a time, as in the jackknife (Efron and Tibshirani 1993, chapter 11).
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,10 @@ from study.errors import StudyError
 if TYPE_CHECKING:
     import pandas as pd
 
-#: analyses that are made again at most, and rows of each
-MOST_BLOCKS, MOST_ROWS = 40, 5000
+#: analyses that are made again at most
+MOST_BLOCKS = 40
+#: rows of a table whose analysis may be made that often
+MOST_ROWS = 5000
 #: two blocks are the least that an analysis needs, so that three are needed to leave one out
 FEWEST_BLOCKS = 3
 

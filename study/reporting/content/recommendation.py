@@ -1,0 +1,263 @@
+"""What to use: the best cell, the cheapest within reach of it, and what a cheaper level costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
+from study.record.table import cell_names
+from study.reporting.content import roles
+from study.reporting.content.verdicts import size, size_interval
+from study.reporting.numbers import (
+    THIN,
+    clean,
+    count,
+    decimals_that_count,
+    duration,
+    level,
+    listing,
+    name_of,
+    percent,
+    plural_of,
+    quantity,
+    rounded,
+    sentence,
+    significant,
+)
+from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
+from study.study_result.report_data import ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.reporting.report import Group
+
+
+def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
+    """Name the best cell of the first response that has a better end, and the tie around it."""
+    for facts in found:
+        if facts.response.better not in ("lower", "higher"):
+            continue
+        if roles.factors_of(data, roles.CONDITION, roles.UNKNOWN):
+            return _best_choice(data, facts)
+        ranked = groups(data, facts)
+        if not ranked:
+            continue
+        if facts.response.better == "higher":
+            ranked = ranked[::-1]
+        word = "lowest" if facts.response.better == "lower" else "highest"
+        mean = quantity(ranked[0].mean, facts.unit)
+        return sentence(
+            f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
+            f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
+        )
+    return "No response has a better end, so no cell is the best; the effects are what counts."
+
+
+def _best_choice(data: ReportData, facts: Facts) -> str:
+    """Name the best combination of the choices, at each setting of the conditions."""
+    chosen = roles.factors_of(data, roles.CHOICE)
+    if not chosen:
+        return "No factor is a choice, so nothing is recommended; the effects are what counts."
+    last = facts.response.better == "higher"
+    best: dict[str, list[str]] = {}
+    ties = []
+    for setting in roles.settings(data):
+        frame = cells(roles.at(data, setting), facts.name, chosen)
+        if frame.empty:
+            continue
+        row = frame.iloc[-1 if last else 0]
+        limit = practical_of(facts, frame)
+        ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
+        mean = quantity(float(row["mean"]), facts.unit)
+        where = f"{roles.named(setting, data)} ({mean})" if setting else mean
+        best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
+    over = [name_of(n, data.labels) for n in roles.factors_of(data, roles.UNKNOWN)]
+    mean_of = f", averaged over {listing(over)}" if over else ""
+    word = "highest" if last else "lowest"
+    if not roles.settings(data)[0]:
+        named, (mean,) = next(iter(best.items()))
+        tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
+        return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
+    parts = [f"with {named} at {listing(where)}" for named, where in best.items()]
+    return sentence(f"the {word} {facts.title} is reached {'; '.join(parts)}{mean_of}")
+
+
+def _within(others: int, facts: Facts, data: ReportData) -> str:
+    """Say how many other combinations are as good in practice."""
+    chosen = roles.factors_of(data, roles.CHOICE)
+    frame = cells(data, facts.name, chosen)
+    limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
+    every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
+    verb = "lies" if others == 1 and others < len(frame) - 1 else "lie"
+    return f"{every} {verb} within {limit} of it, so cost may decide"
+
+
+def _over_fewer(data: ReportData, facts: Facts) -> str:
+    """Say where means are taken over fewer blocks than there are."""
+    if not data.blocks or "block" not in data.table:
+        return ""
+    shared = comparable(data, facts.name)["block"].nunique()
+    if shared == len(data.blocks):
+        return ""
+    blocks = plural_of(clean(data.block) or "block")
+    return f" (over the {shared} of {len(data.blocks)} {blocks} in which every cell has an answer)"
+
+
+def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
+    """Say how many other computations are as good in practice."""
+    if len(ranked) == 1 and len(ranked[0]) > 1:
+        return "; on these meshes no cell can be told from another"
+    limit = practical_of(facts, cells(data, facts.name))
+    near = [g for g in ranked[1:] if abs(g.mean - ranked[0].mean) <= limit]
+    if not near:
+        return "; no other cell comes within the difference that matters" if limit else ""
+    within = f"within {limit:.3g}{THIN}{facts.difference_unit} of it, so cost may decide"
+    copies = any(len(group) > 1 for group in ranked)
+    noun = "distinct computation" if copies else "cell"
+    holding = f" ({count(sum(map(len, near)), 'cell')})" if copies else ""
+    others = f"the {len(near)} other" if len(near) == len(ranked) - 1 else f"{len(near)} other"
+    if len(near) == 1:
+        other = "the other" if len(ranked) == 2 else "one other"
+        return f"; {other} {noun}{holding} lies {within}"
+    return f"; {others} {plural_of(noun)}{holding} lie {within}"
+
+
+def cost_front(
+    data: ReportData, facts: Facts, factors: Sequence[str] | None = None
+) -> pd.DataFrame:
+    """Mean seconds and mean response of every cell, and which cells no other one dominates.
+
+    Parameters
+    ----------
+    factors : sequence of str, optional
+        Factors that make a cell, all by default.
+
+    Returns
+    -------
+    DataFrame
+        Factor columns, ``cell``, ``mean`` (response), ``seconds``, ``front`` (bool),
+        ``within`` (bool: no more than the practical difference from the best); cheapest
+        first. A gain below a thousandth of the practical difference makes no front. Empty
+        where no seconds are known.
+    """
+    import pandas as pd
+
+    factors = list(data.factors if factors is None else factors)
+    if "seconds" not in data.table or not data.table["seconds"].notna().any():
+        return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
+    frame = cells(data, facts.name, factors)
+    known = data.table[data.table[facts.name].notna()]
+    keys = cell_names(known, factors)
+    seconds = known["seconds"].astype(float).groupby(keys).mean()
+    frame["seconds"] = frame["cell"].map(seconds)
+    frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
+    sign = -1.0 if facts.response.better == "higher" else 1.0
+    score = sign * frame["mean"]
+    limit = practical_of(facts, frame)
+    # a gain of less than a thousandth of what matters is no step
+    best = score.cummin().shift(fill_value=float("inf"))
+    frame["front"] = score < best - limit / 1000
+    frame["within"] = score - score.min() <= limit
+    return frame.reset_index(drop=True)
+
+
+def recommendation(data: ReportData, facts: Facts) -> str:
+    """Say which choices to use: the cheapest within the practical difference of the best.
+
+    Conditions get a recommendation each; over what nobody measured the mean is taken.
+    """
+    chosen = roles.factors_of(data, roles.CHOICE)
+    if not chosen:
+        return "No factor is a choice, so nothing is recommended."
+    said: dict[str, list[str]] = {}
+    for setting in roles.settings(data):
+        text = _recommended(roles.at(data, setting), facts, chosen)
+        said.setdefault(text, []).append(roles.named(setting, data))
+    return " ".join(
+        sentence(f"at {listing(where)}: {text}" if where[0] else text)
+        for text, where in said.items()
+    )
+
+
+def _recommended(data: ReportData, facts: Facts, factors: Sequence[str]) -> str:
+    frame = cost_front(data, facts, factors)
+    if frame.empty:
+        return "no computing times are known, so accuracy alone decides"
+    sign = -1.0 if facts.response.better == "higher" else 1.0
+    best = frame.iloc[int((sign * frame["mean"]).to_numpy().argmin())]
+    good = frame[frame["within"]]
+    # a quarter more time is no reason to give up accuracy
+    quick = good[good["seconds"] <= 1.25 * good["seconds"].min()]
+    cheap = quick.iloc[int((sign * quick["mean"]).to_numpy().argmin())]
+    named = listing([clean(cheap[name]) for name in factors])
+    text = (
+        f"use {named}: {quantity(cheap['mean'], facts.unit)} in {duration(cheap['seconds'])} a case"
+    )
+    if cheap["cell"] == best["cell"]:
+        return f"{text}; {_why_best(cheap, good)}"
+    limit = practical_of(facts, frame)
+    gap = rounded(abs(float(best["mean"] - cheap["mean"])), decimals_that_count(limit))
+    if facts.difference_unit:
+        gap += f"{THIN}{facts.difference_unit}"
+    times = significant(best["seconds"] / max(cheap["seconds"], 1e-9), 2)
+    other = listing([clean(best[name]) for name in factors])
+    return (
+        f"{text}. The most accurate cell ({other}) gains {gap}, less than the "
+        f"{limit:.3g}{THIN}{facts.difference_unit} that matters, and takes "
+        f"{times} times as long ({duration(best['seconds'])})"
+    )
+
+
+def _why_best(cheap: pd.Series, good: pd.DataFrame) -> str:
+    """Say why the most accurate cell is also the one to use."""
+    if len(good) == 1:
+        return "no other cell comes within the difference that matters"
+    share = float(good["seconds"].min()) / max(float(cheap["seconds"]), 1e-9)
+    if share >= 1:
+        return "it is the most accurate cell, and of those within reach the cheapest"
+    return (
+        "it is the most accurate cell; the cheapest one within reach takes "
+        f"{percent(share)} of its time"
+    )
+
+
+def cheaper(data: ReportData, facts: Facts) -> str:
+    """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
+
+    Only factors of the computation are compared: plates or specimens are no choice.
+    """
+    if not facts.response.better or "seconds" not in data.table:
+        return ""
+    said = [_cheaper_level(data, effect, facts) for effect in facts.effects]
+    return " ".join(text for text in said if text)
+
+
+def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
+    if not effect.term.startswith("model.") or effect.range is None:
+        return ""
+    known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
+    seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()
+    if len(seconds) < 2:
+        return ""
+    cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
+    times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
+    cost = (
+        f"takes {duration(seconds.min())} a case instead of {duration(seconds.max())} "
+        f"({times} times as long)"
+    )
+    name, gap = name_of(effect.term, data.labels), size(effect, facts)
+    if effect.verdict == NO_DIFFERENCE:
+        gap = f"less than {gap[2:]}" if gap.startswith("< ") else f"at most {gap}"
+        return sentence(
+            f"{name}: {clean(cheap)} is enough, for it differs from {clean(dear)} by {gap} "
+            f"in the {facts.title} and {cost}"
+        )
+    weight = "which matters" if effect.verdict == MATTERS else "which may matter or not"
+    return sentence(
+        f"{name}: to use {clean(cheap)} instead of {clean(dear)} moves the {facts.title} by up to "
+        f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
+        f"it {cost}"
+    )
