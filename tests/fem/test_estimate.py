@@ -117,9 +117,11 @@ def test_no_ordinary_mesh_is_refused(monkeypatch):
 #: a process of its own, since the peak of memory is that of a whole process
 ONE_STEP = """
 import resource
-from study.setup.geometry import Cylinder, Model, Problem, Test
+from study.setup.geometry import Cylinder
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
 from study.fem.solver.solve import solve
-from study.material import Material
+from study.material.material import Material
 gel = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 test = Test("compression", 0.6, "bonded", "bonded", 1)
 model = Model("3d", "quadratic", mesh_size_mm=SIZE)
