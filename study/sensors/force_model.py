@@ -11,6 +11,7 @@ from study.arrays import Array
 from study.calibration.iteration import EvaluationFailed
 from study.curve import Curve
 from study.errors import InputError
+from study.forward import finite_element
 from study.forward.closed_form import height_and_area
 from study.material.homogeneous import response
 from study.setup.setup import Problem, ResolvedTables, is_homogeneous, problem_of
@@ -142,14 +143,12 @@ class Simulated:
         return self._known[key]
 
     def _simulated(self, values: Array) -> Curve:
-        from study.forward.finite_element import solve
-
         try:
             problem = replace(self.problem, material=self.problem.material.with_constants(values))
-            solution = solve(problem, warm=self._last)
+            solution = finite_element.solve(problem, warm=self._last)
             if not solution.converged and self._last is not None:
                 # the way from the solution before was too long: no fault of the constants
-                solution = solve(problem)
+                solution = finite_element.solve(problem)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
         if not solution.converged:
