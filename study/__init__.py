@@ -17,6 +17,7 @@ _LAZY = {
     "report": "study.api",
     "power": "study.api",
     "export": "study.api",
+    "require": "study.api",
     "anova": "study.api",
     "ryan_joiner": "study.api",
     "bartlett": "study.api",

@@ -21,6 +21,7 @@ PUBLIC = {
     "report",
     "power",
     "export",
+    "require",
     "anova",
     "ryan_joiner",
     "bartlett",

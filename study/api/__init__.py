@@ -31,6 +31,7 @@ _HOME = {
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single",
     "export": "study.api.haptics.export",
+    "require": "study.api.haptics.require",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from study.cli import output
-from study.cli.studies import REPORTS, Json, Reports, Set
-from study.haptics.export import sentences
+from study.cli.studies import REPORTS, Jobs, Json, Reports, Set
 
 if TYPE_CHECKING:
     from study.api.haptics.export import Export
+    from study.api.haptics.require import Required
 
 
 def export(
@@ -51,10 +51,44 @@ def _say(text: str) -> None:
 
 
 def _print_export(found: Export) -> None:
+    from study.haptics.export import sentences
+
     for line in sentences(found.law):
         output.paragraph(line)
     for path in found.paths:
         print(f"written: {path}")
 
 
-VERBS: tuple[Callable[..., None], ...] = (export,)
+def require(
+    file: Annotated[Path, typer.Argument(help="Problem with sensors and what is asked of them.")],
+    settings: Set = None,
+    jobs: Jobs = None,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Say how uncertain sensors make constants and force, and what they must be."""
+    from study import api
+
+    found = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
+    output.warn(found.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    _print_requirement(found)
+
+
+def _print_requirement(found: Required) -> None:
+    from study.sensors import requirement
+
+    for line in requirement.sentences(found.requirement):
+        output.paragraph(line)
+    rows = [["sensor", "error", "given", "allowed alone", "allowed beside the others"]]
+    for k, source in enumerate(found.requirement.propagation.sources):
+        alone, beside = (requirement.size(source, v) for v in found.requirement.allowed(k))
+        given = requirement.size(source, source.given)
+        rows.append([source.sensor, source.name, given, alone, beside])
+    output.table(rows)
+    print(f"report: {found.page}")
+
+
+VERBS: tuple[Callable[..., None], ...] = (export, require)

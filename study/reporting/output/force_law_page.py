@@ -10,7 +10,7 @@ from study.haptics.export import sentences
 from study.haptics.force_law import ForceLaw
 from study.material.registry import is_dimensionless
 from study.reporting.content.table import Table
-from study.reporting.figure import force_law
+from study.reporting.figure.haptics import force_law
 from study.reporting.figure.registry import Figure, make
 from study.reporting.numbers import MISSING, clean, significant
 from study.reporting.output.answer_page import AnswerPage, write_answer

@@ -1,0 +1,1 @@
+"""Figures of force laws and of what the sensors of a test must be."""

@@ -1,0 +1,164 @@
+"""Force of a test at any displacement and constants, with its derivatives by both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from study.arrays import Array
+from study.calibration.iteration import EvaluationFailed
+from study.curve import Curve
+from study.errors import InputError
+from study.forward import finite_element
+from study.forward.closed_form import height_and_area
+from study.material.homogeneous import response
+from study.setup.setup import Problem, ResolvedTables, is_homogeneous, problem_of
+
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
+
+#: Half the distance of two places whose forces give the stiffness, over the depth: the curve is a
+#: polynomial between its steps, of which this leaves 1e-8.
+DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class ForceAt:
+    """Force at some displacements.
+
+    Parameters
+    ----------
+    force_N : ndarray, shape (n,)
+        On the whole specimen.
+    stiffness_N_per_mm : ndarray, shape (n,)
+        dF/dd.
+    jacobian : ndarray, shape (n, p)
+        dF/dconstant, N per MPa (N for a plain exponent).
+    """
+
+    force_N: Array
+    stiffness_N_per_mm: Array
+    jacobian: Array
+
+
+class ForceModel(Protocol):
+    """Force of one test; zero before touch, that is at negative displacements."""
+
+    problem: Problem
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force for constants in MPa (exponents plain); raises where there is no answer."""
+        ...
+
+
+def force_model(tables: ResolvedTables, farthest_mm: float) -> ForceModel:
+    """Model of a test: closed form where its deformation is homogeneous, else finite elements.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved tables of the problem.
+    farthest_mm : float
+        Largest displacement that will be asked for.
+    """
+    test = {**tables["test"], "displacement_mm": farthest_mm}
+    problem = problem_of({**tables, "test": test})
+    if is_homogeneous(problem.test, problem.specimen.shape):
+        return ClosedForm(problem)
+    return Simulated(problem)
+
+
+class ClosedForm:
+    """Compression between frictionless plates."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force of the homogeneous deformation."""
+        material = self.problem.material.with_constants(values)
+        height, area = height_and_area(self.problem.specimen)
+        sense = self.problem.setup.kind.sense
+        touches = displacement_mm >= 0
+        state = response(
+            material, "uniaxial", 1 + sense * np.where(touches, displacement_mm, 0.0) / height
+        )
+        jacobian = np.stack([sense * area * state.gradient[n] for n in material.names], axis=1)
+        if not np.isfinite(state.stress).all():
+            raise EvaluationFailed("the material has no equilibrium state at these constants")
+        return ForceAt(
+            np.where(touches, sense * area * state.stress, 0.0),
+            np.where(touches, area / height * state.slope, 0.0),
+            np.where(touches[:, None], jacobian, 0.0),
+        )
+
+
+class Simulated:
+    """Finite elements: every set of constants is solved once, from the one before.
+
+    Between the steps the first solution is interpolated with its slopes and work; what others
+    add to it by a spline that is linear in the solved forces. Gradient and force then belong to
+    one function of the constants.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self._names = problem.material.names
+        self._first: Curve | None = None
+        self._last: Solution | None = None
+        self._known: dict[bytes, Curve] = {}
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force between the steps of the solution at these constants."""
+        first = self._base()
+        curve = self._solved(values)
+        knots = curve.displacement_mm
+        d = np.clip(displacement_mm, 0.0, knots[-1])
+        touches = displacement_mm >= 0
+        more = curve.force_N - first.force_at(knots)
+
+        def force(at: Array) -> Array:
+            return np.asarray(first.force_at(at) + _spline(knots, more, at))
+
+        near = DIFFERENCE * float(knots[-1])
+        below, above = np.maximum(d - near, 0.0), np.minimum(d + near, knots[-1])
+        columns = [_spline(knots, curve.force_gradient[n], d) for n in self._names]
+        return ForceAt(
+            np.where(touches, force(d), 0.0),
+            np.where(touches, (force(above) - force(below)) / (above - below), 0.0),
+            np.where(touches[:, None], np.stack(columns, axis=1), 0.0),
+        )
+
+    def _base(self) -> Curve:
+        if self._first is None:
+            self._first = self._solved(self.problem.material.values)
+        return self._first
+
+    def _solved(self, values: Array) -> Curve:
+        key = values.tobytes()
+        if key not in self._known:
+            self._known[key] = self._simulated(values)
+        return self._known[key]
+
+    def _simulated(self, values: Array) -> Curve:
+        try:
+            problem = replace(self.problem, material=self.problem.material.with_constants(values))
+            solution = finite_element.solve(problem, warm=self._last)
+            if not solution.converged and self._last is not None:
+                # the way from the solution before was too long: no fault of the constants
+                solution = finite_element.solve(problem)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        if not solution.converged:
+            raise EvaluationFailed(f"{solution.status}: {solution.message}")
+        self._last = solution
+        return solution.curve
+
+
+def _spline(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin; linear in the values."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(np.r_[0.0, knots], np.r_[0.0, values])(at))

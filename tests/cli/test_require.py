@@ -1,0 +1,327 @@
+"""``study require``: uncertainty by sensors, what they must be, and where first order holds."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import study as package
+from tests.cli.small import study
+
+RADIUS_MM = 10.0
+HEIGHT_MM = 10.0
+DEPTH_MM = 2.0
+POINTS = 50
+C10_MPA = 0.01
+PLATES = """
+schema = 1
+[study]
+name = "plates"
+seed = 3
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "2 mm"
+[material]
+model = "neo-hookean"
+C10 = "10 kPa"
+incompressible = true
+[position]
+offset = "0.02 mm"
+scale = "0.5 %"
+noise = "0.05 mm"
+[force]
+zero = "0.02 N"
+scale = "1 %"
+noise = "0.02 N"
+[requirement]
+points = 50
+samples = 0
+"""
+ERRORS = {
+    "position.offset": 0.02,
+    "position.scale": 0.005,
+    "position.noise": 0.05,
+    "force.zero": 0.02,
+    "force.scale": 0.01,
+    "force.noise": 0.02,
+}
+
+
+def shape(displacement_mm: np.ndarray) -> np.ndarray:
+    """Force over C10 between frictionless plates, mm^2: 2 A (1/l^2 - l)."""
+    stretch = 1 - displacement_mm / HEIGHT_MM
+    return np.asarray(2 * np.pi * RADIUS_MM**2 * (stretch**-2 - stretch))
+
+
+def shape_slope(displacement_mm: np.ndarray) -> np.ndarray:
+    """Its derivative by the displacement, mm."""
+    stretch = 1 - displacement_mm / HEIGHT_MM
+    return np.asarray(2 * np.pi * RADIUS_MM**2 * (2 * stretch**-3 + 1) / HEIGHT_MM)
+
+
+def known_parts() -> dict[str, float]:
+    """dC10/C10 by every error: C10 is the sum of s F over that of s^2, with s the shape."""
+    d = DEPTH_MM * np.arange(1, POINTS + 1) / POINTS
+    s, slope = shape(d), shape_slope(d)
+    square = float(s @ s)
+    return {
+        "position.offset": 0.02 * float(s @ slope) / square,
+        "position.scale": 0.005 * float(s @ (slope * d)) / square,
+        "position.noise": 0.05 * float(np.linalg.norm(s * slope)) / square,
+        "force.zero": 0.02 * float(s.sum()) / square / C10_MPA,
+        "force.scale": 0.01,
+        "force.noise": 0.02 / np.sqrt(square) / C10_MPA,
+    }
+
+
+def asked(folder: Path, text: str = PLATES, *settings: str) -> dict[str, Any]:
+    (folder / "plates.toml").write_text(text)
+    overrides = [part for setting in settings for part in ("-s", setting)]
+    out = str(folder / "reports")
+    answer = study("require", str(folder / "plates.toml"), "--json", "--reports", out, *overrides)
+    assert answer.code == 0, answer.err
+    return answer.json
+
+
+def named(document: dict[str, Any], name: str) -> dict[str, Any]:
+    return next(one for one in document["quantities"] if one["name"] == name)
+
+
+def test_every_error_does_what_the_closed_form_says(tmp_path: Path) -> None:
+    found = asked(tmp_path)
+    parts = known_parts()
+    c10, force = named(found, "C10"), named(found, "force")
+    assert c10["parts"] == pytest.approx(parts, rel=1e-9)
+    together = np.sqrt(sum(part**2 for part in parts.values()))
+    assert c10["relative_standard_uncertainty"] == pytest.approx(together, rel=1e-9)
+    assert c10["relative_expanded_uncertainty"] == pytest.approx(2 * together, rel=1e-9)
+    # the force is in proportion to C10
+    assert force["value"] == pytest.approx(C10_MPA * float(shape(np.array(DEPTH_MM))), rel=1e-9)
+    assert force["relative_standard_uncertainty"] == pytest.approx(together, rel=1e-9)
+
+
+def test_tests_simulated_by_hand_scatter_so(tmp_path: Path) -> None:
+    """20,000 tests, each fitted by its one-line least squares, without any gradient."""
+    n, random = 20_000, np.random.default_rng(8)
+    d = DEPTH_MM * np.arange(1, POINTS + 1) / POINTS
+    force, draw = C10_MPA * shape(d), random.standard_normal
+    told = d * (1 + 0.005 * draw((n, 1))) + 0.02 * draw((n, 1)) + 0.05 * draw((n, POINTS))
+    felt = force * (1 + 0.01 * draw((n, 1))) + 0.02 * draw((n, 1)) + 0.02 * draw((n, POINTS))
+    s = np.where(told >= 0, shape(told), 0.0)
+    fitted = (s * felt).sum(axis=1) / (s * s).sum(axis=1)
+    found = asked(tmp_path)
+    first_order = C10_MPA * named(found, "C10")["relative_standard_uncertainty"]
+    # a standard deviation of 20,000 tests is known to 0.5 %
+    assert fitted.std(ddof=1) == pytest.approx(first_order, rel=0.05)
+    simulated = asked(tmp_path, PLATES, "requirement.samples=400", "requirement.multiples=[1]")
+    (one,) = simulated["monte_carlo"]
+    scatter = one["quantities"][0]
+    assert one["linear"] is True
+    assert one["failed"] == 0
+    assert scatter["standard_deviation"] / 1e3 == pytest.approx(fitted.std(ddof=1), rel=0.02)
+    # noise of the position makes a soft fit: what is told has more curvature than is there
+    shift = (fitted.mean() - C10_MPA) / fitted.std(ddof=1)
+    assert scatter["bias"] == pytest.approx(shift, abs=0.03)
+    assert shift < -0.05
+
+
+def test_errors_of_the_force_alone_are_exactly_linear(tmp_path: Path) -> None:
+    none = ['position.offset="0 mm"', 'position.scale="0 %"', 'position.noise="0 mm"']
+    found = asked(tmp_path, PLATES, *none, "requirement.samples=50", "requirement.multiples=[1,10]")
+    for one in found["monte_carlo"]:
+        for quantity in one["quantities"]:
+            assert quantity["ratio"] == pytest.approx(1.0, abs=1e-6)
+            assert quantity["bias"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_allowed_is_just_enough(tmp_path: Path) -> None:
+    found = asked(tmp_path)
+    units = {"mm": " mm", "N": " N", "1": ""}
+    for row in found["required"]:
+        key = f"{row['sensor']}.{row['error']}"
+        beside = row["allowed_beside_the_others"]
+        value = f'"{beside!r}{units[row["unit"]]}"' if row["unit"] != "1" else repr(beside)
+        again = asked(tmp_path, PLATES, f"{key}={value}")
+        assert named(again, "C10")["relative_expanded_uncertainty"] == pytest.approx(0.05, rel=1e-9)
+        # in proportion: alone an error makes 5 % where its part is 2.5 %
+        alone = ERRORS[key] * 0.025 / known_parts()[key]
+        assert row["allowed_alone"] == pytest.approx(alone, rel=1e-9)
+    times = found["needed_multiple"]
+    assert times * named(found, "C10")["relative_expanded_uncertainty"] == pytest.approx(0.05)
+    assert found["met"] is (times >= 1)
+
+
+def test_errors_that_leave_nothing_are_told(tmp_path: Path) -> None:
+    found = asked(tmp_path, PLATES, 'position.offset="0.5 mm"')
+    assert found["met"] is False
+    rows = {f"{row['sensor']}.{row['error']}": row for row in found["required"]}
+    assert rows["force.noise"]["allowed_beside_the_others"] is None
+    assert rows["position.offset"]["allowed_beside_the_others"] < 0.5
+
+
+def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
+    found = asked(
+        tmp_path, PLATES, 'position.noise="0.4 mm"', "requirement.samples=100",
+        "requirement.multiples=[1]",
+    )  # fmt: skip
+    (one,) = found["monte_carlo"]
+    assert one["linear"] is False
+    assert any("first order does not hold" in line for line in found["sentences"])
+    assert "first order does not hold" in found["warnings"][0]
+    assert "take the scatter" in Path(found["report"]).read_text()
+
+
+def test_the_seed_decides_and_nothing_else(tmp_path: Path) -> None:
+    wanted = ("requirement.samples=60", "requirement.multiples=[1]")
+    first, again, other = (
+        asked(tmp_path, PLATES, *wanted, f"study.seed={seed}")["monte_carlo"] for seed in (3, 3, 4)
+    )
+    assert first == again
+    assert first != other
+
+
+def test_a_force_is_predicted_in_another_test(tmp_path: Path) -> None:
+    other = '[predict.test]\nkind = "compression"\ninterface = "frictionless"\n'
+    wider = '[predict.specimen]\nshape = "cylinder"\nradius = "20 mm"\nheight = "10 mm"\n'
+    found = asked(tmp_path, f'{PLATES}{other}displacement = "1 mm"\n{wider}')
+    # four times the area, half the depth
+    expected = 4 * C10_MPA * float(shape(np.array(1.0)))
+    force, c10 = named(found, "force"), named(found, "C10")
+    assert force["value"] == pytest.approx(expected, rel=1e-9)
+    assert force["parts"] == pytest.approx(c10["parts"], rel=1e-9)
+
+
+BONDED = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "10 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "1 mm"
+steps = 4
+[material]
+model = "neo-hookean"
+C10 = "10 kPa"
+poisson_ratio = 0.4995
+[model]
+mesh = "coarse"
+[force]
+zero = "0.02 N"
+scale = "1 %"
+noise = "0.02 N"
+[requirement]
+points = 20
+samples = 10
+multiples = [1]
+"""
+
+
+def test_finite_elements_in_processes(tmp_path: Path) -> None:
+    """The force is in proportion to C10, so that the fit is linear: s F over s^2 once more."""
+    found = asked(tmp_path, BONDED)
+    solved = package.solve(_problem(tmp_path), overrides=["test.steps=20"]).curve
+    s = solved.force_gradient["C10"]
+    known = {
+        "force.zero": 0.02 * s.sum() / (s @ s) / C10_MPA,
+        "force.scale": 0.01,
+        "force.noise": 0.02 / np.sqrt(s @ s) / C10_MPA,
+    }
+    parts = named(found, "C10")["parts"]
+    # 4 steps, interpolated at 20 rows
+    assert {name: parts[name] for name in known} == pytest.approx(known, rel=1e-4)
+    (one,) = found["monte_carlo"]
+    assert one["failed"] == 0
+    for quantity in one["quantities"]:
+        assert quantity["ratio"] == pytest.approx(1.0, abs=1e-4)
+
+
+def _problem(folder: Path) -> Path:
+    """The same problem without what only `require` knows."""
+    path = folder / "problem.toml"
+    path.write_text(BONDED[: BONDED.index("[force]")])
+    return path
+
+
+def test_the_page_needs_no_network_and_shows_the_map(tmp_path: Path) -> None:
+    found = asked(tmp_path, PLATES, "requirement.samples=20")
+    page = Path(found["report"]).read_text()
+    assert page.count("<svg") == 2
+    assert "Figure missing" not in page
+    assert "Simulated tests" in page
+    assert not re.search(r"(?:src|href)=\"https?:", page)
+    assert found["sentences"][0] in page
+    beside = Path(found["report"]).with_name("plates-requirement-data")
+    rows = (beside / "figure-requirement-map.csv").read_text().splitlines()
+    as_given = next(row for row in rows if row.startswith("1.0,1.0,"))
+    percent = 100 * named(found, "C10")["relative_expanded_uncertainty"]
+    assert float(as_given.split(",")[2]) == pytest.approx(percent, rel=1e-9)
+
+
+def test_in_words(tmp_path: Path) -> None:
+    (tmp_path / "plates.toml").write_text(PLATES)
+    out = ["--reports", str(tmp_path / "reports")]
+    answer = study("require", str(tmp_path / "plates.toml"), *out)
+    assert answer.code == 0, answer.err
+    assert "is met" in answer.out
+    alone = 0.02 * 0.025 / known_parts()["position.offset"]
+    assert f"{alone:.3g} mm" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('noise = "0.05 mm"', "noise = 0.05", "needs a unit"),
+        ('noise = "0.05 mm"', 'nose = "0.05 mm"', "did you mean 'noise'"),
+        ('scale = "1 %"', 'scale = "100 %"', "below 100 %"),
+        ('zero = "0.02 N"', 'zero = "-0.02 N"', "at least 0"),
+        ("points = 50", "points = 1", "from 2"),
+        ("points = 50", "accuracy = 0", "above 0"),
+        ("points = 50", "multiples = []", "1 to 6 numbers"),
+        ('C10 = "10 kPa"', "", "has no constants"),
+        ("[requirement]", "[predict]\nmaterial = 1\n[requirement]", "predict.material"),
+        ("[requirement]", "[predict.test]\nkind = 'pull'\n[requirement]", "predict.test.kind"),
+        ("samples = 0", "samples = 9\nmultiples = [90]", "specimen's height"),
+        ("schema = 1", "schema = 2", "schema"),
+    ],
+)
+def test_bad_input_is_told_and_nothing_is_written(
+    tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    assert old in PLATES
+    (tmp_path / "plates.toml").write_text(PLATES.replace(old, new, 1))
+    out = ["--reports", str(tmp_path / "reports")]
+    answer = study("require", str(tmp_path / "plates.toml"), *out)
+    assert answer.code == 2
+    assert told in answer.err
+    assert not (tmp_path / "reports").exists()
+
+
+def test_sensors_without_errors_have_nothing_to_propagate(tmp_path: Path) -> None:
+    text = PLATES[: PLATES.index("[position]")]
+    (tmp_path / "plates.toml").write_text(text)
+    answer = study("require", str(tmp_path / "plates.toml"))
+    assert answer.code == 2
+    assert "nothing to propagate" in answer.err
+
+
+def test_constants_that_no_sensor_tells_apart_are_refused(tmp_path: Path) -> None:
+    """Two terms with one exponent: only their sum is in the force."""
+    twins = 'model = "ogden"\nmu = ["10 kPa", "10 kPa"]\nalpha = [2.0, 2.0]'
+    text = PLATES.replace('model = "neo-hookean"\nC10 = "10 kPa"', twins)
+    (tmp_path / "plates.toml").write_text(text)
+    answer = study("require", str(tmp_path / "plates.toml"), "--reports", str(tmp_path / "r"))
+    assert answer.code == 3
+    assert "no accuracy of a sensor tells them apart" in answer.err
+    assert not (tmp_path / "r").exists()
