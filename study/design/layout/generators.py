@@ -101,11 +101,51 @@ def central_composite(count: int, star: str = "inscribed") -> Array:
     return np.asarray(runs, dtype=float)
 
 
-def box_behnken(count: int) -> Array:
-    """Box-Behnken design with one center run (Box and Behnken 1960, Technometrics 2, 455)."""
-    from pydoe import bbdesign
+#: blocks of factors that vary together (Box and Behnken 1960, table 4); the paper's design of nine
+#: factors has three of its blocks twice, and a simulation repeated is the same simulation
+_BLOCKS: Mapping[int, Sequence[tuple[int, ...]]] = {
+    6: ((1, 2, 4), (2, 3, 5), (3, 4, 6), (1, 4, 5), (2, 5, 6), (1, 3, 6)),
+    7: ((4, 5, 6), (1, 6, 7), (2, 5, 7), (1, 2, 4), (3, 4, 7), (1, 3, 5), (2, 3, 6)),
+    9: (
+        *((1, 4, 7), (2, 5, 8), (3, 6, 9), (1, 2, 3), (4, 5, 6), (7, 8, 9)),
+        *((1, 5, 9), (3, 4, 8), (2, 6, 7), (1, 6, 8), (2, 4, 9), (3, 5, 7)),
+    ),
+    10: (
+        *((2, 6, 7, 10), (1, 2, 5, 10), (2, 3, 7, 8), (2, 4, 6, 9), (1, 8, 9, 10)),
+        *((3, 4, 5, 10), (1, 4, 7, 8), (3, 5, 7, 9), (1, 3, 6, 9), (4, 5, 6, 8)),
+    ),
+}
 
-    return np.asarray(bbdesign(count, center=1), dtype=float)
+
+def box_behnken(count: int) -> Array:
+    """Box-Behnken design with one center run (Box and Behnken 1960, Technometrics 2, 455).
+
+    Within a block of an incomplete block design its factors take all combinations of -1 and 1,
+    and all others are 0. Up to five factors, and for eight, which the paper leaves out, the
+    blocks are all pairs.
+
+    Parameters
+    ----------
+    count : int
+        Number of factors, at least 3.
+
+    Returns
+    -------
+    ndarray, shape (runs, count)
+        -1, 0 and 1.
+
+    Examples
+    --------
+    >>> [len(box_behnken(count)) for count in range(3, 11)]
+    [13, 25, 41, 49, 57, 113, 97, 161]
+    """
+    pairs = tuple(itertools.combinations(range(1, count + 1), 2))
+    runs = [
+        [signs[block.index(k)] if k in block else 0.0 for k in range(1, count + 1)]
+        for block in _BLOCKS.get(count, pairs)
+        for signs in itertools.product((-1.0, 1.0), repeat=len(block))
+    ]
+    return np.array([*runs, [0.0] * count])
 
 
 def latin_hypercube(count: int, runs: int, seed: int) -> Array:
