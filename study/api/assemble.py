@@ -12,7 +12,6 @@ from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
 from study.design.cases import excluded, treatments
 from study.design.overview import calibration_factors, equivalent_groups
-from study.design.roles import roles_of
 from study.material.registry import is_dimensionless
 from study.reporting.numbers import name_of
 from study.runner.numerical.judgement import stored_convergence
@@ -79,7 +78,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         design_text=manifest["text"] or manifest["design"],
         scheme=design.scheme.summary,
         cells=None if design.scheme.rows is None else len(treatments(design)),
-        roles=roles_of(design),
+        roles=design.roles,
         expected=design.expected,
         beside=study.beside,
     )

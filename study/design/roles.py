@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Mapping
 
 from study.setup.quantity import shown
 from study.setup.section import Bad
 from study.setup.text import choice
-
-if TYPE_CHECKING:
-    from study.design.spec import Design, Factor
 
 #: the analyst decides it, and recommendations are made among its levels
 CHOICE = "choice"
@@ -20,7 +16,11 @@ CONDITION = "condition"
 UNKNOWN = "unknown"
 
 
-def read_roles(value: object) -> tuple[tuple[str, str], ...]:
+#: factor and its role
+Roles = tuple[tuple[str, str], ...]
+
+
+def read_roles(value: object) -> Roles:
     """Read ``[analysis] roles``: factor to role."""
     if not isinstance(value, Mapping):
         mend = 'for example { plates = "unknown", range = "condition" }'
@@ -34,25 +34,25 @@ def read_roles(value: object) -> tuple[tuple[str, str], ...]:
     return tuple(found)
 
 
-def roles_of(design: Design) -> dict[str, str]:
-    """Role of every factor.
+def default_role(keys: Collection[str], assumed: Collection[str]) -> str:
+    """Role of a factor of which nothing is said.
 
     Parameters
     ----------
-    design : Design
-        Its ``[analysis] roles`` decide; a factor whose keys all stand in ``[study] assumed``
-        is unknown, any other one a choice.
+    keys : collection of str
+        Dotted keys that its levels set.
+    assumed : collection of str
+        Inputs that nobody measured, as ``[study] assumed`` lists them.
 
     Returns
     -------
-    dict of str to str
-        In the order of the factors.
+    str
+        ``"unknown"`` where all keys are assumed, else ``"choice"``.
+
+    Examples
+    --------
+    >>> default_role(["test.interface"], ["test"]), default_role(["model.space"], ["test"])
+    ('unknown', 'choice')
     """
-    declared = dict(design.analysis.roles)
-    return {f.name: declared.get(f.name, _default(f, design.assumed)) for f in design.factors}
-
-
-def _default(factor: Factor, assumed: tuple[str, ...]) -> str:
-    keys = {key for level in factor.levels for key in level.settings}
     covered = all(any(key == a or key.startswith(f"{a}.") for a in assumed) for key in keys)
     return UNKNOWN if keys and covered else CHOICE

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
-from study.design.study_file import Analysis, Calibration, Converge, Replicates, Report
+from study.design.diagnostics import Table
+from study.design.roles import Roles, default_role
+from study.design.sections.calibration import Calibration
+from study.design.sections.cell import Cell, Config
+from study.design.study_file import Converge, Replicates, Report
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Setup
-
-#: plain validated sections with mm, N, MPa and deg inside
-Config = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Level:
     """One level of a factor: its label and the dotted keys that it lays over the file."""
 
     label: str
-    settings: Mapping[str, Any]
+    settings: Table
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,11 @@ class Factor:
     def labels(self) -> tuple[str, ...]:
         """Labels of the levels, in order."""
         return tuple(level.label for level in self.levels)
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """Dotted keys that its levels lay over the file."""
+        return frozenset(key for level in self.levels for key in level.settings)
 
 
 @dataclass(frozen=True)
@@ -110,6 +115,31 @@ class Response:
 
 
 @dataclass(frozen=True)
+class Analysis:
+    """How the table of cases is analyzed.
+
+    Parameters
+    ----------
+    model : "full", int or tuple of str
+        Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
+    type : {"I", "II", "III"}
+        Of the sums of squares.
+    error : {"auto", "pooled", "own", "replicates"}
+        What effects are compared with.
+    alpha : float
+        Level of significance.
+    roles : tuple of (str, str)
+        Factors and what they are to the question; see :mod:`study.design.roles`.
+    """
+
+    model: str | int | tuple[str, ...] = "full"
+    type: str = "II"
+    error: str = "auto"
+    alpha: float = 0.05
+    roles: Roles = ()
+
+
+@dataclass(frozen=True)
 class Expected:
     """What was expected of a response before the study ran.
 
@@ -141,7 +171,7 @@ class Design:
     ----------
     name, question : str
         Of the study.
-    config : dict
+    config : mapping
         The file's tables as written (strings with their units), overrides applied, dotted
         keys of ``[factors]`` and ``[uncertainty]`` joined; :func:`study.design.dump` writes it.
     factors, exclusions, responses : tuple
@@ -168,7 +198,7 @@ class Design:
 
     name: str
     question: str
-    config: Config
+    config: Table
     factors: tuple[Factor, ...]
     exclusions: tuple[Exclusion, ...]
     responses: tuple[Response, ...]
@@ -186,13 +216,20 @@ class Design:
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 
+    @property
+    def roles(self) -> Mapping[str, str]:
+        """What every factor is to the question: as ``[analysis] roles`` says, or by default."""
+        said = dict(self.analysis.roles)
+        return {
+            f.name: said.get(f.name) or default_role(f.keys, self.assumed) for f in self.factors
+        }
+
 
 @dataclass(frozen=True)
-class Treatment:
-    """One cell of the design: a label for every factor and the resolved configuration."""
+class Combination:
+    """A label for every factor."""
 
     levels: Mapping[str, str]
-    config: Config
 
     @property
     def label(self) -> str:
@@ -201,13 +238,42 @@ class Treatment:
 
 
 @dataclass(frozen=True)
-class Case:
-    """One treatment in one block; ``case_id`` is a hash of what decides its numbers."""
+class Treatment(Combination):
+    """One cell of the design: a label for every factor, and what they make of the file."""
 
-    levels: Mapping[str, str]
+    cell: Cell
+
+    @cached_property
+    def config(self) -> Config:
+        """Document of the cell."""
+        return self.cell.document()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One treatment in one block.
+
+    Parameters
+    ----------
+    treatment : Treatment
+        Cell of the design.
+    block : str or None
+        Label of the block.
+    config : dict
+        Document that is computed: of the cell, or with files found and meshes seeded.
+    case_id : str
+        A hash of what decides its numbers.
+    """
+
+    treatment: Treatment
     block: str | None
     config: Config
     case_id: str
+
+    @property
+    def levels(self) -> Mapping[str, str]:
+        """Label of every factor."""
+        return self.treatment.levels
 
     @cached_property
     def setup(self) -> Setup:
@@ -218,11 +284,6 @@ class Case:
     def material(self) -> MaterialSection:
         """Energy and constants, as far as these are given."""
         return MaterialSection.of(self.config["material"])
-
-    @property
-    def treatment(self) -> Treatment:
-        """The cell of the design."""
-        return Treatment(self.levels, self.config)
 
     @property
     def label(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from study.design.load import load
-from study.design.roles import roles_of
 from study.errors import InputError
 from tests.conftest import ROOT
 
@@ -13,10 +12,10 @@ DEMO = str(ROOT / "designs" / "demo.toml")
 
 
 def test_what_nobody_measured_is_unknown_unless_said_otherwise() -> None:
-    plain = roles_of(load(DEMO))
+    plain = load(DEMO).roles
     assert plain == {"material": "choice", "plates": "unknown", "model.space": "choice"}
     said = load(DEMO, overrides=['analysis.roles={ plates = "condition" }'])
-    assert roles_of(said)["plates"] == "condition"
+    assert said.roles["plates"] == "condition"
 
 
 @pytest.mark.parametrize(
