@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from study.design.diagnostics import Table
-from study.design.roles import Roles, default_role
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.study_file import Converge, Replicates, Report
@@ -129,14 +128,14 @@ class Analysis:
     alpha : float
         Level of significance.
     roles : tuple of (str, str)
-        Factors and what they are to the question; see :mod:`study.design.roles`.
+        Factors and what they are to the question (:data:`study.design.study_file.ROLES`).
     """
 
     model: str | int | tuple[str, ...] = "full"
     type: str = "II"
     error: str = "auto"
     alpha: float = 0.05
-    roles: Roles = ()
+    roles: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -217,12 +216,15 @@ class Design:
     text: str = field(default="", compare=False, repr=False)
 
     @property
-    def roles(self) -> Mapping[str, str]:
-        """What every factor is to the question: as ``[analysis] roles`` says, or by default."""
-        said = dict(self.analysis.roles)
-        return {
-            f.name: said.get(f.name) or default_role(f.keys, self.assumed) for f in self.factors
-        }
+    def roles(self) -> dict[str, str]:
+        """Role of every factor: as declared, else unknown where all its keys are assumed."""
+        return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
+
+    def _usual_role(self, factor: Factor) -> str:
+        covered = all(
+            any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in factor.keys
+        )
+        return "unknown" if covered else "choice"
 
 
 @dataclass(frozen=True)

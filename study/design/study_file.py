@@ -6,15 +6,15 @@ The declarations of a problem's tables stand in :mod:`study.setup`, those of mea
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 from pydantic import Field
 
 from study import units
 from study.design import overlay
-from study.design.roles import Roles, read_roles
 from study.design.sections.calibration import AsWritten, Fitting
+from study.design.toml_document import flatten
 from study.errors import nearest
 from study.material.registry import is_constant, is_dimensionless
 from study.setup.quantity import Duration, integer, number, shown
@@ -40,6 +40,10 @@ RESPONSES = {
 }
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
+
+#: what a factor is to the question: decided by the analyst; a part of it, which is answered at
+#: each level; a fact that nobody measured, of which no level is recommended
+ROLES = ("choice", "condition", "unknown")
 RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
 
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
@@ -108,6 +112,14 @@ def _formats(value: object) -> tuple[str, ...]:
     return tuple(dict.fromkeys(choice(*FORMATS)(item) for item in items)) or ("html",)
 
 
+def _roles(value: object) -> tuple[tuple[str, str], ...]:
+    """Read the role of every factor that has one."""
+    if not isinstance(value, Mapping):
+        mend = 'for example { plates = "unknown", range = "condition" }'
+        raise Bad(f"must be a table of factors, got {shown(value)}", mend)
+    return tuple((name, choice(*ROLES)(role)) for name, role in flatten(value).items())
+
+
 def _weight(value: object) -> str | float:
     return choice("scatter", "equal")(value) if isinstance(value, str) else number(0, 1e12)(value)
 
@@ -163,7 +175,7 @@ class AnalysisTable:
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
-    roles: Annotated[Roles, Reads(read_roles)] = ()
+    roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
 
 
 @section
