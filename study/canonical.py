@@ -6,31 +6,66 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import Field, fields, is_dataclass
+from typing import ClassVar, Protocol, TypeAlias, overload
 
 import numpy as np
 
+#: what JSON can hold
+Json: TypeAlias = "None | bool | int | float | str | list[Json] | dict[str, Json]"
 
-def plain(value: Any) -> Any:
-    """Value made of JSON types alone; a number that is not finite becomes None."""
+
+class Dataclass(Protocol):
+    """An instance of any dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+
+
+@overload
+def plain(value: Mapping[str, object] | Dataclass) -> dict[str, Json]: ...
+
+
+@overload
+def plain(value: object) -> Json: ...
+
+
+def plain(value: object) -> Json:
+    """Value made of JSON types alone; a number that is not finite becomes None.
+
+    Raises
+    ------
+    TypeError
+        For what JSON cannot hold.
+    """
+    return _plain(value)
+
+
+def _plain(value: object) -> Json:
     if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return _plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [_plain(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"JSON cannot hold a {type(value).__name__}: {value!r}")
 
 
-def canonical(value: Any) -> Any:
-    """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same."""
+def canonical(value: object) -> Json:
+    """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same.
+
+    Raises
+    ------
+    TypeError
+        For what JSON cannot hold.
+    """
     if isinstance(value, Mapping):
         # where a file lies on this machine is no content; its sha256 stands beside it
         return {str(k): canonical(v) for k, v in value.items() if k != "path"}
@@ -40,12 +75,12 @@ def canonical(value: Any) -> Any:
         return value
     if isinstance(value, (int, float)):
         return float(value)
-    if hasattr(value, "tolist"):
+    if isinstance(value, (np.ndarray, np.generic)):
         return canonical(value.tolist())
     raise TypeError(f"cannot hash a {type(value).__name__}: {value!r}")
 
 
-def digest(value: Any, length: int = 64) -> str:
+def digest(value: object, length: int = 64) -> str:
     """Hex sha256 of the canonical JSON of a value.
 
     Examples

@@ -8,14 +8,19 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
-from typing import Any
+from typing import overload
 
-from study.design import overlay, plausibility
+import numpy as np
+
+from study.canonical import Json
+from study.design import overlay
 from study.design.diagnostics import Faults
 from study.design.resolve import resolve
-from study.design.spec import Case, Config, Design, Level, Treatment
+from study.design.sections.cell import Cell, CellProblem, Config
+from study.design.spec import Case, Combination, Design, Level, Treatment
 from study.errors import Fault, InputError
 from study.measurement.section import MeasurementSpec
+from study.setup.geometry import Surface
 
 MAX_CASES = 100_000
 ID_LENGTH = 16
@@ -35,8 +40,8 @@ def _why_excluded(design: Design, labels: Mapping[str, str]) -> str | None:
     return next((e.why for e in design.exclusions if e.matches(labels)), None)
 
 
-def resolve_cell(design: Design, levels: Sequence[Level], faults: Faults) -> Config:
-    """Resolve the configuration of one cell; faults name the keys of the merged file."""
+def resolve_cell(design: Design, levels: Sequence[Level], faults: Faults) -> Cell:
+    """Resolve one cell; faults name the keys of the merged file."""
     settings = {k: v for level in levels for k, v in level.settings.items()}
     tables = {k: v for k, v in design.config.items() if k in overlay.TABLES}
     return resolve(overlay.lay(tables, settings), faults, design.converge.ratio)
@@ -59,10 +64,10 @@ def treatments(design: Design) -> tuple[Treatment, ...]:
     return tuple(cells)
 
 
-def excluded(design: Design) -> tuple[tuple[Treatment, str], ...]:
-    """Cells left out and why; their configuration is not resolved, for it may be impossible."""
+def excluded(design: Design) -> tuple[tuple[Combination, str], ...]:
+    """Cells left out and why; they are not resolved, for they may be impossible."""
     return tuple(
-        (Treatment(labels, {}), why)
+        (Combination(labels), why)
         for labels, _ in combinations(design)
         if (why := _why_excluded(design, labels)) is not None
     )
@@ -90,76 +95,57 @@ def cases(design: Design, blocks: Sequence[str] = ()) -> tuple[Case, ...]:
         rule = f"{len(cells)} cells in {len(blocks)} blocks are more than {MAX_CASES} cases"
         raise InputError(Fault("factors", rule, "use fewer levels, or several studies"))
     return tuple(
-        Case(cell.levels, block, cell.config, case_id({**cell.config, "block": block}))
+        Case(cell, block, cell.config, case_id({**cell.config, "block": block}))
         for cell in cells
         for block in (blocks or (None,))
     )
 
 
 def calibration_config(treatment: Treatment) -> Config | None:
-    """Resolve the problem whose measured curve gives the constants; None if there is none.
-
-    Returns
-    -------
-    dict
-        ``specimen``, ``test``, ``material``, ``model`` and ``measurements``.
-    """
-    config = treatment.config
-    if config["calibration"]["method"] == "none":
-        return None
-    problem: Config = config["calibration"]["problem"] or config
-    return {k: problem[k] for k in ("specimen", "test", "material", "model", "measurements")}
+    """Document of the problem whose measured curve gives the constants; None if there is none."""
+    cell = treatment.cell
+    return cell.fitted.document() if cell.is_calibrated else None
 
 
 def calibration_key(treatment: Treatment) -> str | None:
     """Name of the calibration problem of a cell: cells with one name share one fit a block."""
-    config = calibration_config(treatment)
-    if config is None:
+    cell = treatment.cell
+    if not cell.is_calibrated:
         return None
-    method = treatment.config["calibration"]["method"]
-    return case_id({**physical(config), "method": _method(method, config)})
+    return case_id({**physical(cell.fitted), "method": _method(cell)})
 
 
-def physical(config: Mapping[str, Any]) -> Config:
+def physical(problem: CellProblem) -> Config:
     """Part of a problem that can change its curve.
 
     In homogeneous compression the closed form is exact: of the specimen its area and
     height count, and nothing of the discretisation.
     """
-    kept = {k: config[k] for k in ("specimen", "test", "material", "model", "measurements")}
-    if not plausibility.is_homogeneous(config):
+    kept, specimen = problem.document(), problem.specimen
+    if isinstance(specimen, Surface) or not problem.is_homogeneous:
         return kept
-    specimen = config["specimen"]
-    radius = specimen.get("radius_mm")
-    sides = specimen.get("width_mm"), specimen.get("depth_mm")
-    area = math.pi * radius**2 if radius is not None else sides[0] * sides[1]
-    test = {k: v for k, v in config["test"].items() if k != "steps"}
-    reduced = {"area_mm2": float(f"{area:.12g}"), "height_mm": specimen["height_mm"]}
+    test = {k: v for k, v in kept["test"].items() if k != "steps"}
+    area = float(f"{specimen.area_mm2:.12g}")
+    reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
     return {**kept, "specimen": reduced, "test": test, "model": None}
 
 
-def _method(method: str, fitted: Mapping[str, Any]) -> str:
-    return "exact" if method != "none" and plausibility.is_homogeneous(fitted) else method
+def _method(cell: Cell) -> str:
+    return "exact" if cell.is_calibrated and cell.fitted.is_homogeneous else cell.method
 
 
 def physical_key(treatment: Treatment) -> str:
     """Name of what a cell computes: cells with one name must agree physically."""
-    config = treatment.config
-    calibration = config["calibration"]
-    fitted = calibration["problem"] or config
-    return case_id(
-        {
-            **physical(config),
-            "calibration": {
-                "method": _method(calibration["method"], fitted),
-                "problem": calibration["problem"] and physical(calibration["problem"]),
-                "leave_out": calibration["leave_out"],
-            },
-        }
-    )
+    cell, other = treatment.cell, treatment.cell.fitted_elsewhere
+    calibration = {
+        "method": _method(cell),
+        "problem": None if other is None else physical(other),
+        "leave_out": cell.leave_out,
+    }
+    return case_id({**physical(cell.problem), "calibration": calibration})
 
 
-def case_id(content: Any) -> str:
+def case_id(content: object) -> str:
     """Name made of content: 16 hex digits of the sha256 of canonical JSON.
 
     Numbers are coerced first (``1`` and ``1.0`` are one), keys sorted. Labels, names and
@@ -174,7 +160,7 @@ def case_id(content: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 
-def canonical_json(content: Any) -> str:
+def canonical_json(content: object) -> str:
     """One spelling of JSON for equal content.
 
     Raises
@@ -191,14 +177,22 @@ def canonical_json(content: Any) -> str:
     return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
-def without_places(value: Any) -> Any:
+def without_places(value: Json) -> Json:
     """Content without ``path``: where a file lies on this machine names nothing."""
     if isinstance(value, dict):
         return {k: without_places(v) for k, v in value.items() if k != "path"}
     return [without_places(v) for v in value] if isinstance(value, list) else value
 
 
-def plain(value: Any) -> Any:
+@overload
+def plain(value: Mapping[str, object]) -> dict[str, Json]: ...
+
+
+@overload
+def plain(value: object) -> Json: ...
+
+
+def plain(value: object) -> Json:
     """Plain JSON values of a configuration, numbers coerced.
 
     Raises
@@ -206,16 +200,20 @@ def plain(value: Any) -> Any:
     InputError
         For nan, infinity or an unknown type.
     """
+    return _plain(value)
+
+
+def _plain(value: object) -> Json:
     if isinstance(value, MeasurementSpec):
-        return plain({k: v for k, v in value.as_dict().items() if k != "citation"})
+        return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
     if is_dataclass(value) and not isinstance(value, type):
-        return plain(vars(value))
+        return _plain(vars(value))
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {str(k): _plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
+        return [_plain(v) for v in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
     if value is None or isinstance(value, (str, bool, int)):
         return value
     if isinstance(value, float) and math.isfinite(value):

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from study.design.cases import combinations, excluded, resolve_cell
 from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
-from study.design.plausibility import is_homogeneous
-from study.design.spec import Config, Design, Level
+from study.design.sections.cell import Cell
+from study.design.spec import Design, Level
 from study.design.study_file import RESPONSES, SCORED
-from study.errors import Fault, InputError, nearest
-from study.material.registry import constant_names
+from study.errors import Fault, nearest
 
 MAX_FAULTS = 100
 
@@ -20,30 +18,30 @@ MAX_FAULTS = 100
 def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     """Check every cell that is not left out; a fault of a level is told where it is written."""
     out = {tuple(cell.levels.values()) for cell, _ in excluded(design)}
-    count, configs = 0, []
+    count, cells = 0, []
     found: dict[Fault, list[str]] = {}
     for labels, levels in combinations(design):
         if tuple(labels.values()) in out or len(found) > MAX_FAULTS:
             continue
         count += 1
         own = Faults()
-        configs.append(resolve_cell(design, levels, own))
+        cells.append(resolve_cell(design, levels, own))
         places = _places(design, levels, presets)
         for fault in own:
             moved = _moved(fault, places)
             found.setdefault(moved, []).append(" / ".join(labels.values()))
-    for fault, cells in found.items():
-        told = len(cells) == count or fault.where.startswith(("presets.", "factors."))
-        where = "" if told else f" (in {_listed(cells)})"
+    for fault, labelled in found.items():
+        told = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
+        where = "" if told else f" (in {_listed(labelled)})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, out, faults)
-    if not found and configs:
-        _check_responses(design, configs, faults)
-        check_replicates(design, configs, faults)
+    if not found and cells:
+        _check_responses(design, cells, faults)
+        check_replicates(design, cells, faults)
 
 
-def _listed(cells: Sequence[str]) -> str:
-    return cells[0] + (f" and {len(cells) - 1} more cells" if len(cells) > 1 else "")
+def _listed(labels: Sequence[str]) -> str:
+    return labels[0] + (f" and {len(labels) - 1} more cells" if len(labels) > 1 else "")
 
 
 def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[str, str]:
@@ -75,41 +73,32 @@ def _check_left(design: Design, out: set[tuple[str, ...]], faults: Faults) -> No
             faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
 
 
-def _check_responses(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     for i, response in enumerate(design.responses):
         where = f"response[{i}].name"
-        if response.name in SCORED and any(c["measurements"] is None for c in configs):
+        if response.name in SCORED and any(c.problem.measurements is None for c in cells):
             rule = f"{response.name} compares with measured curves, and there are none"
             faults.add(where, rule, "add [measurements]")
         elif response.name and response.name not in RESPONSES:
-            names = {n for c in configs for n in _constants(c["material"])}
+            names = {n for c in cells for n in c.problem.material.calibrated_names}
             if response.name not in names:
                 rule = f"no material of this design has a constant {response.name}"
                 faults.add(where, rule, nearest(response.name, sorted(names)))
-
-
-def _constants(material: Mapping[str, Any]) -> tuple[str, ...]:
-    if material["constants"]:
-        return tuple(material["constants"])
-    try:
-        return constant_names(material["model"], material["order"])
-    except InputError:
-        return ()
 
 
 #: responses that a fit alone does not give
 _NO_CONSTANT = (*SCORED, "seconds")
 
 
-def check_replicates(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     """Check that every cell has what its replicates vary."""
     asked = design.replicates.noise or design.replicates.mesh_seeds
     if design.analysis.error == "replicates" and not asked:
         rule = "is the scatter of replicates, and the design asks for none"
         faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
     if design.replicates.noise:
-        _check_noise(design, configs, faults)
-    if design.replicates.mesh_seeds and not any(_meshed(config) for config in configs):
+        _check_noise(design, cells, faults)
+    if design.replicates.mesh_seeds and not any(_meshed(cell) for cell in cells):
         rule = (
             "every cell is compression between frictionless plates, which is the same on every "
             "mesh: there is no scatter of meshes to learn"
@@ -117,13 +106,13 @@ def check_replicates(design: Design, configs: Sequence[Config], faults: Faults) 
         faults.add("replicates.mesh_seeds", rule, "leave it out, or vary something with a mesh")
 
 
-def _check_noise(design: Design, configs: Sequence[Config], faults: Faults) -> None:
+def _check_noise(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     where = "replicates.noise"
-    given = sum(config["calibration"]["method"] == "none" for config in configs)
+    given = sum(not cell.is_calibrated for cell in cells)
     if given:
         rule = (
             "fits again to the measured curve with resampled residuals, but in "
-            f"{given} of {len(configs)} cells the constants are given and nothing is fitted"
+            f"{given} of {len(cells)} cells the constants are given and nothing is fitted"
         )
         faults.add(where, rule, 'write calibration.method = "auto", or use mesh_seeds')
     if not any(is_constant(response.name) for response in design.responses):
@@ -142,7 +131,6 @@ def is_constant(response: str) -> bool:
     return response not in _NO_CONSTANT
 
 
-def _meshed(config: Config) -> bool:
+def _meshed(cell: Cell) -> bool:
     """Whether a mesh can change an answer of a cell: its scored test or its calibration."""
-    fitted = config["calibration"]["problem"] or config
-    return not (is_homogeneous(config) and is_homogeneous(fitted))
+    return not (cell.problem.is_homogeneous and cell.fitted.is_homogeneous)

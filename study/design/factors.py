@@ -4,54 +4,48 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 
-from study.design import overlay, study_file
-from study.design.diagnostics import Faults
-from study.design.reader import Section
+from study.design import overlay
+from study.design.diagnostics import Faults, Table, entries, is_known, noted
 from study.design.spec import Exclusion, Factor, Level, Span
+from study.design.study_file import ExclusionTable
 from study.design.toml_document import flatten
-from study.errors import UnitError, nearest
+from study.errors import nearest
 from study.setup.quantity import number, shown
-from study.setup.section import Bad, Read
-from study.setup.text import MAX_NAME, name, quoted, text
+from study.setup.section import Bad
+from study.setup.text import MAX_NAME, name, quoted
 from study.units import parse
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
-MAX_EXCLUSIONS = 4096
 
 #: set -> label -> dotted keys laid over the file
-Presets = dict[str, dict[str, dict[str, Any]]]
+Presets = Mapping[str, Mapping[str, Table]]
 
 
-def read_presets(table: Any, faults: Faults) -> Presets:
+def presets_of(table: object, faults: Faults) -> Presets:
     """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
 
     A set named like a table of the file is laid over that table.
     """
-    section = Section({} if table is None else table, "presets", faults)
-    presets: Presets = {}
-    for set_name, levels in section.table.items():
+    presets: dict[str, dict[str, Table]] = {}
+    for set_name, levels in entries(table, "presets", faults).items():
         where = f"presets.{quoted(set_name)}"
         if not _readable(set_name, where, faults):
             continue
         prefix = f"{set_name}." if set_name in overlay.TABLES else ""
-        inner = Section(levels, where, faults)
         presets[set_name] = {
             label.strip(): _settings(level, prefix, f"{where}.{quoted(label)}", faults)
-            for label, level in inner.table.items()
+            for label, level in entries(levels, where, faults).items()
             if _readable(label, f"{where}.{quoted(label)}", faults)
         }
     return presets
 
 
-def _settings(level: Any, prefix: str, where: str, faults: Faults) -> dict[str, Any]:
-    if not isinstance(level, Mapping):
-        faults.add(where, f"must be a table, got {shown(level)}", f"write [{where}]")
-        return {}
-    settings = flatten(level, prefix)
+def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
+    settings = flatten(entries(level, where, faults), prefix)
     for key in settings:
         if not overlay.may_vary(key):
             inner = quoted_path(key.removeprefix(prefix))
@@ -64,7 +58,7 @@ def quoted_path(key: str) -> str:
     return ".".join(quoted(part) for part in key[:500].split("."))
 
 
-def _readable(value: Any, where: str, faults: Faults) -> bool:
+def _readable(value: str, where: str, faults: Faults) -> bool:
     try:
         name(value)
     except Bad as bad:
@@ -73,34 +67,32 @@ def _readable(value: Any, where: str, faults: Faults) -> bool:
     return True
 
 
-def read_factors(table: Any, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
+def factors_of(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
     """Read ``[factors]`` (dotted keys already joined) with the levels of every factor."""
-    section = Section({} if table is None else table, "factors", faults)
-    if not section.table:
+    written = entries(table, "factors", faults)
+    if not written:
         faults.add("factors", "is missing", 'for example model.space = ["axisymmetric", "3d"]')
-    if len(section.table) > MAX_FACTORS:
-        faults.add("factors", f"has {len(section.table)} factors, the limit is {MAX_FACTORS}")
+    if len(written) > MAX_FACTORS:
+        faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
         return ()
-    read = [_factor(key, value, presets, faults) for key, value in grouped(section.table).items()]
+    read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
     found = [factor for factor in read if factor is not None]
     _check_overlap(found, faults)
     return tuple(found)
 
 
-def _factor(key: str, value: Any, presets: Presets, faults: Faults) -> Factor | None:
+def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor | None:
     if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
-        return read_range(key, value, f"factors.{quoted_path(key)}", faults)
+        return _range(key, value, f"factors.{quoted_path(key)}", faults)
     levels = _levels(key, value, presets, faults)
     return Factor(key, levels) if levels else None
 
 
-def _levels(key: str, value: Any, presets: Presets, faults: Faults) -> tuple[Level, ...]:
+def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
     where = f"factors.{quoted_path(key)}"
     if key not in presets and not overlay.may_vary(key):
-        valid = [
-            *presets,
-            *(k for k in overlay.VARYING if k.partition(".")[0] == key.split(".")[0]),
-        ]
+        table = key.split(".")[0]
+        valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
         mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
         faults.add(where, "is neither a key that may vary nor a preset set", mend)
         return ()
@@ -122,11 +114,9 @@ def _levels(key: str, value: Any, presets: Presets, faults: Faults) -> tuple[Lev
     return tuple(levels.values())
 
 
-def _level(key: str, raw: Any, presets: Presets, where: str, faults: Faults) -> Level | None:
-    try:
-        label = level_label(raw)
-    except Bad as bad:
-        faults.add(where, bad.rule, bad.mend)
+def _level(key: str, raw: object, presets: Presets, where: str, faults: Faults) -> Level | None:
+    label = noted(level_label, raw, where, faults)
+    if label is None:
         return None
     if key not in presets:
         return Level(label, {key: raw})
@@ -136,7 +126,7 @@ def _level(key: str, raw: Any, presets: Presets, where: str, faults: Faults) -> 
     return Level(label, presets[key][label])
 
 
-def level_label(raw: Any) -> str:
+def level_label(raw: object) -> str:
     """Label of a level's value: ``"1"``, ``1`` and ``1.0`` have the same.
 
     Examples
@@ -160,7 +150,7 @@ def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
     """Two factors that set one key would hide one another."""
     owner: dict[str, str] = {}
     for factor in factors:
-        for slot in {_slot(key) for level in factor.levels for key in level.settings}:
+        for slot in {_slot(key) for key in factor.keys}:
             if owner.setdefault(slot, factor.name) != factor.name:
                 rule = f"sets {slot}, which the factor {owner[slot]!r} sets too"
                 faults.add(f"factors.{factor.name}", rule, "let one of the two set it")
@@ -169,64 +159,76 @@ def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
 def _slot(key: str) -> str:
     """Key, or the first of the keys that cannot stand beside it."""
     table, _, last = key.rpartition(".")
-    alternatives = study_file.ALTERNATIVES.get(table, ())
+    place = overlay.PLACES.get(table)
+    alternatives = () if place is None else place.alternatives
     return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
-def read_exclusions(
-    value: Any, factors: Sequence[Factor], declared: Sequence[str], faults: Faults
-) -> tuple[Exclusion, ...]:
-    """Read every ``[[exclude]]``; ``declared`` has the factors that are faulty, too."""
-    if value is None:
-        return ()
-    if not isinstance(value, list) or len(value) > MAX_EXCLUSIONS:
-        faults.add("exclude", f"must be tables, got {shown(value)}", "write [[exclude]]")
-        return ()
-    return tuple(
-        exclusion
-        for i, table in enumerate(value)
-        if (exclusion := _exclusion(table, f"exclude[{i}]", factors, declared, faults))
-    )
-
-
-def _exclusion(
-    table: Any,
-    where: str,
+def exclusions_of(
+    tables: Sequence[ExclusionTable],
     factors: Sequence[Factor],
-    declared: Sequence[str],
+    declared: Collection[str],
     faults: Faults,
-) -> Exclusion | None:
-    before = len(faults)
-    section = Section(table, where, faults)
-    why = section.take("why", text, mend='say why: why = "..."')
-    when = section.take("when", lambda raw: raw, mend='when = { material = "ogden-1" }')
-    section.finish()
-    if why == "":
-        section.fault("why", "is empty", "say why these cells are left out")
-    if len(faults) > before:
-        return None
-    inner = Section(when, f"{where}.when", faults)
-    if not inner.broken and not inner.table:
-        section.fault("when", "is empty: it would leave out every cell")
+) -> tuple[Exclusion, ...]:
+    """Say of every ``[[exclude]]`` which cells it leaves out.
+
+    Parameters
+    ----------
+    tables : sequence of ExclusionTable
+        As read; one with a fault is passed over.
+    factors : sequence of Factor
+        Of the design.
+    declared : collection of str
+        Names of all factors of the file, the faulty ones too.
+    faults : Faults
+        Where faults go.
+    """
     by_name = {factor.name: factor for factor in factors}
-    labels = {
-        key: inner.take(key, _choosing(by_name[key])) for key in inner.table if key in by_name
-    }
-    inner.finish(declared)
-    return Exclusion(labels, why) if len(faults) == before else None
+    found = []
+    for i, table in enumerate(tables):
+        before, where = len(faults), f"exclude[{i}].when"
+        if not is_known(table.why, table.when):
+            continue
+        labels = _labels(table.when, where, by_name, declared, faults)
+        if len(faults) == before:
+            found.append(Exclusion(labels, table.why))
+    return tuple(found)
 
 
-def _choosing(factor: Factor) -> Read:
-    return lambda raw: _chosen(raw, factor)
+def _labels(
+    when: object,
+    where: str,
+    by_name: Mapping[str, Factor],
+    declared: Collection[str],
+    faults: Faults,
+) -> dict[str, tuple[str, ...]]:
+    written = entries(when, where, faults)
+    if isinstance(when, Mapping) and not written:
+        faults.add(where, "is empty: it would leave out every cell")
+    found = {}
+    for key, raw in written.items():
+        if key in by_name:
+            found[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
+        elif key not in declared:
+            faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
+    return found
 
 
-def _chosen(raw: Any, factor: Factor) -> tuple[str, ...]:
+def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
+    """Labels of the levels of a factor that one label, or a list of labels, names."""
     items = raw if isinstance(raw, list) and raw else [raw]
-    labels = tuple(_known(level_label(item), factor) for item in items)
-    return tuple(dict.fromkeys(labels))
+    return tuple(dict.fromkeys(known_level(item, factor) for item in items))
 
 
-def _known(label: str, factor: Factor) -> str:
+def known_level(raw: object, factor: Factor) -> str:
+    """Label of a level, which the factor must have.
+
+    Raises
+    ------
+    Bad
+        If it has no such level.
+    """
+    label = level_label(raw)
     if label not in factor.labels:
         raise Bad(f"no level {label!r} of {factor.name!r}", nearest(label, factor.labels))
     return label
@@ -236,7 +238,7 @@ ENDS = ("low", "high")
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
 
-def grouped(table: Mapping[str, Any]) -> dict[str, Any]:
+def grouped(table: Table) -> dict[str, object]:
     """Join ``KEY.low`` and ``KEY.high``, which joining dotted keys took apart, to ``KEY``.
 
     Examples
@@ -244,17 +246,19 @@ def grouped(table: Mapping[str, Any]) -> dict[str, Any]:
     >>> grouped({"a.low": 1, "a.high": 2, "b": [3, 4]})
     {'a': {'low': 1, 'high': 2}, 'b': [3, 4]}
     """
-    found: dict[str, Any] = {}
+    found: dict[str, object] = {}
+    ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
         if name and end in ENDS:
-            found.setdefault(name, {})[end] = value
+            found[name] = ends.setdefault(name, {})
+            ends[name][end] = value
         else:
             found[key] = value
     return found
 
 
-def read_range(key: str, value: Mapping[str, Any], where: str, faults: Faults) -> Factor | None:
+def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
     """Factor of a range, with its two ends as levels."""
     dimension = overlay.dimension(key)
     if dimension is None:
@@ -264,24 +268,20 @@ def read_range(key: str, value: Mapping[str, Any], where: str, faults: Faults) -
     if missing:
         faults.add(where, f"has no {missing[0]}", "write { low = .., high = .. }")
         return None
-    try:
-        low, high = (_end(value[end], dimension) for end in ENDS)
-    except (Bad, UnitError) as error:
-        fault = error if isinstance(error, Bad) else error.faults[0]
-        faults.add(where, fault.rule, fault.mend)
-        return None
-    if low[1] != high[1]:
-        faults.add(where, f"mixes {low[1]!r} and {high[1]!r}", "write both ends in one unit")
-        return None
-    if not low[0] < high[0]:
-        rule = f"must rise, got {shown(value['low'])} to {shown(value['high'])}"
-        faults.add(where, rule, "exchange low and high")
-        return None
-    span = Span(low[0], high[0], low[1])
-    return Factor(key, levels_at(key, span, (0.0, 1.0)), span)
+    span = noted(lambda _: _span(value["low"], value["high"], dimension), value, where, faults)
+    return None if span is None else Factor(key, levels_at(key, span, (0.0, 1.0)), span)
 
 
-def _end(raw: Any, dimension: str) -> tuple[float, str]:
+def _span(low: object, high: object, dimension: str) -> Span:
+    (first, unit), (last, other) = _end(low, dimension), _end(high, dimension)
+    if unit != other:
+        raise Bad(f"mixes {unit!r} and {other!r}", "write both ends in one unit")
+    if not first < last:
+        raise Bad(f"must rise, got {shown(low)} to {shown(high)}", "exchange low and high")
+    return Span(first, last, unit)
+
+
+def _end(raw: object, dimension: str) -> tuple[float, str]:
     """Value and unit of one end, the unit as written."""
     if dimension == "number":
         return number()(raw), ""

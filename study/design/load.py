@@ -10,48 +10,46 @@ import re
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
-from study.design.diagnostics import Faults
-from study.design.factors import Presets, grouped, read_exclusions, read_factors, read_presets
-from study.design.layout.schemes import default_model, read_scheme
-from study.design.reader import Section
-from study.design.resolve import calibration_spec, resolve_problem
-from study.design.sections.fitting import read_fitting
-from study.design.sections.hypotheses import read_expected
-from study.design.sections.measurements import read_measurements_table
-from study.design.sections.settings import (
-    read_analysis,
-    read_converge,
-    read_replicates,
-    read_report,
-    read_responses,
-    read_study,
-    read_uncertainty,
+from study.design.diagnostics import Faults, Table, entries, noted, read_table
+from study.design.factors import exclusions_of, factors_of, grouped, presets_of
+from study.design.layout.schemes import scheme_of
+from study.design.resolve import calibration_of, resolve_problem
+from study.design.sections.calibration import bounds_of
+from study.design.sections.cell import CellProblem, Config
+from study.design.sections.measurements import measurements_of
+from study.design.spec import Design
+from study.design.statistics.hypotheses import expected_of
+from study.design.statistics.model import analysis_of
+from study.design.statistics.response import responses_of
+from study.design.study_file import (
+    RESPONSES_MEND,
+    CalibrationFile,
+    DesignFile,
+    ProblemFile,
+    TestTable,
 )
-from study.design.spec import Config, Design, Response
-from study.design.study_file import Calibration
+from study.design.toml_document import Tables
 from study.errors import Fault, InputError
-from study.material.registry import constant_names, is_constant_key
-from study.measurement.section import MeasurementSpec
-from study.setup.quantity import number, shown
-from study.setup.section import Bad
-from study.setup.text import choice
+from study.material.registry import is_constant_key
+from study.setup.quantity import number, quantity
+from study.setup.section import values_of
 
-SCHEMA = 1
-_COMMON = ("schema", "study", "specimen", "test", "material", "model", "converge", "report")
-TABLES: Mapping[str, tuple[str, ...]] = {
-    "problem": (*_COMMON, "uncertainty"),
-    "design": (
-        *_COMMON,
-        *("presets", "factors", "design", "exclude", "measurements", "calibration", "response"),
-        *("analysis", "uncertainty", "replicates", "expected"),
-    ),
-    "calibration": ("schema", "study", "specimen", "material", "model", "tests", "calibration"),
+File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)
+
+_KINDS: Mapping[type, str] = {
+    ProblemFile: "problem",
+    DesignFile: "design",
+    CalibrationFile: "calibration",
 }
-MAX_TESTS = 1000
+_VERBS = {
+    "design": "use `study plan` and `study run` with it",
+    "problem": "use `study solve` with it, or give it [factors]",
+    "calibration": "use `study calibrate` with it",
+}
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
@@ -81,8 +79,10 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
     """Load a design from a text, or from the bytes of a file; see :func:`load`."""
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
-    with _Reading(source, tables, "design") as faults:
-        return _design(tables, faults, source, text)
+    file, faults = _read(DesignFile, tables, source)
+    design = _design(file, tables, faults, source, text)
+    _refuse(faults, source)
+    return design
 
 
 def dump(design: Design) -> str:
@@ -112,18 +112,21 @@ def loads_problem(
     """Load a problem from a text; see :func:`load_problem`."""
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
-    with _Reading(source, tables, "problem") as faults:
-        read_study(tables.get("study"), faults, default_name(source))
-        read_uncertainty(tables.get("uncertainty"), faults)
-        read_report(tables.get("report"), faults)
-        converge = read_converge(tables.get("converge"), faults)
-        config = resolve_problem(tables, faults, converge.ratio)
-        del config["measurements"]
-        material = config["material"]
-        if material["model"] and not material["constants"] and not _about(faults, "material"):
-            faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
-        plausibility.check_stability(config, faults)
-    return {**config, "converge": converge}
+    file, faults = _read(ProblemFile, tables, source)
+    _uncertainty(file.uncertainty, faults)
+    problem = resolve_problem(tables, faults, file.converge.ratio)
+    material = problem.material
+    if (
+        material.model
+        and not material.constants
+        and not any(_is_about(f, "material") for f in faults)
+    ):
+        faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
+    plausibility.check_stability(problem, faults)
+    _refuse(faults, source)
+    document = problem.document()
+    del document["measurements"]
+    return {**document, "converge": file.converge}
 
 
 def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
@@ -132,9 +135,9 @@ def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     Returns
     -------
     dict
-        ``name``, ``specimen``, ``model``, ``material``, ``calibration`` (see
-        :func:`study.design.fitting.read_fitting`) and ``tests``: a list of ``role``, ``test``,
-        ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
+        ``name``, ``specimen``, ``model``, ``material``, ``calibration`` (``specimens``,
+        ``leave_out`` and ``bounds``, of the constants in MPa) and ``tests``: a list of ``role``,
+        ``test``, ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
 
     Raises
     ------
@@ -150,18 +153,31 @@ def loads_calibration(
     """Load a calibration from a text; see :func:`load_calibration`."""
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
-    with _Reading(source, tables, "calibration") as faults:
-        study = read_study(tables.get("study"), faults, default_name(source))
-        tests = _tests(tables, faults)
-        names = _fitted_names(tests[0]["material"]) if tests and not faults else ()
-        fitting = read_fitting(tables.get("calibration"), names, faults)
-    first: Config = tests[0]
-    shared = {k: first[k] for k in ("specimen", "model", "material")}
-    return {"name": study["name"], **shared, "calibration": fitting, "tests": tests}
+    file, faults = _read(CalibrationFile, tables, source)
+    problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
+    if _all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
+        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
+    names = problems[0].material.calibrated_names if _all_about(faults, "calibration") else ()
+    asked, bounds = file.calibration, None
+    if asked.bounds is not None:
+        bounds = noted(bounds_of(names), asked.bounds, "calibration.bounds", faults)
+    _refuse(faults, source)
+    tests = [
+        {"role": test.role, "weight": test.weight, **problem.document()}
+        for test, problem in zip(file.tests, problems, strict=True)
+    ]
+    shared = {key: tests[0][key] for key in ("specimen", "model", "material")}
+    fitting = {**values_of(asked), "bounds": bounds or {}}
+    name = file.study.name or default_name(source)
+    return {"name": name, **shared, "calibration": fitting, "tests": tests}
 
 
-def _fitted_names(material: Config) -> tuple[str, ...]:
-    return tuple(material["constants"] or constant_names(material["model"], material.get("order")))
+def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
+    """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
+    own = ("test", "measurements", "specimen", "model")
+    given = {key: value for key in own if (value := getattr(test, key)) is not None}
+    places = {key: f"{where}.{key}" for key in given}
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
 
 
 def file_kind(path: str | Path) -> str:
@@ -187,49 +203,27 @@ def default_name(source: str) -> str:
     return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
 
 
-def _kind(tables: Mapping[str, Any]) -> str:
+def _kind(tables: Table) -> str:
     if "factors" in tables or "response" in tables:
         return "design"
     return "calibration" if "tests" in tables else "problem"
 
 
-class _Reading:
-    """Collects the faults of one file and raises them together, each with the file's name."""
-
-    def __init__(self, source: str, tables: Mapping[str, Any], kind: str) -> None:
-        self.source, self.faults = source, Faults()
-        actual = _kind(tables)
-        if actual != kind and (actual != "problem" or kind == "calibration"):
-            rule = f"is a {actual}, not a {kind}"
-            raise InputError(Fault(source, rule, _VERBS[actual]))
-        section = Section(tables, "", self.faults)
-        section.take("schema", _schema, mend=f"write schema = {SCHEMA} on the first line")
-        section.finish(TABLES[kind])
-
-    def __enter__(self) -> Faults:
-        return self.faults
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self.faults and kind is None:
-            raise InputError(
-                [Fault(f"{self.source}: {f.where}", f.rule, f.mend) for f in self.faults]
-            )
+def _read(kind: type[File], tables: Table, source: str) -> tuple[File, Faults]:
+    """Read the tables of a file that are the same for all of its cells."""
+    wanted, actual, faults = _KINDS[kind], _kind(tables), Faults()
+    if actual != wanted and (actual != "problem" or wanted == "calibration"):
+        raise InputError(Fault(source, f"is a {actual}, not a {wanted}", _VERBS[actual]))
+    return read_table(kind, tables, "", faults), faults
 
 
-_VERBS = {
-    "design": "use `study plan` and `study run` with it",
-    "problem": "use `study solve` with it, or give it [factors]",
-    "calibration": "use `study calibrate` with it",
-}
+def _refuse(faults: Faults, source: str) -> None:
+    """Raise the faults of a file together, each with the file's name."""
+    if faults:
+        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
 
 
-def _schema(value: Any) -> int:
-    if value != SCHEMA or isinstance(value, bool):
-        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
-    return SCHEMA
-
-
-def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
+def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
     """Tables of a text with dotted keys joined and the overrides laid over."""
     tables = _joined(toml_document.parse_toml(text, source), source)
     for override in overrides:
@@ -244,12 +238,13 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> dict[str, Any]:
     return _joined(tables, source)
 
 
-def _joined(tables: dict[str, Any], source: str) -> dict[str, Any]:
+def _joined(tables: Tables, source: str) -> Tables:
     """Join the dotted keys that TOML nests: ``[factors]``, ``[uncertainty]``, ``when``."""
     try:
         for key in ("factors", "uncertainty"):
-            if isinstance(tables.get(key), dict):
-                tables[key] = toml_document.flatten(tables[key])
+            table = tables.get(key)
+            if isinstance(table, dict):
+                tables[key] = toml_document.flatten(table)
         excluded = tables.get("exclude")
         for row in excluded if isinstance(excluded, list) else ():
             if isinstance(row, dict) and isinstance(row.get("when"), dict):
@@ -260,7 +255,7 @@ def _joined(tables: dict[str, Any], source: str) -> dict[str, Any]:
     return tables
 
 
-def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
+def _check_override(tables: Table, path: Sequence[str]) -> None:
     """Refuse an override that a factor's levels would hide again."""
     key, factors = ".".join(path), tables.get("factors")
     if not isinstance(factors, dict):
@@ -268,7 +263,7 @@ def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
     if key in factors:
         mend = f"change the levels: -s 'factors.{key}=[...]'"
         raise InputError(Fault(f"-s {key}", "is a factor: its levels would hide this", mend))
-    presets = read_presets(tables.get("presets"), Faults())
+    presets = presets_of(tables.get("presets"), Faults())
     hiding = [
         f"presets.{name}.{label}"
         for name in factors
@@ -280,40 +275,47 @@ def _check_override(tables: Mapping[str, Any], path: Sequence[str]) -> None:
         raise InputError(Fault(f"-s {key}", rule, f"change it there: -s '{hiding[0]}...=...'"))
 
 
-def _about(faults: Faults, table: str) -> bool:
-    return any(f.where == table or f.where.startswith(f"{table}.") for f in faults)
+def _is_about(fault: Fault, table: str) -> bool:
+    return fault.where == table or fault.where.startswith(f"{table}.")
 
 
-def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> Design:
-    study = read_study(tables.get("study"), faults, default_name(source))
-    if isinstance(tables.setdefault("study", {}), dict):
-        tables["study"].setdefault("name", study["name"])
-    presets: Presets = read_presets(tables.get("presets"), faults)
-    factors = read_factors(tables.get("factors"), presets, faults)
-    declared = list(grouped(tables["factors"])) if isinstance(tables.get("factors"), dict) else []
-    factors, scheme = read_scheme(
-        tables.get("design"), factors, study["seed"], "exclude" in tables, faults
-    )
-    analysis = read_analysis(tables.get("analysis"), faults, declared)
-    asked = tables.get("analysis")
-    if not isinstance(asked, Mapping) or "model" not in asked:
-        analysis = default_model(scheme, factors, analysis)
-    responses = _responses(tables, faults)
+def _all_about(faults: Faults, table: str) -> bool:
+    """Whether nothing but one table has faults, so that all others can be relied on."""
+    return all(_is_about(fault, table) for fault in faults)
+
+
+def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text: str) -> Design:
+    name = file.study.name or default_name(source)
+    study = tables.setdefault("study", {})
+    if isinstance(study, dict):
+        study.setdefault("name", name)
+    presets = presets_of(file.presets, faults)
+    factors = factors_of(file.factors, presets, faults)
+    declared = list(grouped(entries(file.factors, "factors", faults)))
+    excluding = "exclude" in tables
+    factors, scheme = scheme_of(file.design, factors, file.study.seed, excluding, faults)
+    responses = responses_of(file.response, faults)
+    _check_asked(tables, faults)
     design = Design(
-        **study,
+        name=name,
+        question=file.study.question,
+        seed=file.study.seed,
+        assumed=file.study.assumed,
         config=tables,
         factors=factors,
-        exclusions=read_exclusions(tables.get("exclude"), factors, declared, faults),
+        exclusions=exclusions_of(file.exclude, factors, declared, faults),
         responses=responses,
-        measurements=_base_measurements(tables),
-        calibration=_base_calibration(tables),
-        analysis=analysis,
+        measurements=measurements_of(file.measurements, Faults()) if file.measurements else None,
+        calibration=calibration_of(tables, _gives_constants(tables), Faults()),
+        analysis=analysis_of(
+            file.analysis, _has(tables, "analysis", "model"), factors, declared, scheme, faults
+        ),
         scheme=scheme,
-        replicates=read_replicates(tables.get("replicates"), faults),
-        expected=read_expected(tables.get("expected"), factors, responses, faults),
-        converge=read_converge(tables.get("converge"), faults),
-        uncertainty=read_uncertainty(tables.get("uncertainty"), faults),
-        report=read_report(tables.get("report"), faults),
+        replicates=file.replicates,
+        expected=expected_of(file.expected, factors, responses, faults),
+        converge=file.converge,
+        uncertainty=_uncertainty(file.uncertainty, faults),
+        report=file.report,
         source=source,
         text=text,
     )
@@ -322,56 +324,44 @@ def _design(tables: dict[str, Any], faults: Faults, source: str, text: str) -> D
     return design
 
 
-def _responses(tables: Mapping[str, Any], faults: Faults) -> tuple[Response, ...]:
-    """Read ``[[response]]``; a mesh study alone, without measurements, needs none."""
-    if "response" not in tables and "measurements" not in tables and "converge" in tables:
-        return ()
-    return read_responses(tables.get("response"), faults)
+def _has(tables: Table, table: str, key: str) -> bool:
+    written = tables.get(table)
+    return isinstance(written, Mapping) and key in written
 
 
-def _base_measurements(tables: Mapping[str, Any]) -> MeasurementSpec | None:
-    """Table ``[measurements]`` as written, before the levels of a cell are laid over it."""
-    if "measurements" not in tables:
-        return None
-    return read_measurements_table(tables["measurements"], Faults())
-
-
-def _base_calibration(tables: Mapping[str, Any]) -> Calibration:
-    """Table ``[calibration]`` as written; its faults are reported by the cells."""
+def _gives_constants(tables: Table) -> bool:
+    """Whether the table ``[material]`` itself has constants, before any level is laid over it."""
     material = tables.get("material")
-    given = [k for k in material if is_constant_key(k)] if isinstance(material, dict) else []
-    return calibration_spec(tables.get("calibration"), {"constants": given}, Faults())
+    return isinstance(material, dict) and any(is_constant_key(key) for key in material)
 
 
-def _tests(tables: Mapping[str, Any], faults: Faults) -> list[Config]:
-    rows = tables.get("tests")
-    if not isinstance(rows, list) or not rows or len(rows) > MAX_TESTS:
-        faults.add("tests", f"must be 1 to {MAX_TESTS} tables", "write [[tests]]")
-        return []
-    found = [_test(tables, row, f"tests[{i}]", faults) for i, row in enumerate(rows)]
-    if not any(test["role"] == "fit" for test in found) and not faults:
-        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
+def _check_asked(tables: Table, faults: Faults) -> None:
+    """Check that something is asked of a design; a mesh study without measurements need not."""
+    studied = "converge" in tables and "measurements" not in tables
+    if "response" not in tables and not studied:
+        faults.add("response", "is missing", RESPONSES_MEND)
+    replicates = tables.get("replicates")
+    if not isinstance(replicates, Mapping):
+        return
+    if {"mesh_seeds", "noise"} <= set(replicates):
+        rule = "mesh_seeds and noise are two error terms, with different questions"
+        faults.add("replicates", rule, "give one of them, and the other in a study of its own")
+    elif not replicates:
+        faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
+
+
+def _uncertainty(table: object, faults: Faults) -> dict[str, float]:
+    """Read ``[uncertainty]``: dotted key -> standard uncertainty in internal units."""
+    found: dict[str, float] = {}
+    for key, raw in entries(table, "uncertainty", faults).items():
+        where, kind = f"uncertainty.{key}", overlay.dimension(key)
+        if kind is None:
+            faults.add(where, "names no input with a value", overlay.suggestion(key))
+            continue
+        value = noted(number(0) if kind == "number" else quantity(kind), raw, where, faults)
+        if value is not None:
+            found[key] = value
     return found
-
-
-def _test(tables: Mapping[str, Any], row: Any, where: str, faults: Faults) -> Config:
-    section = Section(row, where, faults)
-    role = section.take("role", choice("fit", "held-out"), "fit")
-    weight = section.take("weight", _weight, "equal")
-    for key in ("test", "measurements"):
-        section.take(key, lambda value: value, mend=f"write {key} = {{ ... }}")
-    section.finish(("specimen", "model"))
-    own = ("test", "measurements", "specimen", "model")
-    given = {key: section.table[key] for key in own if key in section}
-    places = {key: f"{where}.{key}" for key in given}
-    config = resolve_problem({"test": {}, **tables, **given}, faults, places=places)
-    return {"role": role, "weight": weight, **config}
-
-
-def _weight(value: Any) -> str | float:
-    if isinstance(value, str):
-        return str(choice("scatter", "equal")(value))
-    return float(number(0, 1e12)(value))
 
 
 def template() -> str:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
-from study.design import study_file
-from study.design.study_file import FACTOR_KEYS
+from study.design.diagnostics import Table
+from study.design.sections.calibration import Calibration
+from study.design.sections.material import MaterialTable
 from study.errors import nearest
 from study.material.registry import ENERGIES, is_constant_key, is_dimensionless
+from study.measurement.section import MeasurementSpec
 from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
@@ -18,43 +20,71 @@ from study.setup.setup import Model
 from study.setup.test_section import TestSection
 from study.setup.text import MAX_NAME
 
+
+@dataclass(frozen=True)
+class Place:
+    """A table whose keys may differ between the cells of a design.
+
+    Parameters
+    ----------
+    sections : tuple of type
+        Every section that may stand there.
+    ruling : str
+        Key that decides which others the table may have: a shape, or an energy.
+    alternatives : tuple of str
+        Keys of which the table may have one; laying one over it takes the others away.
+    varying : tuple of str
+        Keys that may differ; all that the sections declare if it is empty.
+    """
+
+    sections: tuple[type, ...]
+    ruling: str = ""
+    alternatives: tuple[str, ...] = ()
+    varying: tuple[str, ...] = ()
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys that may differ."""
+        declared = (key for kind in self.sections for key in written_keys(kind))
+        return self.varying or tuple(dict.fromkeys(declared))
+
+
+_COMPRESSIBILITY = written_keys(Compressibility)
+_MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign")
+#: constants that an energy declares, for suggestions
+_CONSTANTS = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
+_SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indenter": INDENTERS}
+
+#: every such table by its dotted name
+PLACES: Mapping[str, Place] = {
+    "specimen": Place(tuple(SPECIMENS.values()), "shape"),
+    "test": Place((TestSection,)),
+    "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
+    "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
+    "model": Place((Model,), alternatives=("mesh", "mesh_size")),
+    "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
+    "calibration": Place((Calibration,), varying=("method",)),
+}
+
 #: tables that a preset set may be named after
-TABLES = ("specimen", "test", "material", "model", "measurements", "calibration")
-_SPECIMEN = sorted({key for shape in SPECIMENS.values() for key in written_keys(shape)} - {"shape"})
-_INDENTER = sorted({key for shape in INDENTERS.values() for key in written_keys(shape)} - {"shape"})
-_EXAMPLES = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
+TABLES = tuple(name for name in PLACES if "." not in name)
 
 #: keys that may differ between the cells of a design
-VARYING: tuple[str, ...] = (
-    "specimen.shape",
-    *(f"specimen.{key}" for key in _SPECIMEN),
-    *(f"test.{key}" for key in written_keys(TestSection)),
-    "test.indenter.shape",
-    *(f"test.indenter.{key}" for key in _INDENTER),
-    *(f"material.{key}" for key in (*study_file.MATERIAL_KEYS, *_EXAMPLES)),
-    *(f"model.{key}" for key in written_keys(Model)),
-    *(f"measurements.{key}" for key in FACTOR_KEYS),
-    "calibration.method",
+VARYING = (
+    *(f"{name}.{key}" for name, place in PLACES.items() for key in place.keys),
+    *(f"material.{key}" for key in _CONSTANTS),
 )
 _REPLACED = r"calibration\.problem\."
-_VALUED: tuple[type, ...] = (
-    *SPECIMENS.values(),
-    *INDENTERS.values(),
-    TestSection,
-    Model,
-    Compressibility,
-)
 
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
     key.written: key.reads.dimension
-    for table in _VALUED
+    for name, place in PLACES.items()
+    if name != "measurements"  # what a file holds has an uncertainty of its own, see below
+    for table in place.sections
     for key in keys_of(table)
     if key.reads is not None and key.reads.dimension
 }
-
-#: keys that decide which others a table may have
-_RULING = {"specimen": "shape", "test.indenter": "shape", "material": "model"}
 
 
 def may_vary(key: str) -> bool:
@@ -95,7 +125,7 @@ def dimension(key: str) -> str | None:
     return _DIMENSIONS.get(last)
 
 
-def lay(tables: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any]:
+def lay(tables: Table, settings: Table) -> dict[str, object]:
     """Lay dotted keys over the tables of a file.
 
     A key takes away what cannot stand beside it: ``mesh`` a ``mesh_size`` (and the other
@@ -113,45 +143,50 @@ def lay(tables: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, Any
     >>> lay({"model": {"mesh": "fine", "space": "3d"}}, {"model.mesh_size": "2 mm"})
     {'model': {'space': '3d', 'mesh_size': '2 mm'}}
     """
-    merged: dict[str, Any] = copy.deepcopy(dict(tables))
-    for key in settings:
-        _make_room(merged, key, settings)
+    merged = copy.deepcopy(dict(tables))
+    for key, value in settings.items():
+        _make_room(merged, key, value)
     for key, value in settings.items():
         *path, last = key.split(".")
         node = merged
         for part in path:
-            if not isinstance(node.get(part), dict):
-                node[part] = {}
-            node = node[part]
+            inner = node.get(part)
+            if not isinstance(inner, dict):
+                inner = node[part] = {}
+            node = inner
         node[last] = copy.deepcopy(value)
     return merged
 
 
-def _make_room(merged: dict[str, Any], key: str, settings: Mapping[str, Any]) -> None:
+def _make_room(merged: dict[str, object], key: str, value: object) -> None:
     table, _, last = key.rpartition(".")
-    plain = re.sub(f"^{_REPLACED}", "", table)
-    node: Any = merged
-    for part in table.split("."):
-        node = node.get(part) if isinstance(node, dict) else None
-    if not isinstance(node, dict):
+    name = re.sub(f"^{_REPLACED}", "", table)
+    place, node = PLACES.get(name), _node(merged, table)
+    if place is None or node is None:
         return
-    alternatives = study_file.ALTERNATIVES.get(plain, ())
-    if last in alternatives:
-        for other in alternatives:
+    if last in place.alternatives:
+        for other in place.alternatives:
             node.pop(other, None)
-    if last == _RULING.get(plain):
-        for other in [k for k in node if not _belongs(plain, settings[key], k)]:
+    if last == place.ruling:
+        for other in [k for k in node if not _belongs(name, value, k)]:
             del node[other]
 
 
-def _belongs(table: str, ruling: Any, key: str) -> bool:
+def _node(tables: dict[str, object], path: str) -> dict[str, object] | None:
+    """Table at a dotted path."""
+    node: object = tables
+    for part in path.split("."):
+        node = node.get(part) if isinstance(node, dict) else None
+    return node if isinstance(node, dict) else None
+
+
+def _belongs(table: str, ruling: object, key: str) -> bool:
     """Whether a key may stay in a table whose shape or energy becomes ``ruling``."""
-    if table != "material":
-        kinds = SPECIMENS if table == "specimen" else INDENTERS
-        others = {key for shape in kinds.values() for key in written_keys(shape)}
-        return key not in others or ruling not in kinds or key in written_keys(kinds[ruling])
-    if key in study_file.MATERIAL_KEYS or ruling not in ENERGIES:
+    if not isinstance(ruling, str):
         return True
-    if not is_constant_key(key):
+    if table in _SHAPES:
+        kind = _SHAPES[table].get(ruling)
+        return kind is None or key not in PLACES[table].keys or key in written_keys(kind)
+    if ruling not in ENERGIES or not is_constant_key(key):
         return True  # an unknown key stays, to be reported
     return ENERGIES[ruling].has_key(key)

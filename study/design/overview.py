@@ -19,7 +19,7 @@ from study.design.cases import (
     treatments,
 )
 from study.design.diagnostics import Faults
-from study.design.plausibility import is_homogeneous, plausibility
+from study.design.plausibility import plausibility
 from study.design.spec import Design, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
@@ -90,8 +90,8 @@ def _changes(design: Design, cell: Treatment, factor: str, key: Key) -> bool:
         labels = {**cell.levels, factor: other}
         levels = [f.levels[f.labels.index(labels[f.name])] for f in design.factors]
         faults = Faults()
-        config = resolve_cell(design, levels, faults)
-        if not faults and key(Treatment(labels, config)) != own:
+        made = Treatment(labels, resolve_cell(design, levels, faults))
+        if not faults and key(made) != own:
             return True
     return False
 
@@ -191,7 +191,7 @@ def _matrix(cells: Sequence[Treatment], groups: Groups, fitted: Groups) -> list[
             "levels": dict(cell.levels),
             "group": group[cell.label],
             "calibration": fit.get(cell.label),
-            "homogeneous": is_homogeneous(cell.config),
+            "homogeneous": cell.cell.problem.is_homogeneous,
         }
         for cell in cells
     ]
@@ -201,8 +201,9 @@ def warnings(design: Design) -> tuple[str, ...]:
     """Sentences about what is allowed and probably not meant."""
     found: dict[str, None] = {}
     for cell in treatments(design):
-        found.update(dict.fromkeys(plausibility(cell.config)))
-        spec = cell.config["measurements"]
+        problem = cell.cell.problem
+        found.update(dict.fromkeys(plausibility(problem.material)))
+        spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
             found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
     for group in duplicates(design):

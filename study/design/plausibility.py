@@ -5,52 +5,52 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any
 
-from study.design.diagnostics import Faults
-from study.design.spec import Config
+from study.design.diagnostics import Faults, is_known
+from study.design.sections.cell import CellProblem
 from study.material.compressibility import Compressibility
 from study.material.material import Material
 from study.material.registry import ENERGIES
 from study.material.stability import stability
-from study.setup import setup
-from study.setup.test_kind import Test
+from study.setup.geometry import Cone, Cylinder, Flat, Indenter, Specimen, Sphere, Surface
+from study.setup.material_section import MaterialSection
+from study.setup.section import values_of
 from study.setup.test_section import TEST_KINDS
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
 PLAUSIBLE_MPA = (1e-4, 10.0)
 
 
-def check(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
+def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
     """Check the sections of a problem against one another.
 
-    Sections that already have faults carry None in their place and are passed over;
-    ``places`` says where each table stands in the file.
+    A value that has a fault is None and passed over; ``places`` says where each table stands
+    in the file.
     """
-    _check_moduli(config["material"], faults, places)
-    _check_displacement(config, faults, places)
-    _check_model(config, faults, places)
-    if config["test"].get("indenter"):
-        _check_indenter(config, faults, places)
+    _check_moduli(problem.material, faults, places)
+    _check_displacement(problem, faults, places)
+    _check_model(problem, faults, places)
+    if problem.test.indenter is not None:
+        _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
 
 
-def initial_shear_modulus(material: Mapping[str, Any]) -> float | None:
-    """mu0 in MPa of a material section, None where its constants are to be calibrated."""
-    constants: Mapping[str, Any] = material["constants"]
-    if not constants or any(v is None for v in constants.values()):
+def initial_shear_modulus(material: MaterialSection) -> float | None:
+    """mu0 in MPa of a material, None where its constants are to be calibrated."""
+    constants = material.constants
+    if not constants or any(math.isnan(v) for v in constants.values()):
         return None
-    energy = ENERGIES[material["model"]]
-    resistance = Compressibility(material.get("bulk_modulus_MPa"), material.get("poisson_ratio"))
+    energy, volume = ENERGIES[material.model], material.compressibility
+    resistance = Compressibility(volume.bulk_modulus_MPa, volume.poisson_ratio)
     mu0 = energy.initial_shear_modulus(constants, resistance)
     # a linear solid with E > 9 K is refused for its Poisson's ratio below -1
     return None if energy.small_strain and not 0 < mu0 < math.inf else mu0
 
 
-def _check_moduli(material: Config, faults: Faults, places: Mapping[str, str]) -> None:
-    mu0, bulk = initial_shear_modulus(material), material.get("bulk_modulus_MPa")
-    where = f"{places['material']}.{next(iter(material['constants']), '')}"
+def _check_moduli(material: MaterialSection, faults: Faults, places: Mapping[str, str]) -> None:
+    mu0, bulk = initial_shear_modulus(material), material.compressibility.bulk_modulus_MPa
+    where = f"{places['material']}.{next(iter(material.constants), '')}"
     if mu0 is not None and mu0 <= 0:
-        formula = ENERGIES[material["model"]].shear_modulus_formula
+        formula = ENERGIES[material.model].shear_modulus_formula
         rule = f"the initial shear modulus {formula} must be positive, got {mu0 * 1e3:g} kPa"
         faults.add(where, rule, "check the signs of the constants")
     elif mu0 is not None and bulk is not None and bulk < mu0:
@@ -58,9 +58,9 @@ def _check_moduli(material: Config, faults: Faults, places: Mapping[str, str]) -
         faults.add(f"{places['material']}.bulk_modulus", rule, "check the units (MPa, kPa) of both")
 
 
-def _check_displacement(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
-    depth, height = config["test"]["displacement_mm"], config["specimen"].get("height_mm")
-    kind = TEST_KINDS.get(config["test"]["kind"])
+def _check_displacement(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    depth, height = problem.test.displacement_mm, problem.height_mm
+    kind = TEST_KINDS.get(problem.test.kind)
     if kind is not None and kind.sense > 0:
         return  # what is lengthened has no end
     if depth is not None and height is not None and depth >= height:
@@ -68,53 +68,53 @@ def _check_displacement(config: Config, faults: Faults, places: Mapping[str, str
         faults.add(f"{places['test']}.displacement", rule, "make it smaller than specimen.height")
 
 
-def _check_model(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
-    model, shape = config["model"], config["specimen"]["shape"]
-    if config["material"].get("incompressible") and model["formulation"] == "displacement":
+def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    model, is_surface = problem.model, problem.specimen.shape == "surface"
+    if problem.material.compressibility.incompressible and model.formulation == "displacement":
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
         faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')
-    if shape == "surface" and model["space"] == "axisymmetric":
+    if is_surface and model.space == "axisymmetric":
         rule = "a surface from a file has no axis of symmetry that could be relied on"
         faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
-    if shape == "surface" and model["element_shape"] == "tensor":
+    if is_surface and model.element_shape == "tensor":
         rule = "the inside of a surface is meshed with tetrahedra"
         mend = 'write element_shape = "tetrahedron"'
         faults.add(f"{places['model']}.element_shape", rule, mend)
 
 
-def _check_indenter(config: Config, faults: Faults, places: Mapping[str, str]) -> None:
-    indenter: Config = config["test"]["indenter"]
-    where = f"{places['test']}.indenter."
-    if any(v is None for k, v in indenter.items() if k != "shaft_radius_mm"):
+def _check_indenter(problem: CellProblem, indenter: Indenter, faults: Faults, where: str) -> None:
+    if not is_known(*(v for k, v in values_of(indenter).items() if k != "shaft_radius_mm")):
         return
-    if indenter["shape"] == "flat" and indenter["edge_radius_mm"] > indenter["radius_mm"]:
-        rule = "{edge_radius_mm:g} mm is larger than the radius, {radius_mm:g} mm"
-        faults.add(f"{where}edge_radius", rule.format(**indenter), "round less")
-    shaft = indenter.get("shaft_radius_mm")
-    if shaft is not None and indenter["tip_radius_mm"] > shaft:
-        rule = "{tip_radius_mm:g} mm is larger than the shaft radius, {shaft_radius_mm:g} mm"
-        faults.add(f"{where}tip_radius", rule.format(**indenter), "a tip is inside its shaft")
-    half, depth = half_width(config["specimen"]), config["test"]["displacement_mm"]
-    reach = footprint(indenter, depth)
+    if isinstance(indenter, Flat) and indenter.edge_radius_mm > indenter.radius_mm:
+        rule = (
+            f"{indenter.edge_radius_mm:g} mm is larger than the radius, {indenter.radius_mm:g} mm"
+        )
+        faults.add(f"{where}edge_radius", rule, "round less")
+    shaft = indenter.shaft_radius_mm if isinstance(indenter, Cone) else None
+    if isinstance(indenter, Cone) and shaft is not None and indenter.tip_radius_mm > shaft:
+        rule = f"{indenter.tip_radius_mm:g} mm is larger than the shaft radius, {shaft:g} mm"
+        faults.add(f"{where}tip_radius", rule, "a tip is inside its shaft")
+    half = half_width(problem.specimen)
+    reach = footprint(indenter, problem.test.displacement_mm)
     if half is not None and reach is not None and reach >= half:
-        key = "half_angle" if indenter["shape"] == "cone" else "radius"
+        key = "half_angle" if isinstance(indenter, Cone) else "radius"
         rule = f"the indenter is {reach:g} mm wide from its axis, the specimen {half:g} mm"
         faults.add(where + key, rule, "it must stay inside the top face at full depth")
 
 
-def check_stability(config: Config, faults: Faults) -> None:
+def check_stability(problem: CellProblem, faults: Faults) -> None:
     """Refuse given constants that Drucker's criterion refutes on the way to full compression.
 
     Only what is solved as it stands is judged: constants that start a fit may be worse.
     """
-    depth, height = config["test"]["displacement_mm"], config["specimen"].get("height_mm")
-    given = tuple(config["material"]["constants"].items())
-    mu0 = initial_shear_modulus(config["material"])
-    if faults or not given or mu0 is None or config["test"]["kind"] != "compression":
+    depth, height = problem.test.displacement_mm, problem.height_mm
+    given = tuple(problem.material.constants.items())
+    mu0 = initial_shear_modulus(problem.material)
+    if faults or not given or mu0 is None or problem.test.kind != "compression":
         return
     if depth is None or height is None or depth >= height:
         return
-    sentence = _unstable(config["material"]["model"], given, 1 - depth / height)
+    sentence = _unstable(problem.material.model, given, 1 - depth / height)
     if sentence:
         faults.add("material", sentence, f"give constants stable to stretch {1 - depth / height:g}")
 
@@ -127,55 +127,47 @@ def _unstable(model: str, constants: tuple[tuple[str, float], ...], stretch: flo
     return verdict.sentence if "uniaxial" in verdict.limits else ""
 
 
-def half_width(specimen: Mapping[str, Any]) -> float | None:
+def half_width(specimen: Specimen) -> float | None:
     """Distance in mm from the axis to the nearest side; None for a surface."""
-    if specimen.get("radius_mm") is not None:
-        return float(specimen["radius_mm"])
-    sides = [specimen.get("width_mm"), specimen.get("depth_mm")]
-    return min(float(s) / 2 for s in sides if s) if all(sides) else None
+    if isinstance(specimen, Surface):
+        return None
+    if isinstance(specimen, Cylinder):
+        return specimen.radius_mm
+    known = is_known(specimen.width_mm, specimen.depth_mm)
+    return specimen.half_width_mm if known else None
 
 
-def footprint(indenter: Mapping[str, Any], depth: float | None) -> float | None:
+def footprint(indenter: Indenter, depth: float | None) -> float | None:
     """Radius in mm of the indenter in the plane of the undeformed top face, at full depth.
 
     A cone with a spherical tip of radius r touches the sphere at r (1 - sin a) above its
     lowest point, where it is r cos a wide; above, its width grows with tan a up to the shaft.
     """
-    if indenter["shape"] == "flat":
-        return float(indenter["radius_mm"])
+    if isinstance(indenter, Flat):
+        return indenter.radius_mm
     if depth is None:
         return None
-    if indenter["shape"] == "sphere":
-        radius = float(indenter["radius_mm"])
+    if isinstance(indenter, Sphere):
+        radius = indenter.radius_mm
         return radius if depth >= radius else math.sqrt(depth * (2 * radius - depth))
-    angle, tip = math.radians(indenter["half_angle_deg"]), float(indenter["tip_radius_mm"])
+    angle, tip = math.radians(indenter.half_angle_deg), indenter.tip_radius_mm
     join = tip * (1 - math.sin(angle))
     if depth < join:
         return math.sqrt(depth * (2 * tip - depth))
     wide = tip * math.cos(angle) + (depth - join) * math.tan(angle)
-    shaft = indenter.get("shaft_radius_mm")
-    return wide if shaft is None else min(wide, float(shaft))
+    shaft = indenter.shaft_radius_mm
+    return wide if shaft is None else min(wide, shaft)
 
 
-def is_homogeneous(config: Mapping[str, Any]) -> bool:
-    """Whether the deformation is the same everywhere: compression, both faces frictionless.
-
-    The closed form is then exact, and space, mesh, order and element shape cannot matter.
-    """
-    test, shape = config["test"], config["specimen"]["shape"]
-    loading = Test(test["kind"], None, test["interface"], test["base"])
-    return setup.is_homogeneous(loading, shape)
-
-
-def plausibility(config: Mapping[str, Any]) -> tuple[str, ...]:
+def plausibility(material: MaterialSection) -> tuple[str, ...]:
     """Warnings about moduli that no tissue or silicone has: a unit may be wrong.
 
     Parameters
     ----------
-    config : mapping
-        Resolved configuration.
+    material : MaterialSection
+        With its constants, or without.
     """
-    mu0 = initial_shear_modulus(config["material"])
+    mu0 = initial_shear_modulus(material)
     low, high = PLAUSIBLE_MPA
     if mu0 is None or low <= mu0 <= high:
         return ()

@@ -1,34 +1,30 @@
-"""Tables as written -> one resolved configuration, with every fault."""
+"""Tables as written -> the problems of one cell, with every fault."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from study.design import plausibility
-from study.design.diagnostics import Faults, read_table
-from study.design.sections.measurements import read_measurements_table
-from study.design.sections.problem import read_material, read_model, read_specimen, read_test
-from study.design.spec import Config
-from study.design.study_file import Calibration, CalibrationProblem
+from study.design.diagnostics import Faults, Table, is_known, read_table, with_values
+from study.design.sections.calibration import Calibration
+from study.design.sections.cell import Cell, CellProblem
+from study.design.sections.material import material_of
+from study.design.sections.measurements import measurements_of
+from study.design.sections.problem import loading_of, model_of, specimen_of
 from study.errors import InputError
-from study.measurement.section import MeasurementSpec
-from study.setup.section import written_keys
+from study.setup.section import values_of
 
 TABLES = ("specimen", "test", "material", "model", "measurements")
 
-#: tables that [calibration.problem] may replace
-REPLACEABLE = written_keys(CalibrationProblem)
 
-
-def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Config:
+def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
     """Resolve a cell: sections in internal units, the displacement filled from the range.
 
     Parameters
     ----------
     tables : mapping
-        Tables of a problem, or of a design with the levels of one cell laid over.
+        Tables of a design with the levels of one cell laid over.
     faults : Faults
         Where faults go.
     ratio : float
@@ -36,72 +32,78 @@ def resolve(tables: Mapping[str, Any], faults: Faults, ratio: float = 1.5) -> Co
 
     Returns
     -------
-    dict
-        ``specimen``, ``test``, ``material``, ``model``, ``measurements`` (a
-        :class:`MeasurementSpec` or None) and ``calibration``.
+    Cell
+        Of no use where it brought a fault; see :func:`study.design.diagnostics.read_table`.
     """
-    config = resolve_problem(tables, faults, ratio)
-    config["calibration"] = _calibration(tables, config, faults, ratio)
-    return config
+    problem = resolve_problem(tables, faults, ratio)
+    asked = calibration_of(tables, bool(problem.material.constants), faults)
+    other = None
+    if asked.problem is not None:
+        own = {k: v for k, v in values_of(asked.problem).items() if v is not None}
+        places = {k: f"calibration.problem.{k}" for k in own}
+        other = resolve_problem({**tables, **own}, faults, ratio, places)
+    cell = Cell(problem, asked.method or "auto", asked.leave_out, other)
+    if asked.method is not None:
+        _check_method(cell, faults)
+    return cell
 
 
 def resolve_problem(
-    tables: Mapping[str, Any],
+    tables: Table,
     faults: Faults,
     ratio: float = 1.5,
     places: Mapping[str, str] | None = None,
-) -> Config:
+) -> CellProblem:
     """Resolve specimen, test, material, model and measurements.
 
     ``places`` says where tables stand that are not at the top of the file.
     """
     at = {name: name for name in TABLES} | dict(places or {})
-    specimen = read_specimen(tables.get("specimen", {}), faults, at["specimen"])
-    config: Config = {
-        "specimen": specimen,
-        "test": read_test(tables.get("test", {}), faults, at["test"]),
-        "material": read_material(tables.get("material", {}), faults, at["material"]),
-        "model": read_model(tables.get("model", {}), faults, specimen["shape"], ratio, at["model"]),
-        "measurements": None,
-    }
+    specimen = specimen_of(tables.get("specimen", {}), faults, at["specimen"])
+    test = loading_of(tables.get("test", {}), faults, at["test"])
+    material = material_of(tables.get("material", {}), faults, at["material"])
+    model = model_of(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
+    spec = None
     if "measurements" in tables:
-        table = tables["measurements"]
-        config["measurements"] = read_measurements_table(table, faults, at["measurements"])
-    _fill_displacement(config, "measurements" in tables, tables, faults, at)
-    plausibility.check(config, faults, at)
-    return config
+        spec = measurements_of(tables["measurements"], faults, at["measurements"])
+    problem = CellProblem(specimen, test, material, model, spec)
+    problem = _with_displacement(problem, tables, faults, at)
+    plausibility.check(problem, faults, at)
+    return problem
 
 
-def _fill_displacement(
-    config: Config,
-    measured: bool,
-    tables: Mapping[str, Any],
-    faults: Faults,
-    at: Mapping[str, str],
-) -> None:
+def _with_displacement(
+    problem: CellProblem, tables: Table, faults: Faults, at: Mapping[str, str]
+) -> CellProblem:
     """Take the end of the range for a displacement left out; both given must agree."""
-    test, spec = config["test"], config["measurements"]
     where = f"{at['test']}.displacement"
-    written = isinstance(tables.get("test"), Mapping) and "displacement" in tables["test"]
-    high = _range_end(spec, config["specimen"], faults, at)
-    if test["displacement_mm"] is None:
-        test["displacement_mm"] = high
-        unread = measured and (spec is None or spec.range is not None)
-        if high is None and not written and not unread:
-            mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
-            faults.add(where, "is missing", mend)
-    elif high is not None and abs(high - test["displacement_mm"]) > 1e-9 * high:
-        rule = f"{test['displacement_mm']:g} mm, but measurements.range ends at {high:g} mm"
+    given, high = problem.test.displacement_mm, _range_end(problem, faults, at)
+    if given is None:
+        _check_displacement(problem, tables, high, where, faults)
+        return replace(problem, test=with_values(problem.test, displacement_mm=high))
+    if high is not None and abs(high - given) > 1e-9 * high:
+        rule = f"{given:g} mm, but measurements.range ends at {high:g} mm"
         faults.add(where, rule, "make them agree, or leave the displacement out")
+    return problem
 
 
-def _range_end(
-    spec: MeasurementSpec | None, specimen: Config, faults: Faults, at: Mapping[str, str]
-) -> float | None:
+def _check_displacement(
+    problem: CellProblem, tables: Table, high: float | None, where: str, faults: Faults
+) -> None:
+    """Note a displacement that nothing gives, unless what would give it is faulty itself."""
+    test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
+    written = isinstance(test, Mapping) and "displacement" in test
+    unread = measured and (spec is None or spec.range is not None)
+    if high is None and not written and not unread:
+        mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
+        faults.add(where, "is missing", mend)
+
+
+def _range_end(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> float | None:
+    spec, height = problem.measurements, problem.height_mm
     if spec is None or spec.range is None:
         return None
-    height = specimen.get("height_mm")
-    if spec.range.kind == "percent" and height is None and specimen["shape"] != "surface":
+    if spec.range.kind == "percent" and height is None and problem.specimen.shape != "surface":
         return None  # the height itself is faulty, and reported
     try:
         return spec.range.in_mm(height)[1]
@@ -111,53 +113,39 @@ def _range_end(
         return None
 
 
-def calibration_spec(table: Any, material: Config, faults: Faults) -> Calibration:
+def calibration_of(tables: Table, given: bool, faults: Faults) -> Calibration:
     """Read ``[calibration]``; the method is ``auto`` unless the constants are given.
 
     Parameters
     ----------
-    table : mapping or None
-        The table as written.
-    material : dict
-        Resolved material.
+    tables : mapping
+        Tables of a design.
+    given : bool
+        Whether the material has constants.
     faults : Faults
         Where faults go.
     """
-    found = read_table(Calibration, {} if table is None else table, "calibration", faults)
-    method = found.method
-    if not isinstance(table, Mapping) or "method" not in table:
-        method = "none" if material["constants"] else "auto"
-    problem = found.problem
-    if problem is not None:
-        read_table(CalibrationProblem, problem, "calibration.problem", faults)
-        problem = problem if isinstance(problem, Mapping) else None
-    return replace(found, method=method, problem=problem)
+    table = tables.get("calibration", {})
+    found = read_table(Calibration, table, "calibration", faults)
+    if isinstance(table, Mapping) and "method" in table:
+        return found
+    return with_values(found, method="none" if given else "auto")
 
 
-def _calibration(tables: Mapping[str, Any], config: Config, faults: Faults, ratio: float) -> Config:
-    spec = calibration_spec(tables.get("calibration"), config["material"], faults)
-    problem = None
-    if spec.problem is not None:
-        own = {k: v for k, v in spec.problem.items() if k in REPLACEABLE}
-        places = {k: f"calibration.problem.{k}" for k in own}
-        problem = resolve_problem({**tables, **own}, faults, ratio, places)
-    _check_method(spec, config, problem or config, faults)
-    return {"method": spec.method, "problem": problem, "leave_out": spec.leave_out}
-
-
-def _check_method(spec: Calibration, config: Config, fitted: Config, faults: Faults) -> None:
-    if spec.method == "none":
-        if not config["material"]["constants"] and config["material"]["model"]:
+def _check_method(cell: Cell, faults: Faults) -> None:
+    material, test = cell.problem.material, cell.fitted.test
+    if cell.method == "none":
+        if not material.constants and material.model:
             mend = "give them, or let [calibration] find them"
             faults.add("material", "has no constants, and calibration.method is none", mend)
-        plausibility.check_stability(config, faults)
+        plausibility.check_stability(cell.problem, faults)
         return
-    if spec.method is not None and fitted["measurements"] is None:
+    if cell.fitted.measurements is None:
         if not any("measurements" in f.where for f in faults):
             mend = "add [measurements], or give the constants"
             faults.add("measurements", "is missing: there is nothing to calibrate with", mend)
         return
-    readable = None not in (fitted["test"]["kind"], fitted["test"]["interface"])
-    if spec.method == "analytic" and readable and not plausibility.is_homogeneous(fitted):
+    readable = is_known(test.kind, test.interface)
+    if cell.method == "analytic" and readable and not cell.fitted.is_homogeneous:
         rule = "analytic needs compression of a cylinder or block with both faces frictionless"
         faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
-from study.design.study_file import Analysis, Calibration, Converge, Replicates, Report
+from study.design.diagnostics import Table
+from study.design.sections.calibration import Calibration
+from study.design.sections.cell import Cell, Config
+from study.design.study_file import Converge, Replicates, Report
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Setup
-
-#: plain validated sections with mm, N, MPa and deg inside
-Config = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,7 @@ class Level:
     """One level of a factor: its label and the dotted keys that it lays over the file."""
 
     label: str
-    settings: Mapping[str, Any]
+    settings: Table
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,11 @@ class Factor:
     def labels(self) -> tuple[str, ...]:
         """Labels of the levels, in order."""
         return tuple(level.label for level in self.levels)
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """Dotted keys that its levels lay over the file."""
+        return frozenset(key for level in self.levels for key in level.settings)
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,31 @@ class Response:
 
 
 @dataclass(frozen=True)
+class Analysis:
+    """How the table of cases is analyzed.
+
+    Parameters
+    ----------
+    model : "full", int or tuple of str
+        Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
+    type : {"I", "II", "III"}
+        Of the sums of squares.
+    error : {"auto", "pooled", "own", "replicates"}
+        What effects are compared with.
+    alpha : float
+        Level of significance.
+    roles : tuple of (str, str)
+        Factors and what they are to the question (:data:`study.design.study_file.ROLES`).
+    """
+
+    model: str | int | tuple[str, ...] = "full"
+    type: str = "II"
+    error: str = "auto"
+    alpha: float = 0.05
+    roles: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
 class Expected:
     """What was expected of a response before the study ran.
 
@@ -141,7 +170,7 @@ class Design:
     ----------
     name, question : str
         Of the study.
-    config : dict
+    config : mapping
         The file's tables as written (strings with their units), overrides applied, dotted
         keys of ``[factors]`` and ``[uncertainty]`` joined; :func:`study.design.dump` writes it.
     factors, exclusions, responses : tuple
@@ -168,7 +197,7 @@ class Design:
 
     name: str
     question: str
-    config: Config
+    config: Table
     factors: tuple[Factor, ...]
     exclusions: tuple[Exclusion, ...]
     responses: tuple[Response, ...]
@@ -189,21 +218,20 @@ class Design:
     @property
     def roles(self) -> dict[str, str]:
         """Role of every factor: as declared, else unknown where all its keys are assumed."""
-        declared = dict(self.analysis.roles)
-        return {f.name: declared.get(f.name, self._role(f)) for f in self.factors}
+        return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
 
-    def _role(self, factor: Factor) -> str:
-        keys = {key for level in factor.levels for key in level.settings}
-        covered = all(any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in keys)
-        return "unknown" if keys and covered else "choice"
+    def _usual_role(self, factor: Factor) -> str:
+        covered = all(
+            any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in factor.keys
+        )
+        return "unknown" if covered else "choice"
 
 
 @dataclass(frozen=True)
-class Treatment:
-    """One cell of the design: a label for every factor and the resolved configuration."""
+class Combination:
+    """A label for every factor."""
 
     levels: Mapping[str, str]
-    config: Config
 
     @property
     def label(self) -> str:
@@ -212,13 +240,42 @@ class Treatment:
 
 
 @dataclass(frozen=True)
-class Case:
-    """One treatment in one block; ``case_id`` is a hash of what decides its numbers."""
+class Treatment(Combination):
+    """One cell of the design: a label for every factor, and what they make of the file."""
 
-    levels: Mapping[str, str]
+    cell: Cell
+
+    @cached_property
+    def config(self) -> Config:
+        """Document of the cell."""
+        return self.cell.document()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One treatment in one block.
+
+    Parameters
+    ----------
+    treatment : Treatment
+        Cell of the design.
+    block : str or None
+        Label of the block.
+    config : dict
+        Document that is computed: of the cell, or with files found and meshes seeded.
+    case_id : str
+        A hash of what decides its numbers.
+    """
+
+    treatment: Treatment
     block: str | None
     config: Config
     case_id: str
+
+    @property
+    def levels(self) -> Mapping[str, str]:
+        """Label of every factor."""
+        return self.treatment.levels
 
     @cached_property
     def setup(self) -> Setup:
@@ -229,11 +286,6 @@ class Case:
     def material(self) -> MaterialSection:
         """Energy and constants, as far as these are given."""
         return MaterialSection.of(self.config["material"])
-
-    @property
-    def treatment(self) -> Treatment:
-        """The cell of the design."""
-        return Treatment(self.levels, self.config)
 
     @property
     def label(self) -> str:

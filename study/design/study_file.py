@@ -1,31 +1,33 @@
-"""The study file: every table with fixed keys, declared once; values in mm, N, MPa and deg."""
+"""The study file: every table with fixed keys, declared once; values in mm, N, MPa and deg.
+
+The declarations of a problem's tables stand in :mod:`study.setup`, those of measured files in
+:mod:`study.measurement`, and of the kinds of ``[design]`` in :mod:`study.design.layout`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping
+from typing import Annotated
 
 from pydantic import Field
 
 from study import units
+from study.design import overlay
+from study.design.sections.calibration import AsWritten, Fitting
+from study.design.toml_document import flatten
+from study.errors import nearest
+from study.material.registry import is_constant, is_dimensionless
 from study.setup.quantity import Duration, integer, number, shown
-from study.setup.section import Bad, Read, Reads, section
-from study.setup.text import choice
+from study.setup.section import Bad, Reads, Rows, section
+from study.setup.text import choice, slug, text
+
+SCHEMA = 1
+MAX_RESPONSES = 50
+MAX_EXCLUSIONS = 4096
+MAX_TESTS = 1000
 
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
-
-#: keys that may differ between cells
-FACTOR_KEYS = ("file", "files", "range", "points", "zero", "toe", "sign")
-
-#: keys of which a table may have one; laying one over a table takes the others away
-ALTERNATIVES: Mapping[str, tuple[str, ...]] = {
-    "material": ("poisson_ratio", "bulk_modulus", "incompressible"),
-    "model": ("mesh", "mesh_size"),
-    "measurements": ("file", "files"),
-}
-MATERIAL_KEYS = ("model", "order", *ALTERNATIVES["material"])
-METHODS = ("auto", "analytic", "inverse-fem", "none")
 
 #: unit of every response; constants are reported in kPa, exponents plain
 RESPONSES = {
@@ -42,6 +44,7 @@ FORMATS = ("html", "pdf", "tex", "csv")
 #: what a factor is to the question: decided by the analyst; a part of it, which is answered at
 #: each level; a fact that nobody measured, of which no level is recommended
 ROLES = ("choice", "condition", "unknown")
+RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
 
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
@@ -49,22 +52,53 @@ SEEDS = (5, 1000)
 RESAMPLES = (20, 10_000)
 
 
-def share(value: Any) -> float:
+def response_unit(name: str) -> str | None:
+    """Find the unit of a response: "" for a plain number, None if there is no such response."""
+    if name in RESPONSES:
+        return RESPONSES[name]
+    if not is_constant(name):
+        return None
+    return "" if is_dimensionless(name) else "kPa"
+
+
+def _schema(value: object) -> int:
+    if isinstance(value, bool) or value != SCHEMA:
+        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
+    return SCHEMA
+
+
+def _assumed(value: object) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise Bad(f"must be a list of keys, got {shown(value)}", 'for example ["test.interface"]')
+    for key in value:
+        if key not in overlay.TABLES and not overlay.may_vary(key):
+            raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
+    return tuple(value)
+
+
+def _response_name(value: object) -> str:
+    if not isinstance(value, str) or response_unit(value) is None:
+        valid = (*RESPONSES, "or a constant such as C10")
+        raise Bad(f"unknown response {shown(value)}", nearest(str(value)[:80], valid))
+    return value
+
+
+def _share(value: object) -> float:
     """Read a share: a plain number, or percent."""
     if isinstance(value, str):
         percent = units.parse_percent(value)
         if not 0 < percent < 100:
             raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
         return percent / 100
-    return float(number(0, 1, mend='for example "1 %"')(value))
+    return number(0, 1, mend='for example "1 %"')(value)
 
 
-def count(low: int, high: int, why: str) -> Read:
+def _count(low: int, high: int, why: str) -> Callable[[object], int]:
     """Reader of a number of repeats; below ``low`` the reason is told."""
     whole = integer(0, high)
 
-    def read(value: Any) -> int:
-        count: int = whole(value)
+    def read(value: object) -> int:
+        count = whole(value)
         if count < low:
             raise Bad(f"must be at least {low}, got {shown(value)}: with fewer {why}")
         return count
@@ -72,28 +106,39 @@ def count(low: int, high: int, why: str) -> Read:
     return read
 
 
-def formats(value: Any) -> tuple[str, ...]:
+def _formats(value: object) -> tuple[str, ...]:
     """Read one format or several."""
     items = value if isinstance(value, list) else [value]
     return tuple(dict.fromkeys(choice(*FORMATS)(item) for item in items)) or ("html",)
 
 
+def _roles(value: object) -> tuple[tuple[str, str], ...]:
+    """Read the role of every factor that has one."""
+    if not isinstance(value, Mapping):
+        mend = 'for example { plates = "unknown", range = "condition" }'
+        raise Bad(f"must be a table of factors, got {shown(value)}", mend)
+    return tuple((name, choice(*ROLES)(role)) for name, role in flatten(value).items())
+
+
+def _weight(value: object) -> str | float:
+    return choice("scatter", "equal")(value) if isinstance(value, str) else number(0, 1e12)(value)
+
+
+def _reason(value: object) -> str:
+    why = text(value)
+    if not why:
+        raise Bad("is empty", "say why these cells are left out")
+    return why
+
+
 @section
-class Calibration:
-    """How the constants of a design are found."""
+class Study:
+    """Name, question, seed and what is assumed; the name is by default that of the file."""
 
-    method: Annotated[str | None, Reads(choice(*METHODS))] = None
-    leave_out: Annotated[str | None, Reads(choice("specimen", "test"))] = None
-    problem: Annotated[Any, Reads(lambda value: value)] = None
-
-
-@section
-class CalibrationProblem:
-    """Tables that replace the design's own where constants are fitted."""
-
-    specimen: Annotated[Any, Reads(lambda value: value)] = None
-    test: Annotated[Any, Reads(lambda value: value)] = None
-    measurements: Annotated[Any, Reads(lambda value: value)] = None
+    name: Annotated[str, Reads(slug)] = ""
+    question: Annotated[str, Reads(text)] = ""
+    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
+    assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
 
 
 @section
@@ -103,7 +148,7 @@ class Converge:
     ratio: Annotated[float, Reads(number(1, 10))] = 1.5
     levels: Annotated[int, Reads(integer(2, 10))] = 3
     qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
-    tolerance: Annotated[float | None, Reads(share)] = None
+    tolerance: Annotated[float | None, Reads(_share)] = None
     budget_s: Duration | None = Field(default=None, validation_alias="budget")
 
 
@@ -111,46 +156,110 @@ class Converge:
 class Replicates:
     """What is computed several times for an error term; at most one of the two."""
 
-    mesh_seeds: Annotated[int, Reads(count(*SEEDS, "the scatter of the mesh is not known"))] = 0
-    noise: Annotated[int, Reads(count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+    mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
+    noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
 
 
 @section
 class Report:
     """Formats of the report."""
 
-    format: Annotated[tuple[str, ...], Reads(formats)] = ("html",)
-
-
-def read_roles(value: object) -> tuple[tuple[str, str], ...]:
-    """Read ``[analysis] roles``: factor to role."""
-    if not isinstance(value, Mapping):
-        mend = 'for example { plates = "unknown", range = "condition" }'
-        raise Bad(f"must be a table of factors, got {shown(value)}", mend)
-    found: list[tuple[str, str]] = []
-    for name, role in value.items():
-        if isinstance(role, Mapping):  # a dotted key that was not quoted
-            found += [(f"{name}.{rest}", one) for rest, one in read_roles(role)]
-        else:
-            found.append((str(name), choice(*ROLES)(role)))
-    return tuple(found)
+    format: Annotated[tuple[str, ...], Reads(_formats)] = ("html",)
 
 
 @section
-class Analysis:
-    """How the table is analyzed; the terms of the model are read where the factors are known."""
+class AnalysisTable:
+    """How the table of cases is analyzed; ``model`` and ``roles`` name factors."""
 
-    model: Annotated[Any, Reads(lambda value: value)] = "full"
+    model: AsWritten = "full"
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
-    roles: Annotated[tuple[tuple[str, str], ...], Reads(read_roles)] = ()
+    roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
 
 
 @section
-class Fitting:
-    """Table ``[calibration]`` of a calibration file."""
+class ResponseTable:
+    """One ``[[response]]``; ``practical`` is in the unit of the response."""
 
-    specimens: Annotated[str, Reads(choice("pooled", "each"))] = "pooled"
-    leave_out: Annotated[str | None, Reads(choice("specimen", "test"))] = None
-    bounds: Annotated[Any, Reads(lambda value: value)] = None
+    name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
+    practical: AsWritten = None
+    transform: Annotated[str, Reads(choice("none", "log"))] = "none"
+
+
+@section
+class ExclusionTable:
+    """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
+
+    why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
+    when: Annotated[object, Reads(lambda v: v, mend='when = { material = "ogden-1" }')]
+
+
+@section
+class TestTable:
+    """One of the ``[[tests]]`` of a calibration file, with tables of its own."""
+
+    __test__ = False  # not a pytest class
+
+    test: Annotated[object, Reads(lambda v: v, mend="write test = { ... }")]
+    measurements: Annotated[object, Reads(lambda v: v, mend="write measurements = { ... }")]
+    role: Annotated[str, Reads(choice("fit", "held-out"))] = "fit"
+    weight: Annotated[str | float, Reads(_weight)] = "equal"
+    specimen: AsWritten = None
+    model: AsWritten = None
+
+
+_Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
+_Responses = Annotated[
+    tuple[ResponseTable, ...],
+    Rows(1, MAX_RESPONSES, RESPONSES_MEND),
+]
+_Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
+_Tests = Annotated[
+    tuple[TestTable, ...],
+    Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables"),
+]
+
+
+@section
+class ProblemFile:
+    """A file for one forward simulation."""
+
+    schema: _Schema
+    study: Study = Study()
+    specimen: AsWritten = None
+    test: AsWritten = None
+    material: AsWritten = None
+    model: AsWritten = None
+    converge: Converge = Converge()
+    report: Report = Report()
+    uncertainty: AsWritten = None
+
+
+@section
+class DesignFile(ProblemFile):
+    """A file of a study. Tables that cells may vary are read for each of them."""
+
+    presets: AsWritten = None
+    factors: AsWritten = None
+    design: AsWritten = None
+    exclude: _Exclusions = ()
+    measurements: AsWritten = None
+    calibration: AsWritten = None
+    response: _Responses = ()
+    analysis: AnalysisTable = AnalysisTable()
+    replicates: Replicates = Replicates()
+    expected: AsWritten = None
+
+
+@section
+class CalibrationFile:
+    """A file for the constants of one material."""
+
+    schema: _Schema
+    study: Study = Study()
+    specimen: AsWritten = None
+    material: AsWritten = None
+    model: AsWritten = None
+    tests: _Tests = ()
+    calibration: Fitting = Fitting()

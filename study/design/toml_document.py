@@ -10,11 +10,12 @@ import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 from study.errors import Fault, InputError, nearest
 
-Table = dict[str, Any]
+#: nested tables of a file
+Tables = dict[str, object]
 MAX_BYTES = 256 * 1024
 MAX_LINE = 4096
 MAX_DOTS = 32  # before an equals sign: tomllib takes quadratic time in the parts of a key
@@ -66,7 +67,7 @@ def decode(raw: bytes, source: str) -> str:
         raise InputError(Fault(f"{source}:{line}", rule, "save it as UTF-8 text")) from error
 
 
-def parse_toml(text: str, source: str) -> Table:
+def parse_toml(text: str, source: str) -> Tables:
     """Tables of a TOML text.
 
     Raises
@@ -116,9 +117,9 @@ def _syntax_fault(message: str, text: str, source: str) -> Fault:
     return Fault(f"{source}:{line}:{column}", f"not valid TOML: {match[1]}", mend)
 
 
-def _unfit(tables: Table) -> str:
+def _unfit(tables: Tables) -> str:
     """Reason why nested tables are refused, found without recursion."""
-    layer: list[Any] = [tables]
+    layer: list[object] = [tables]
     for _ in range(MAX_DEPTH + 1):
         layer = [v for x in layer if isinstance(x, (dict, list)) for v in _children(x)]
         if any(isinstance(v, int) and abs(v) >= 2**63 for v in layer):
@@ -128,11 +129,11 @@ def _unfit(tables: Table) -> str:
     return f"is nested more than {MAX_DEPTH} levels deep"
 
 
-def _children(value: dict[str, Any] | list[Any]) -> Iterable[Any]:
+def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
     return value.values() if isinstance(value, dict) else value
 
 
-def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     """Dotted keys of nested tables; an empty table stays, as what nothing can be.
 
     Raises
@@ -145,7 +146,7 @@ def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     >>> flatten({"model": {"space": "3d"}, "model.mesh": "fine"})
     {'model.space': '3d', 'model.mesh': 'fine'}
     """
-    flat: dict[str, Any] = {}
+    flat: dict[str, object] = {}
     for key, value in _leaves(table, prefix):
         if key in flat:
             rule = "stands twice, quoted and unquoted"
@@ -154,7 +155,7 @@ def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _leaves(table: Mapping[str, Any], prefix: str) -> Iterable[tuple[str, Any]]:
+def _leaves(table: Mapping[str, object], prefix: str) -> Iterable[tuple[str, object]]:
     for key, value in table.items():
         if isinstance(value, Mapping) and value:
             yield from _leaves(value, f"{prefix}{key}.")
@@ -178,7 +179,7 @@ def split_key(key: str) -> list[str]:
     text = key.strip()
     if "\n" in text or "=" in text or len(text) > MAX_LINE:
         raise InputError(Fault(f"-s {key[:80]}", "is no dotted key", "for example model.space=3d"))
-    node: Any = parse_toml(f"{text} = 0", f"-s {text}")
+    node: object = parse_toml(f"{text} = 0", f"-s {text}")
     parts: list[str] = []
     while isinstance(node, dict):
         part, node = next(iter(node.items()), ("", 0))
@@ -186,7 +187,7 @@ def split_key(key: str) -> list[str]:
     return parts
 
 
-def parse_override(text: str) -> tuple[list[str], Any]:
+def parse_override(text: str) -> tuple[list[str], object]:
     """Key and value of ``"key=value"``; the value is TOML, or else a bare text.
 
     Raises
@@ -206,7 +207,7 @@ def parse_override(text: str) -> tuple[list[str], Any]:
     return split_key(key), _toml_value(value.strip())
 
 
-def _toml_value(text: str) -> Any:
+def _toml_value(text: str) -> object:
     if "\n" in text:
         return text
     try:
@@ -216,14 +217,14 @@ def _toml_value(text: str) -> Any:
     return value["v"] if _plain(value["v"]) else text
 
 
-def _plain(value: Any) -> bool:
+def _plain(value: object) -> bool:
     """Whether a value is no date or time, which a bare text such as 10:30 would become."""
     if isinstance(value, list):
         return all(_plain(v) for v in value)
     return isinstance(value, (str, bool, int, float, dict))
 
 
-def set_value(tables: Table, path: Sequence[str], value: Any) -> None:
+def set_value(tables: Tables, path: Sequence[str], value: object) -> None:
     """Set one key in nested tables, made where missing; a number in the path counts entries.
 
     Raises
@@ -232,21 +233,22 @@ def set_value(tables: Table, path: Sequence[str], value: Any) -> None:
         If the path runs through something that is no table.
     """
     where = "-s " + ".".join(path)
-    node: Any = tables
+    node: dict[str, object] | list[object] = tables
     for part in path[:-1]:
         if isinstance(node, list):
-            node = node[_index(part, node, where)]
+            inner = node[_index(part, node, where)]
         else:
-            node = node.setdefault(part, {})
-        if not isinstance(node, (dict, list)):
+            inner = node.setdefault(part, {})
+        if not isinstance(inner, (dict, list)):
             raise InputError(Fault(where, f"{part!r} is a value, no table"))
+        node = inner
     if isinstance(node, list):
         node[_index(path[-1], node, where)] = value
     else:
         node[path[-1]] = value
 
 
-def _index(part: str, items: list[Any], where: str) -> int:
+def _index(part: str, items: list[object], where: str) -> int:
     if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(items):
         return int(part)
     raise InputError(Fault(where, f"needs a number from 0 to {len(items) - 1}, got {part!r}"))
@@ -255,7 +257,7 @@ def _index(part: str, items: list[Any], where: str) -> int:
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def dump_toml(tables: Mapping[str, Any]) -> str:
+def dump_toml(tables: Mapping[str, object]) -> str:
     """Canonical TOML of nested tables: one spelling for equal content, read back identically.
 
     Examples
@@ -269,7 +271,7 @@ def dump_toml(tables: Mapping[str, Any]) -> str:
     return _block(tables, ()).lstrip("\n")
 
 
-def _block(table: Mapping[str, Any], path: tuple[str, ...]) -> str:
+def _block(table: Mapping[str, object], path: tuple[str, ...]) -> str:
     """Write the plain keys of a table first, then its tables under headers of their own."""
     nested = {k: v for k, v in table.items() if isinstance(v, Mapping) or _is_tables(v)}
     text = "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items() if k not in nested)
@@ -282,7 +284,7 @@ def _block(table: Mapping[str, Any], path: tuple[str, ...]) -> str:
     return text
 
 
-def _is_tables(value: Any) -> bool:
+def _is_tables(value: object) -> TypeGuard[list[Mapping[str, object]]]:
     return isinstance(value, list) and bool(value) and all(isinstance(v, Mapping) for v in value)
 
 
@@ -294,7 +296,7 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):

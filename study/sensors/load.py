@@ -9,7 +9,7 @@ from pathlib import Path
 from study.design import toml_document
 from study.design.diagnostics import Faults, read_table
 from study.design.load import default_name, loads_problem
-from study.design.sections.settings import read_study
+from study.design.study_file import Study
 from study.errors import Fault, InputError
 from study.sensors.section import ForceAccuracy, PositionAccuracy, Requirement
 from study.setup.setup import ResolvedTables
@@ -86,9 +86,10 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
     predicted = _predicted(tables, own["predict"], source, rest, found) if fitted else None
     if found or fitted is None or predicted is None:
         raise InputError(dict.fromkeys(found))
-    study = read_study(tables.get("study"), Faults(), default_name(source))
+    study = read_table(Study, tables.get("study", {}), "study", Faults())
+    name = study.name or default_name(source)
     return RequirementFile(
-        study["name"], study["question"], study["seed"], fitted, predicted, position, force, asked
+        name, study.question, study.seed, fitted, predicted, position, force, asked
     )
 
 

@@ -101,6 +101,26 @@ DERIVED = "derived"
 
 
 @dataclass(frozen=True)
+class Rows:
+    """Mark of a field that is a list of tables, such as ``[[response]]``.
+
+    Parameters
+    ----------
+    least, most : int
+        How many tables it may have.
+    mend : str
+        What to write where it is no such list; by default its header.
+    rule : str
+        Rule that another value breaks; by default that it must be tables.
+    """
+
+    least: int = 0
+    most: int = 10_000
+    mend: str = ""
+    rule: str = ""
+
+
+@dataclass(frozen=True)
 class Key:
     """Declaration of one key of a section.
 
@@ -111,7 +131,9 @@ class Key:
     written : str
         Name under which the key stands in a file.
     kind : type or None
-        Section of a table within the table.
+        Section of a table within the table, or of each of a list of tables.
+    rows : Rows or None
+        How many tables there may be, if it is a list of them.
     reads : Reads or None
         How its value is read, if it says so.
     default
@@ -127,6 +149,7 @@ class Key:
     name: str
     written: str
     kind: type | None
+    rows: Rows | None
     reads: Reads | None
     default: object
     is_required: bool
@@ -154,13 +177,20 @@ def _key(name: str, declared: FieldInfo) -> Key:
     return Key(
         name=name,
         written=alias if isinstance(alias, str) else name,
-        kind=declared.annotation if isinstance(declared.annotation, type) else None,
+        kind=_section_within(declared) if reads is None else None,
+        rows=next((mark for mark in declared.metadata if isinstance(mark, Rows)), None),
         reads=reads,
         default=None if required else declared.get_default(),
         is_required=required,
         is_derived=DERIVED in declared.metadata,
         mend=(reads.mend if reads else declared.description) or "",
     )
+
+
+def _section_within(declared: FieldInfo) -> type | None:
+    """Section of a field that pydantic reads itself; also where it may be None, or a list."""
+    options = (declared.annotation, *typing.get_args(declared.annotation))
+    return next((one for one in options if isinstance(one, type) and one in _DECLARED), None)
 
 
 def _reads_of(declared: FieldInfo) -> Reads | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from study.design import cases, load, overview, plausibility
+from study.design import cases, load, overview
 from study.design.spec import Design, Practical
 from study.measurement.section import MeasurementSpec, Range
 
@@ -140,7 +140,7 @@ def test_range_design_needs_no_mesh() -> None:
     assert len(cells) == 16
     ends = {cell.levels["range"]: cell.config["test"]["displacement_mm"] for cell in cells}
     assert ends == {"14 %": 4.2, "20 %": 6.0, "40 %": 12.0, "60 %": 18.0}
-    assert all(plausibility.is_homogeneous(cell.config) for cell in cells)
+    assert all(cell.cell.problem.is_homogeneous for cell in cells)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

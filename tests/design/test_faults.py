@@ -17,6 +17,7 @@ from study.design.load import (
     loads_problem,
 )
 from study.errors import InputError
+from study.setup.material_section import MaterialSection
 
 PROBLEM = """
 schema = 1
@@ -391,6 +392,10 @@ def test_files_of_another_kind_are_named() -> None:
 
 
 def test_plausibility_warns_of_units() -> None:
-    wrong = loads_problem(PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"'))
-    assert "is the unit right?" in plausibility.plausibility(wrong)[0]
-    assert plausibility.plausibility(loads_problem(PROBLEM)) == ()
+    wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
+    told, none = (
+        plausibility.plausibility(MaterialSection.of(loads_problem(text)["material"]))
+        for text in (wrong, PROBLEM)
+    )
+    assert "is the unit right?" in told[0]
+    assert none == ()

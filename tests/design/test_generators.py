@@ -130,16 +130,63 @@ def test_central_composite(count: int) -> None:
     assert set(np.unique(faced)) == {-1.0, 0.0, 1.0}
 
 
-@pytest.mark.parametrize(("count", "runs"), [(3, 13), (4, 25), (5, 41)])
-def test_box_behnken(count: int, runs: int) -> None:
-    # 12, 24 and 40 runs without the center (Box and Behnken 1960)
+# runs without the center: Box and Behnken 1960, where nine factors have 24 runs of the 120 twice
+@pytest.mark.parametrize(
+    ("count", "block", "runs"),
+    [(3, 2, 12), (4, 2, 24), (5, 2, 40), (6, 3, 48), (7, 3, 56), (9, 3, 96), (10, 4, 160)],
+)
+def test_box_behnken(count: int, block: int, runs: int) -> None:
     found = generators.box_behnken(count)
-    assert len(found) == runs
-    assert set(np.unique(found)) == {-1.0, 0.0, 1.0}
-    assert sorted(set(np.abs(found).sum(axis=1))) == [0.0, 2.0]
+    assert len(found) == runs + 1
+    assert len({tuple(run) for run in found}) == len(found)
+    assert sorted(set(np.abs(found).sum(axis=1))) == [0.0, block]
     assert (np.abs(found).sum(axis=1) == 0).sum() == 1
     square = gram(found)
     assert np.count_nonzero(square - np.diag(np.diag(square))) == 0
+
+
+@pytest.mark.parametrize("count", range(3, 11))
+def test_box_behnken_is_balanced(count: int) -> None:
+    runs = generators.box_behnken(count)
+    levels = {tuple((column == x).sum() for x in (-1, 0, 1)) for column in runs.T}
+    assert len(levels) == 1
+    low, middle, high = levels.pop()
+    assert low == high > 0
+    assert low + middle + high == len(runs)
+
+
+@pytest.mark.parametrize("count", range(3, 11))
+def test_box_behnken_estimates_every_quadratic_term(count: int) -> None:
+    # a column is estimable where a part of it lies outside the span of all others, which is one
+    # over its variance inflation; the center alone tells the constant from the sum of the squares
+    columns = quadratic_columns(generators.box_behnken(count))
+    assert np.linalg.matrix_rank(columns) == 1 + 2 * count + count * (count - 1) // 2
+    inflation = np.diag(np.linalg.inv(gram(columns))) * (columns**2).sum(axis=0)
+    assert inflation[0] == pytest.approx(len(columns))
+    linear, squares, products = np.split(inflation[1:], [count, 2 * count])
+    assert linear == pytest.approx(np.ones(count))
+    assert 1 < squares.max() < 9
+    assert products == pytest.approx(np.ones(len(products)))
+
+
+def test_the_box_behnken_design_of_seven_factors_is_rotatable() -> None:
+    # exactly for four and seven factors (Box and Behnken 1960): sum x^4 = 3 sum x^2 y^2
+    for count in (4, 7):
+        runs = generators.box_behnken(count)
+        fourth = (runs**4).sum(axis=0)
+        mixed = [
+            (runs[:, i] ** 2 * runs[:, j] ** 2).sum()
+            for i, j in itertools.combinations(range(count), 2)
+        ]
+        assert set(fourth) == {3 * mixed[0]}
+        assert len(set(mixed)) == 1
+
+
+def quadratic_columns(runs: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """Constant, linear, square and product columns of coded runs."""
+    pairs = itertools.combinations(range(runs.shape[1]), 2)
+    products = [runs[:, i] * runs[:, j] for i, j in pairs]
+    return np.column_stack([np.ones(len(runs)), runs, runs**2, *products])
 
 
 def test_latin_hypercube_has_one_run_in_each_slice() -> None:

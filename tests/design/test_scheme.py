@@ -87,10 +87,31 @@ def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> 
     study = load(TWO, f'kind = "fractional"\nresolution = {resolution}\n')
     assert study.scheme.resolution == resolution
     assert study.analysis.model == model
-    asked = load(
-        TWO, f'kind = "fractional"\nresolution = {resolution}\n', '[analysis]\nmodel = "full"\n'
+
+
+HALF_OF_16 = 'kind = "fractional"\nresolution = 4\n'
+
+
+@pytest.mark.parametrize("table", [HALF_OF_16, 'kind = "plackett-burman"\n'])
+@pytest.mark.parametrize(("model", "terms"), [('"full"', 15), ("2", 10), ("3", 14)])
+def test_terms_that_a_fraction_cannot_tell_apart_are_refused(
+    table: str, model: str, terms: int
+) -> None:
+    found = faults(TWO, table, f"[analysis]\nmodel = {model}\n")
+    assert list(found) == ["analysis.model"]
+    assert f"asks for {terms} terms, of which 8 cells tell 7 apart" in found["analysis.model"]
+    assert "leave it out (model = 1)" in found["analysis.model"]
+
+
+def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
+    # I = ABCD: AB = CD
+    pairs = "model.space:model.element_order", "test.interface:specimen.height"
+    both = f"[analysis]\nmodel = {list(pairs)}\n"
+    assert (
+        "2 terms, of which 8 cells tell 1 apart" in faults(TWO, HALF_OF_16, both)["analysis.model"]
     )
-    assert asked.analysis.model == "full"
+    alone = load(TWO, HALF_OF_16, f'[analysis]\nmodel = ["model.space", "{pairs[0]}"]\n')
+    assert alone.analysis.model == ("model.space", "model.space:model.element_order")
 
 
 @pytest.mark.parametrize(

@@ -338,7 +338,7 @@ class Comparison:
 
     def to_json(self) -> dict[str, object]:
         """JSON document with the verdict."""
-        return dict(plain(self)) | {"outside": self.outside, "verdict": self.verdict}
+        return {**plain(self), "outside": self.outside, "verdict": self.verdict}
 
 
 def compare(

@@ -13,7 +13,6 @@ from study.analysis.effects.contrast_uncertainty import CellSeries
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
 from study.design.cases import treatments
-from study.design.plausibility import is_homogeneous
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -98,8 +97,8 @@ def numerical_bound(
 def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
     """Levels of every treatment, and the name of its discretization; none where it is exact."""
     return [
-        (dict(treatment.levels), "" if is_homogeneous(treatment.config) else _element(treatment))
-        for treatment in treatments(design)
+        (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
+        for one in treatments(design)
     ]
 
 

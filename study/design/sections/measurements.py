@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
-from study.design.diagnostics import Faults, read_table
+from study.design.diagnostics import Faults, Table, read_table
 from study.measurement.section import MeasurementSpec, groups_of
 from study.setup.quantity import shown
 
 
-def read_measurements_table(
-    table: Any, faults: Faults, path: str = "measurements"
+def measurements_of(
+    table: object, faults: Faults, path: str = "measurements"
 ) -> MeasurementSpec | None:
-    """Specification of the measured curves; None where a fault was found.
+    """Read where measured curves are; None where a fault was found.
 
     Parameters
     ----------
@@ -31,7 +30,7 @@ def read_measurements_table(
     return None if len(faults) > before else found
 
 
-def _check_together(table: Mapping[str, Any], path: str, faults: Faults) -> None:
+def _check_together(table: Table, path: str, faults: Faults) -> None:
     def fault(key: str, rule: str, mend: str) -> None:
         faults.add(f"{path}.{key}", rule, mend)
 

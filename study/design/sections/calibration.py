@@ -1,0 +1,106 @@
+"""The tables ``[calibration]``: of a design, and of a calibration file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated
+
+from study import units
+from study.errors import nearest
+from study.material.registry import is_dimensionless
+from study.setup.quantity import shown
+from study.setup.section import Bad, Reads, section
+from study.setup.text import choice
+
+METHODS = ("auto", "analytic", "inverse-fem", "none")
+
+#: name of a constant -> its least and largest value, in MPa, exponents plain
+Bounds = Mapping[str, tuple[float, float]]
+
+#: a value that is read where what its rule depends on is known
+AsWritten = Annotated[object, Reads(lambda value: value)]
+
+_LeaveOut = Annotated[str | None, Reads(choice("specimen", "test"))]
+
+
+@section
+class CalibrationProblem:
+    """Tables that replace the design's own where constants are fitted."""
+
+    specimen: AsWritten = None
+    test: AsWritten = None
+    measurements: AsWritten = None
+
+
+@section
+class Calibration:
+    """How the constants of a design are found.
+
+    Parameters
+    ----------
+    method : {"auto", "analytic", "inverse-fem", "none"}, optional
+        By default ``"none"`` where the constants are given, else ``"auto"``.
+    leave_out : {"specimen", "test"}, optional
+        What is predicted by constants that were fitted without it.
+    problem : CalibrationProblem, optional
+        The fitted test, if it is another one than the scored.
+    """
+
+    method: Annotated[str | None, Reads(choice(*METHODS))] = None
+    leave_out: _LeaveOut = None
+    problem: CalibrationProblem | None = None
+
+
+@section
+class Fitting:
+    """How a calibration file wants its constants found.
+
+    Parameters
+    ----------
+    specimens : {"pooled", "each"}
+        Whether all specimens share their constants, or every one is also fitted for itself.
+    leave_out : {"specimen", "test"}, optional
+        What is predicted by constants that were fitted without it.
+    bounds
+        As written; see :func:`bounds_of`.
+    """
+
+    specimens: Annotated[str, Reads(choice("pooled", "each"))] = "pooled"
+    leave_out: _LeaveOut = None
+    bounds: AsWritten = None
+
+
+def bounds_of(names: Sequence[str]) -> Callable[[object], Bounds]:
+    """Reader of the bounds of constants, such as ``{ C10 = ["1 kPa", "20 kPa"] }``.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Constants that are fitted.
+    """
+
+    def read(value: object) -> Bounds:
+        if not isinstance(value, Mapping):
+            raise Bad(f"must be a table, got {shown(value)}", 'C10 = ["1 kPa", "20 kPa"]')
+        return {name: _pair(name, pair, names) for name, pair in value.items()}
+
+    return read
+
+
+def _pair(name: str, pair: object, names: Sequence[str]) -> tuple[float, float]:
+    if name not in names:
+        raise Bad(f"{shown(name)} is no constant of this fit", nearest(str(name)[:80], names))
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise Bad(f"{name} must be two values, got {shown(pair)}", '["1 kPa", "20 kPa"]')
+    low, high = (_value(name, v) for v in pair)
+    if not low < high:
+        raise Bad(f"{name} must rise, got {shown(pair)}")
+    return low, high
+
+
+def _value(name: str, value: object) -> float:
+    if not is_dimensionless(name):
+        return units.parse(value, "pressure")
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise Bad(f"{name} is a plain number, got {shown(value)}")
+    return float(value)

@@ -1,0 +1,130 @@
+"""A cell resolved: its problems as sections with all defaults filled in, and as documents."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from study.measurement.section import MeasurementSpec
+from study.setup import setup
+from study.setup.geometry import Specimen, Surface
+from study.setup.material_section import MaterialSection
+from study.setup.section import values_of
+from study.setup.setup import Model
+from study.setup.test_kind import Test
+from study.setup.test_section import TestSection
+
+#: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
+#: to be computed. Inside the room a cell is a value of the classes below.
+Config = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CellProblem:
+    """One test of a cell: what is pressed, how, and how it is discretized.
+
+    Parameters
+    ----------
+    specimen, test, material, model
+        Sections of the study file.
+    measurements : MeasurementSpec, optional
+        Where its measured curves are.
+    """
+
+    specimen: Specimen
+    test: TestSection
+    material: MaterialSection
+    model: Model
+    measurements: MeasurementSpec | None = None
+
+    @property
+    def height_mm(self) -> float | None:
+        """Height of the specimen; only the file of a surface knows it."""
+        return None if isinstance(self.specimen, Surface) else self.specimen.height_mm
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """Whether the deformation is the same everywhere: compression, both faces frictionless.
+
+        The closed form is then exact, and space, mesh, order and element shape cannot matter.
+        """
+        test = Test(self.test.kind, None, self.test.interface, self.test.held_below)
+        return setup.is_homogeneous(test, self.specimen.shape)
+
+    def document(self) -> Config:
+        """Plain values in internal units, without what is left open."""
+        test = values_of(self.test)
+        if self.test.indenter is None:
+            del test["indenter"]
+        else:
+            test["indenter"] = values_of(self.test.indenter)
+        return {
+            "specimen": values_of(self.specimen),
+            "test": test,
+            "material": _material(self.material),
+            "model": _model(self.model),
+            "measurements": self.measurements,
+        }
+
+
+def _material(section: MaterialSection) -> Config:
+    volume = section.compressibility
+    document: Config = {
+        "model": section.model,
+        "order": section.order,
+        "constants": dict(section.constants),
+    }
+    if volume.incompressible:
+        return {**document, "incompressible": True}
+    if volume.bulk_modulus_MPa is not None:
+        return {**document, "bulk_modulus_MPa": volume.bulk_modulus_MPa}
+    return {**document, "poisson_ratio": volume.poisson_ratio}
+
+
+def _model(model: Model) -> Config:
+    """Discretization with one size: that of its elements, or that of a named mesh."""
+    named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
+    kept = ("space", "element_order", "element_shape", "formulation", *named)
+    return {key: value for key, value in values_of(model).items() if key in kept}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a cell of a design computes.
+
+    Parameters
+    ----------
+    problem : CellProblem
+        What is predicted.
+    method : {"auto", "analytic", "inverse-fem", "none"}
+        How the constants are found.
+    leave_out : {"specimen", "test"}, optional
+        What is predicted by constants that were fitted without it.
+    fitted_elsewhere : CellProblem, optional
+        Test that the constants are fitted to, where it is another one.
+    """
+
+    problem: CellProblem
+    method: str
+    leave_out: str | None = None
+    fitted_elsewhere: CellProblem | None = None
+
+    @property
+    def fitted(self) -> CellProblem:
+        """Test that the constants are fitted to."""
+        return self.fitted_elsewhere or self.problem
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether constants are fitted at all."""
+        return self.method != "none"
+
+    def document(self) -> Config:
+        """Plain values in internal units."""
+        other = self.fitted_elsewhere
+        calibration = {
+            "method": self.method,
+            "problem": None if other is None else other.document(),
+            "leave_out": self.leave_out,
+        }
+        return {**self.problem.document(), "calibration": calibration}

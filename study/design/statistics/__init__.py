@@ -1,0 +1,1 @@
+"""What is asked of the statistics of a study: responses, terms of the model, hypotheses."""
