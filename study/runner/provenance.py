@@ -21,8 +21,8 @@ from study.setup.setup import problem_of, specimen_of
 _TASKS = (
     "study.runner.case",
     "study.runner.fitting.fit_task",
-    "study.runner.residual_bootstrap",
-    "study.runner.numerical.refinement",
+    "study.runner.fitting.residual_bootstrap",
+    "study.runner.numerical.solve_task",
 )
 
 #: Rooms in which imports are followed; reports and statistics may change without a new run.

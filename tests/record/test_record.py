@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 
 from study.curve import Curve
 from study.errors import StoreError
+from study.record.document import CurveKey
 from study.record.record import Record, seal
 from tests.record.samples import record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 names = st.text(min_size=1, max_size=20)
+MEASURED = CurveKey("measured", "p")
 
 
 @given(value=finite, unit=names, force=st.lists(finite, min_size=1, max_size=5), level=names)
@@ -24,12 +26,14 @@ def test_round_trip_is_exact(value, unit, force, level):
     values = np.array(force)
     curve = Curve(np.arange(1.0, len(force) + 1), values, values, {"C10": values})
     one = record(
-        levels={"m": level}, responses={"e": {"value": value, "unit": unit}}, curves={"p": curve}
+        levels={"m": level},
+        responses={"e": {"value": value, "unit": unit}},
+        curves={MEASURED: curve},
     )
     two = Record.from_json(one.to_json())
     assert two == one
     assert two.to_json() == one.to_json()
-    assert two.curves["p"].force_N.tolist() == force
+    assert two.curves[MEASURED].force_N.tolist() == force
     assert two.levels == {"m": level}
 
 
@@ -37,7 +41,7 @@ def test_numbers_that_are_not_finite_become_null_with_a_reason():
     one = record(
         responses={"error": {"value": math.nan, "unit": "%"}},
         timings={"total": math.inf},
-        curves={"p": Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))},
+        curves={MEASURED: Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))},
     )
     text = one.to_json()
     assert "NaN" not in text
@@ -47,9 +51,9 @@ def test_numbers_that_are_not_finite_become_null_with_a_reason():
     assert two.extra["not_finite"] == {
         "responses.error.value": "nan",
         "timings.total": "inf",
-        "curves.p.force_N.1": "nan",
+        "curves.measured:p.force_N.1": "nan",
     }
-    assert math.isnan(two.curves["p"].force_N[1])
+    assert math.isnan(two.curves[MEASURED].force_N[1])
     # once read, writing changes nothing any more, and what was lost stays listed
     again = Record.from_json(two.to_json())
     assert again.extra["not_finite"].keys() == two.extra["not_finite"].keys()
@@ -99,9 +103,10 @@ def forged(**changes):
         forged(responses={"e": 3}),
         forged(responses={"e": {"value": "3"}}),
         forged(timings={"total": "long"}),
-        forged(curves={"p": {"displacement_mm": [1]}}),
-        forged(curves={"p": {"displacement_mm": ["x"], "force_N": [1]}}),
-        forged(curves={"p": 3}),
+        forged(curves={"measured:p": {"displacement_mm": [1]}}),
+        forged(curves={"measured:p": {"displacement_mm": ["x"], "force_N": [1]}}),
+        forged(curves={"measured:p": 3}),
+        forged(curves={"p": {"displacement_mm": [1], "force_N": [1]}}),
         forged(block=3),
         forged(more=1),
         seal([1]),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from study.arrays import Array
 from study.forward.closed_form import height_and_area
 from study.reporting.output.convergence_page import write_convergence
-from study.runner.numerical.refinement_store import slug
+from study.runner.numerical.solver import slug
 from study.setup.setup import problem_of
 
 #: cells whose coarsest and finest mesh are shown

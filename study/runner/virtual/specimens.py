@@ -26,7 +26,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
 from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
+from study.runner.tables import Tables
 from study.runner.virtual.truth import TRUTHS, truth
 from study.setup.setup import Setup, problem_of
 from study.units import parse
@@ -224,10 +225,10 @@ def reference_curve(
         "finer": as_designed and not Setup.of(config).is_homogeneous,
     }  # fmt: skip
     (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
-    if outcome.result["status"] != "converged":
-        message = outcome.result.get("message", "")
-        raise InputError(Fault("virtual specimens", f"the reference curve failed: {message}"))
-    return Curve.from_dict(outcome.result["curve"])
+    if outcome.status != "converged":
+        rule = f"the reference curve failed: {outcome.message}"
+        raise InputError(Fault("virtual specimens", rule))
+    return Curve.from_dict(cast("Tables", outcome.result["curve"]))
 
 
 def _reference_model(config: Mapping[str, Any], as_designed: bool) -> dict[str, Any]:
