@@ -14,6 +14,7 @@ from study.curve import Curve
 from study.errors import StoreError
 from study.record.document import CurveKey
 from study.record.record import Record, seal
+from study.record.table import replicate
 from tests.record.samples import record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -145,3 +146,34 @@ def test_any_value_in_any_field_is_refused_or_a_valid_record(name, value):
     except StoreError:
         return
     assert Record.from_json(found.to_json()) == found
+
+
+#: a record as an earlier version wrote it, its checksum with it
+STORED = (
+    '{"schema":1,"checksum":"2e6305fe768f2e120168a8b8304ff640a61c0714aa8826b1490498a200592027",'
+    '"content":{"block":"M1","case_id":"a1b2","curves":{"measured:B":{"displacement_mm":[1.0,2.0],'
+    '"force_N":[3.0,7.0]},"predicted:B":{"displacement_mm":[1.0,2.0],"force_N":[3.5,7.5]}},'
+    '"extra":{"directions":[{"fit":"A","responses":{"mu0":{"unit":"kPa","value":10.5}},'
+    '"role":"score","scatter_N":[0.1,0.2],"score":"B"}],"mesh_seed":2},"fit":{"A":{"identifiable":'
+    'true,"key":"f1","method":"inverse-fem","names":["C10"],"values":{"C10":0.00525}}},'
+    '"input_hash":"h1","levels":{"material":"neo-hookean"},"mesh":{"dofs":120,"elements":40,'
+    '"mesh_size_mm":1.5},"message":"","parameters":{"C10":{"ci95":[4.0,6.5],"standard_error":0.5,'
+    '"unit":"kPa","value":5.25}},"responses":{"mu0":{"unit":"kPa","value":10.5},"rms_force_error":'
+    '{"u_steps":0.01,"unit":"N","value":0.25}},"solver":{"name":"pardiso","snaps_mm":[]},"status":'
+    '"converged","study":"small","timings":{"total":2.0},"versions":{"study":"1"}}}\n'
+)
+
+
+def test_a_stored_record_is_read_and_written_as_it_was():
+    found = Record.from_json(STORED)
+    assert found.to_json() == STORED
+    assert found.response("mu0") == 10.5
+    assert found.responses["rms_force_error"]["u_steps"] == 0.01
+    assert found.fits[0]["values"] == {"C10": 0.00525}
+    assert [one["score"] for one in found.scores] == ["B"]
+    measured, predicted = found.pair("B") or pytest.fail("the curves are there")
+    assert (measured.force_N[1], predicted.force_N[1]) == (7.0, 7.5)
+    assert found.first_pair() is not None
+    assert found.pair("A") is None
+    assert replicate(found.extra, "mesh_seed") == 2
+    assert replicate(found.extra, "noise_seed") == 0

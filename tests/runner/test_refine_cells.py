@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ ERROR = 1e-3
 
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    found = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
+    made = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
+    found: dict[str, Any] = made.to_json()
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
     bonded = cells["neo-hookean", "bonded"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.analysis.convergence.work_precision import (
     CostPoint,
@@ -14,6 +14,7 @@ from study.analysis.convergence.work_precision import (
     reference_value,
 )
 from study.api.convergence.page import write_page
+from study.api.convergence.result import CostFront, DesignConvergence, FrontPoint, RankedCell
 from study.api.folders import data_root
 from study.api.uncertainty.credibility import uncertainties
 from study.canonical import digest
@@ -56,7 +57,7 @@ def design_series(
     progress: Progress,
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
-) -> dict[str, Any]:
+) -> DesignConvergence:
     """Refine every cell of a design: whole cases where it has measurements, else problems."""
     design = load(source, overrides)
     workers = jobs or default_jobs()
@@ -76,8 +77,8 @@ def problem_cells(
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> dict[str, Any]:
-    """Series of every cell of a design without measurements, and what each accuracy costs."""
+) -> DesignConvergence:
+    """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
     curve_quantities.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
@@ -97,69 +98,17 @@ def problem_cells(
         for found, one in zip(judged, cells, strict=True)
     ]
     fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    made: dict[str, Any] = {
-        "cells": [one.to_json() for one in judged],
-        "fronts": [asdict(front) for front in fronts],
-    }
-    return _with_page(made, design, tables, reports)
+    found = DesignConvergence(tuple(judged), tuple(fronts))
+    return _with_page(found, design, tables, reports)
 
 
 def _with_page(
-    found: dict[str, Any], design: Design, tables: Sequence[Tables], reports: Path | None
-) -> dict[str, Any]:
+    found: DesignConvergence, design: Design, tables: Sequence[Tables], reports: Path | None
+) -> DesignConvergence:
     if reports is None:
         return found
     page = write_page(design.name, design.question, found, tables, reports)
-    return found | {"report": str(page)}
-
-
-@dataclass(frozen=True)
-class FrontPoint:
-    """Error and cost of one mesh of one cell; the error is a share of the reference."""
-
-    cell: str
-    mesh_size: float
-    unknowns: int
-    seconds: float
-    memory_MB: float  # noqa: N815
-    value: float
-    error: float
-
-
-@dataclass(frozen=True)
-class RankedCell:
-    """Seconds and mesh size with which a cell reaches the accuracy; None where it does not."""
-
-    cell: str
-    seconds: float | None
-    mesh_size: float | None
-    how: str
-
-
-@dataclass(frozen=True)
-class CostFront:
-    """Cells that differ in nothing but their discretization: error against cost.
-
-    Parameters
-    ----------
-    reference, reference_u : float
-        The limit with the smallest uncertainty among the cells, and that uncertainty.
-    accuracy : float
-        Wanted error, as a share of the reference.
-    points : tuple of FrontPoint
-        Every mesh.
-    ranking : tuple of RankedCell
-        Which cell reaches the accuracy, the cheapest first.
-    answer : str
-        The same in a sentence.
-    """
-
-    reference: float
-    reference_u: float | None
-    accuracy: float
-    points: tuple[FrontPoint, ...]
-    ranking: tuple[RankedCell, ...]
-    answer: str
+    return replace(found, report=page)
 
 
 def cost_fronts(
@@ -263,7 +212,7 @@ def measured_cells(
     *,
     reports: Path | None = None,
     executor: Executor | None = None,
-) -> dict[str, Any]:
+) -> DesignConvergence:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     whole = expand(design, data)
     work = whole.plain()
@@ -278,12 +227,8 @@ def measured_cells(
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
     judged = [one.judge(design.converge, work.responses) for one in series]
-    skipped = [
-        {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
-        for job in left_out
-    ]
-    made: dict[str, Any] = {"cells": [one.to_json() for one in judged], "left_out": skipped}
-    return _with_page(made, design, [base.case.config for base in bases], reports)
+    found = DesignConvergence(tuple(judged), left_out=tuple(left_out))
+    return _with_page(found, design, [base.case.config for base in bases], reports)
 
 
 def _said(progress: Progress) -> Callable[[RunProgress], None]:

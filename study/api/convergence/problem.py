@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.api.convergence.cells import design_series
 from study.api.convergence.page import write_page
+from study.api.convergence.result import ProblemConvergence
 from study.api.folders import RESULTS, data_root
 from study.api.opened_study import open_study
 from study.design.load import file_kind, load_problem
@@ -101,12 +103,12 @@ def converge(
         return problem(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
-        )  # fmt: skip
+        ).to_json()  # fmt: skip
 
     return design_series(
         source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
-    )  # fmt: skip
+    ).to_json()  # fmt: skip
 
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
@@ -140,7 +142,7 @@ def problem(
     progress: Progress = lambda _: None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> dict[str, Any]:
+) -> ProblemConvergence:
     """Refine one problem until its meshes are enough, and study the other errors beside."""
     tables: Tables
     if isinstance(source, Mapping):
@@ -161,7 +163,7 @@ def problem(
     if found.quantities:
         progress("load steps and solver tolerance")
         found = with_sources(found, series, solver)
-    made: dict[str, Any] = found.to_json()
-    if reports is not None:
-        made["report"] = str(write_page(name, "", made, [tables], reports))
-    return made
+    made = ProblemConvergence(found)
+    if reports is None:
+        return made
+    return replace(made, report=write_page(name, "", made, [tables], reports))
