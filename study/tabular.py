@@ -9,21 +9,20 @@ without declaring it is refused.
 from __future__ import annotations
 
 import csv
-import gzip
 import hashlib
 import io
+import math
 import re
-import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.errors import Fault, InputError, nearest
+from study.text_file import decoded, read_bytes, unzipped
 
-MAX_BYTES = 256_000_000
 MAX_ROWS = 2_000_000
 MAX_COLUMNS = 1_000
 MAX_LINE = 100_000
@@ -33,6 +32,10 @@ DELIMITERS = ",;\t|"
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d{1,4})?", re.ASCII)
 _FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+#: How a measured file declares its decimal comma.
+MEASURED_COMMA = 'decimal = "," in [measurements]'
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,10 @@ class CsvTable:
         Hash of the file as it lies on the disk.
     notes : tuple of str
         What was changed or skipped, counted.
+    padded : mapping of str to tuple of str
+        Cells as they stand in the file, of every column with spaces around some.
+    declared_by : str
+        What a user writes to declare a decimal comma.
     """
 
     source: str
@@ -60,7 +67,9 @@ class CsvTable:
     lines: tuple[int, ...]
     decimal: str = "."
     sha256: str = ""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    padded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    declared_by: str = MEASURED_COMMA
 
     def text(self, name: str) -> tuple[str, ...]:
         """Cells of a column as text.
@@ -74,8 +83,17 @@ class CsvTable:
             raise InputError(_no_column(self.source, name, self.columns))
         return self.columns[name]
 
-    def numbers(self, name: str) -> NDArray[np.float64]:
+    def place(self, row: int, name: str) -> str:
+        """Name a cell in a message: file, line and column."""
+        return f"{self.source}:{self.lines[row]}: column {name!r}"
+
+    def numbers(self, name: str, missing: Collection[str] = ()) -> NDArray[np.float64]:
         """Cells of a column as finite numbers, shape (rows,).
+
+        Parameters
+        ----------
+        missing : collection of str
+            Cells that stand for a missing value, in small letters; they become NaN.
 
         Raises
         ------
@@ -83,27 +101,26 @@ class CsvTable:
             One fault for each cell that is not a finite decimal number, with its line.
         """
         cells = self.text(name)
+        absent = [k for k, cell in enumerate(cells) if missing and cell.lower() in missing]
         if self.decimal == ",":
             plain = [c.replace(",", ".") if "." not in c else "?" for c in cells]
         else:
             plain = list(cells)
-        bad = [k for k, cell in enumerate(plain) if NUMBER.fullmatch(cell) is None]
-        if bad:
-            raise InputError(self._cell_faults(name, cells, bad))
-        values = np.array(plain, dtype=float)
-        if not np.isfinite(values).all():
-            raise InputError(self._cell_faults(name, cells, np.flatnonzero(~np.isfinite(values))))
+        for k in absent:
+            plain[k] = "0"
+        values = np.array([float(c) if NUMBER.fullmatch(c) else math.inf for c in plain])
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(self._cell_faults(name, cells, bad.tolist()))
+        values[absent] = math.nan
         return values
 
-    def _cell_faults(
-        self, name: str, cells: Sequence[str], bad: Iterable[int] | NDArray[np.intp]
-    ) -> list[Fault]:
-        rows = list(bad)
+    def _cell_faults(self, name: str, cells: Sequence[str], rows: Sequence[int]) -> list[Fault]:
         faults = [
             Fault(
-                f"{self.source}:{self.lines[k]}: column {name!r}",
+                self.place(k, name),
                 f"must be a finite number, got {_short(cells[k])}",
-                _number_mend(cells[k], self.decimal),
+                _number_mend(cells[k], self.decimal, self.declared_by),
             )
             for k in rows[:MAX_FAULTS]
         ]
@@ -113,7 +130,13 @@ class CsvTable:
 
 
 def read_csv(
-    path: Path, *, required: Sequence[str] = (), decimal: str = ".", source: str | None = None
+    path: Path,
+    *,
+    required: Sequence[str] = (),
+    numbers: Sequence[str] | None = None,
+    decimal: str = ".",
+    source: str | None = None,
+    declared_by: str = MEASURED_COMMA,
 ) -> CsvTable:
     """Read a CSV file (plain or gzip) with a header row.
 
@@ -123,10 +146,15 @@ def read_csv(
         File to read.
     required : sequence of str
         Columns that must be there; they also decide between possible delimiters.
+    numbers : sequence of str, optional
+        Columns that hold numbers, and thus no decimal comma that was not declared; by default
+        those required, or all.
     decimal : {".", ","}
         Declared decimal mark.
     source : str, optional
         Name of the file in messages; its path if left out.
+    declared_by : str
+        What a user writes to declare a decimal comma.
 
     Raises
     ------
@@ -136,49 +164,53 @@ def read_csv(
     """
     name = source or str(path)
     if decimal not in (".", ","):
-        raise InputError(Fault("measurements.decimal", f"must be '.' or ',', got {decimal!r}"))
-    raw = _read_bytes(path, name)
-    text = _decode(_unzip(raw, name), name)
-    table = parse_csv(text, required=required, decimal=decimal, source=name)
-    return CsvTable(
-        name, table.columns, table.lines, decimal, hashlib.sha256(raw).hexdigest(), table.notes
-    )
+        rule = f"must be '.' or ',', got {decimal!r}"
+        raise InputError(Fault("decimal", rule))
+    raw = read_bytes(path, name)
+    table = parse_csv(
+        decoded(unzipped(raw, name), name),
+        required=required, numbers=numbers, decimal=decimal, source=name, declared_by=declared_by,
+    )  # fmt: skip
+    return replace(table, sha256=hashlib.sha256(raw).hexdigest())
 
 
 def parse_csv(
-    text: str, *, required: Sequence[str] = (), decimal: str = ".", source: str = "<text>"
+    text: str,
+    *,
+    required: Sequence[str] = (),
+    numbers: Sequence[str] | None = None,
+    decimal: str = ".",
+    source: str = "<text>",
+    declared_by: str = MEASURED_COMMA,
 ) -> CsvTable:
     """Parse the text of a CSV file; see :func:`read_csv`."""
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
     _check_shape(lines, source)
     delimiter = _delimiter(lines[0], required, decimal)
-    rows, numbers, blank = _rows(text, lines, delimiter, source)
+    rows, at, blank = _rows(text, lines, delimiter, source)
     if not rows:
         raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
     header = [cell.strip() for cell in rows[0]]
     _check_header(header, required, source)
-    _check_widths(rows, numbers, len(header), delimiter, decimal, source)
+    _check_widths(rows, at, len(header), delimiter, decimal, source)
     if len(rows) == 1:
-        raise InputError(
-            Fault(source, "there is a header line but no row of data", "give one row a sample")
-        )
-    cells = list(zip(*rows[1:], strict=True))
+        rule = "there is a header line but no row of data"
+        raise InputError(Fault(source, rule, "give one row a sample"))
+    cells = dict(zip(header, zip(*rows[1:], strict=True), strict=True))
+    columns = {name: tuple(map(str.strip, column)) for name, column in cells.items()}
     if decimal == ".":
-        _check_decimal_comma(header, cells, required, source)
-    stripped = [tuple(map(str.strip, column)) for column in cells]
-    padded = sum(_changes(old, new) for old, new in zip(cells, stripped, strict=True))
-    notes = []
-    if padded:
-        notes.append(f"{source}: spaces around {padded} cells removed")
-    if blank:
-        notes.append(f"{source}: {blank} blank lines skipped")
-    columns = dict(zip(header, stripped, strict=True))
-    return CsvTable(source, columns, tuple(numbers[1:]), decimal, "", tuple(notes))
+        wanted = numbers if numbers is not None else required or header
+        _check_decimal_comma({n: columns[n] for n in header if n in wanted}, source, declared_by)
+    padded = {name: column for name, column in cells.items() if column != columns[name]}
+    changed = sum(_changes(column, columns[name]) for name, column in padded.items())
+    notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
+    notes += [f"{source}: {blank} blank lines skipped"] if blank else []
+    return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
 
 
 def _changes(old: Sequence[str], new: Sequence[str]) -> int:
-    return 0 if old == new else sum(a != b for a, b in zip(old, new, strict=True))
+    return sum(a != b for a, b in zip(old, new, strict=True))
 
 
 def is_formula(text: str) -> bool:
@@ -197,51 +229,6 @@ def label_fault(label: str) -> str:
     if is_formula(label):
         return f"a spreadsheet would run the label {label!r} as a formula"
     return ""
-
-
-def _read_bytes(path: Path, source: str) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise InputError(_too_large(source, size))
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(Fault(source, f"cannot be read: {error.strerror or error}")) from error
-
-
-def _unzip(raw: bytes, source: str) -> bytes:
-    if raw[:2] != b"\x1f\x8b":
-        return raw
-    try:
-        with gzip.open(io.BytesIO(raw)) as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(
-            Fault(source, f"is a broken gzip file ({error})", "copy the file again from its source")
-        ) from error
-    if len(data) > MAX_BYTES:
-        raise InputError(_too_large(source, len(data)))
-    return data
-
-
-def _decode(data: bytes, source: str) -> str:
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(Fault(source, "is in UTF-16", "save it as UTF-8"))
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            Fault(
-                f"{source}:{line}",
-                f"byte {data[error.start]:#04x} is not UTF-8",
-                "save the file as UTF-8",
-            )
-        ) from error
-    if "\0" in text:
-        line = text.count("\n", 0, text.index("\0")) + 1
-        raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
-    return text
 
 
 def _check_shape(lines: list[str], source: str) -> None:
@@ -280,13 +267,14 @@ def _rows(
     text: str, lines: list[str], delimiter: str, source: str
 ) -> tuple[list[list[str]], list[int], int]:
     """Cells of every row, the line each stands on, and the number of blank lines inside."""
+    empty = f"{delimiter} \t"
     if '"' not in text:
-        numbered = [(k, line) for k, line in enumerate(lines, 1) if line.strip()]
+        numbered = [(k, line) for k, line in enumerate(lines, 1) if line.strip(empty)]
         rows = [line.split(delimiter) for _, line in numbered]
         numbers = [k for k, _ in numbered]
     else:
         rows, numbers = _quoted_rows(text, delimiter, source)
-    blank = sum(not line.strip() for line in lines[: numbers[-1] if numbers else 0])
+    blank = sum(not line.strip(empty) for line in lines[: numbers[-1] if numbers else 0])
     return rows, numbers, blank
 
 
@@ -353,18 +341,12 @@ def _check_widths(
 
 
 def _check_decimal_comma(
-    header: list[str], cells: Sequence[Sequence[str]], required: Sequence[str], source: str
+    columns: Mapping[str, Sequence[str]], source: str, declared_by: str
 ) -> None:
-    for name, column in zip(header, cells, strict=True):
-        first = column[0].strip()
-        if (name in required or not required) and _DECIMAL_COMMA.fullmatch(first):
-            raise InputError(
-                Fault(
-                    f"{source}: column {name!r}",
-                    f"holds a decimal comma ({first!r}) but none is declared",
-                    'write decimal = "," in [measurements]',
-                )
-            )
+    for name, column in columns.items():
+        if _DECIMAL_COMMA.fullmatch(column[0]):
+            rule = f"holds a decimal comma ({column[0]!r}) but none is declared"
+            raise InputError(Fault(f"{source}: column {name!r}", rule, f"write {declared_by}"))
 
 
 def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
@@ -372,25 +354,17 @@ def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
     return Fault(f"{source}:1", f"there is no column {name!r}", nearest(name, names[:50]))
 
 
-def _too_large(source: str, size: int) -> Fault:
-    return Fault(
-        source,
-        f"holds more than {MAX_BYTES // 10**6} MB ({size} bytes)",
-        "thin the recording out or split it into several files",
-    )
-
-
 def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
-def _number_mend(cell: str, decimal: str) -> str:
+def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
     if not cell:
         return "the cell is empty: delete the row or give the value"
     if decimal == "." and _DECIMAL_COMMA.fullmatch(cell):
-        return 'a decimal comma must be declared: decimal = "," in [measurements]'
+        return f"a decimal comma must be declared: {declared_by}"
     if decimal == "," and "." in cell:
-        return 'decimal = "," was declared, so a point has no place here'
+        return "a decimal comma was declared, so a point has no place here"
     if cell.lower().lstrip("+-") in {"nan", "inf", "infinity", "na", "n/a", "null", "none"}:
         return "a missing value must be left out, with its row"
     if not cell.isascii() or "_" in cell:

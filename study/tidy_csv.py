@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import math
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from study import tabular
 from study.errors import Fault, InputError, nearest
+from study.tabular import MAX_FAULTS, NUMBER, CsvTable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?", re.ASCII)
-_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+", re.ASCII)
-_MISSING = {"", "na", "n/a", "nan", "null", "*", "."}
-_MAX_BYTES = 200_000_000
-_MAX_ROWS = 1_000_000
-_MAX_FAULTS = 20
+_NUMBER = NUMBER
+
+#: Cells that stand for a missing response, in small letters.
+MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
 
 
 def names_of(block: str | Sequence[str] | None) -> tuple[str, ...]:
@@ -42,7 +39,7 @@ def read_csv(
     Parameters
     ----------
     path : str or Path
-        CSV with a header; comma, semicolon or tab.
+        CSV with a header, plain or gzip; see :func:`study.tabular.read_csv`.
     response : str
         Column of the response; an empty cell, NA, NaN or * is a missing response.
     factors : sequence of str
@@ -61,65 +58,22 @@ def read_csv(
     """
     import pandas as pd
 
-    source = Path(path)
-    if decimal not in (".", ","):
-        raise InputError(Fault("--decimal", f"must be . or , and not {decimal!r}"))
-    header, rows = _read_rows(source, ";\t" if decimal == "," else ",;\t")
     others = [*names_of(block), *([unit] if unit else [])]
-    names = [response, *factors, *others]
-    _check_names(source.name, header, response, factors, others)
-    faults: list[Fault] = []
-    if decimal == "," and response in header:
-        at = header.index(response)
-        rows = [[*row[:at], row[at].replace(",", "."), *row[at + 1 :]] for row in rows]
-    columns = {
-        name: _column(source.name, rows, header.index(name), name, name == response, faults)
-        for name in dict.fromkeys(names)
-    }
+    table = tabular.read_csv(
+        Path(path), numbers=[response], decimal=decimal, declared_by="--decimal ,"
+    )
+    _check_names(table.source, list(table.columns), response, factors, others)
+    labels = list(dict.fromkeys([*factors, *others]))
+    faults = [fault for name in labels for fault in _empty_labels(table, name)]
+    try:
+        values = table.numbers(response, missing=MISSING)
+    except InputError as error:
+        faults = [*error.faults, *faults]
     if faults:
-        raise InputError(faults[:_MAX_FAULTS])
-    for name in columns:
-        if name != response:
-            _check_clash(source.name, name, columns[name])
-    frame = pd.DataFrame(columns)
-    for name in names[1:]:
-        frame[name] = frame[name].str.strip()
-    return frame
-
-
-def _read_rows(path: Path, delimiters: str) -> tuple[list[str], list[list[str]]]:
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise InputError(Fault(str(path), f"larger than {_MAX_BYTES // 10**6} MB"))
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(Fault(str(path), f"cannot be read: {error.strerror}")) from error
-    except UnicodeDecodeError as error:
-        raise InputError(Fault(str(path), "is not UTF-8 text", "save it as CSV UTF-8")) from error
-    first = text.split("\n", 1)[0]
-    delimiter = max(delimiters, key=first.count) if first.strip() else delimiters[0]
-    try:
-        rows = [row for row in csv.reader(text.splitlines(), delimiter=delimiter) if any(row)]
-    except csv.Error as error:
-        raise InputError(Fault(str(path), f"is no CSV: {error}")) from error
-    if len(rows) < 2:
-        raise InputError(Fault(str(path), "has no data: a header and rows are needed"))
-    if len(rows) > _MAX_ROWS:
-        raise InputError(Fault(str(path), f"has more than {_MAX_ROWS} rows"))
-    header = [name.strip() for name in rows[0]]
-    if len(set(header)) < len(header):
-        double = next(name for name in header if header.count(name) > 1)
-        raise InputError(Fault(f"{path}: header", f"the column {double!r} occurs twice"))
-    for number, row in enumerate(rows[1:], start=2):
-        if len(row) != len(header):
-            raise InputError(
-                Fault(
-                    f"{path}: row {number}",
-                    f"has {len(row)} cells, expected {len(header)}",
-                    "a decimal comma? write decimal points, or say --decimal ,",
-                )
-            )
-    return header, rows[1:]
+        raise InputError(faults[:MAX_FAULTS])
+    for name in labels:
+        _check_clash(table, name)
+    return pd.DataFrame({response: values} | {name: table.text(name) for name in labels})
 
 
 def _check_names(
@@ -147,50 +101,19 @@ def _check_names(
         raise InputError(faults)
 
 
-def _column(
-    where: str, rows: list[list[str]], at: int, name: str, number: bool, faults: list[Fault]
-) -> list[Any]:
-    out: list[Any] = []
-    for line, row in enumerate(rows, start=2):
-        place = f"{where}: row {line}, column {name!r}"
-        text = row[at]
-        if number:
-            out.append(_number(text, place, faults))
-        else:
-            if not text.strip():
-                faults.append(Fault(place, "the level is empty"))
-            out.append(text)
-    return out
+def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
+    cells = table.text(name)
+    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
 
 
-def _number(text: str, place: str, faults: list[Fault]) -> float:
-    text = text.strip()
-    if text.lower() in _MISSING:
-        return math.nan
-    value = float(text) if _NUMBER.fullmatch(text) else math.inf
-    if not math.isfinite(value):
-        comma = bool(_DECIMAL_COMMA.fullmatch(text))
-        mend = (
-            "write a decimal point, or say --decimal ,"
-            if comma
-            else "write a number, or leave it empty"
-        )
-        faults.append(Fault(place, f"{text!r} is not a finite number", mend))
-        return math.nan
-    return value
-
-
-def _check_clash(where: str, name: str, labels: Iterable[str]) -> None:
+def _check_clash(table: CsvTable, name: str) -> None:
     """Refuse labels that differ in blanks alone: they would be two levels by accident."""
     seen: dict[str, tuple[str, int]] = {}
-    for line, label in enumerate(labels, start=2):
-        first, at = seen.setdefault(label.strip(), (label, line))
+    for row, label in enumerate(table.padded.get(name, ())):
+        first, at = seen.setdefault(label.strip(), (label, row))
         if first != label:
-            raise InputError(
-                Fault(
-                    f"{where}: row {line}, column {name!r}",
-                    f"the level {label!r} and the level {first!r} of row {at} differ in "
-                    "blanks alone",
-                    "write both the same way",
-                )
+            rule = (
+                f"the level {label!r} and the level {first!r} of line {table.lines[at]} differ in "
+                "blanks alone"
             )
+            raise InputError(Fault(table.place(row, name), rule, "write both the same way"))

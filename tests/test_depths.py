@@ -53,10 +53,10 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
     means = {
         level: np.mean(
             [
-                error(r.curves[f"measured:{label}"], r.curves[f"predicted:{label}"], 3.0)
+                error(*r.first_pair(), 3.0)
                 for r in outcome.records
                 if r.levels["material"] == level
-                for label in [r.extra["directions"][0]["score"]]
+                for label in [r.scores[0]["score"]]
             ]
         )
         for level in ("neo-hookean", "mooney-rivlin")

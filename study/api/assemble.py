@@ -14,7 +14,7 @@ from study.design.cases import excluded, treatments
 from study.design.overview import calibration_factors, equivalent_groups
 from study.material.registry import is_dimensionless
 from study.reporting.numbers import name_of
-from study.runner.numerical.judgement import stored_convergence
+from study.runner.numerical.case_series import stored_convergence
 from study.study_result.report_data import (
     ANY,
     Check,
@@ -142,12 +142,11 @@ def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
     import numpy as np
 
     for record in records:
-        for fact in record.extra.get("directions", []) if record.converged else []:
-            label, scatter = fact["score"], fact.get("scatter_N")
-            measured = record.curves.get(f"measured:{label}")
-            predicted = record.curves.get(f"predicted:{label}")
-            if measured is None or predicted is None:
+        for fact in record.scores:
+            label, scatter, pair = fact["score"], fact.get("scatter_N"), record.pair(fact["score"])
+            if pair is None:
                 continue
+            measured, predicted = pair
             yield CurvePair(
                 record.levels,
                 record.block or "",
@@ -307,7 +306,7 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
     worst, pairs = 0.0, 0
     by_cell: dict[tuple[tuple[str, str], ...], dict[str | None, float]] = {}
     for record in records:
-        value = record.responses.get("rms_force_error", {}).get("value")
+        value = record.value("rms_force_error")
         if record.converged and value is not None:
             key = tuple(sorted(record.levels.items()))
             by_cell.setdefault(key, {})[record.block] = float(value)

@@ -55,10 +55,9 @@ def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
 
 
 def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
-    for fact in record.extra.get("directions", []):
-        measured = record.curves.get(f"measured:{fact['score']}")
-        predicted = record.curves.get(f"predicted:{fact['score']}")
-        if measured is not None and predicted is not None:
+    for fact in record.scores:
+        if (pair := record.pair(fact["score"])) is not None:
+            measured, predicted = pair
             yield predicted, measured
 
 
@@ -103,10 +102,11 @@ def _rescored(record: Record, name: str, depth_mm: float) -> Record:
     if not record.converged:
         return record
     pairs = [(predicted, _first(measured, depth_mm)) for predicted, measured in _pairs(record)]
-    values = [CURVE_RESPONSES[name](p, m) for p, m in pairs]
+    values = [CURVE_RESPONSES[name].between(p, m) for p, m in pairs]
     if not values:
         return record
-    entry = {**record.responses[name], "value": sum(values) / len(values)}
+    entry = record.responses[name].copy()
+    entry["value"] = sum(values) / len(values)
     return replace(record, responses={**record.responses, name: entry})
 
 

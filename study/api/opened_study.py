@@ -11,7 +11,7 @@ from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
 from study.api.scoring import scored_on
 from study.api.statistics import analyze_records
-from study.api.uncertainty.numerical import stored_cells
+from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
 from study.design.spec import Design
 from study.errors import InputError, StudyError
@@ -42,8 +42,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
     design = loads(manifest["design"], manifest["source"])
     records = tuple(store.records(manifest["cases"]))
-    rows = [*(store.read_json("numerical") or []), *stored_cells(store, manifest["cases"])]
-    numerical = tuple(Numerical(**row) for row in rows)
+    numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
     warnings += [note for note in manifest["notes"] if SORTED in note]
     if missing:
@@ -52,8 +51,8 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused]
     return StudyResult(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
-        tuple(dict.fromkeys(warnings)), validation=tuple(store.read_json("validation") or ()),
-        spaces=tuple(store.read_json("spaces") or ()),
+        tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
+        spaces=tuple(store.read_rows("spaces")),
     )  # fmt: skip
 
 

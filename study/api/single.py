@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from study.api.folders import data_root
 from study.design.load import load, load_calibration, load_problem, loads
@@ -113,8 +113,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "mesh_hash": solution.mesh_hash,
         "mesh_size_mm": solution.mesh_size_mm,
     }
-    made: dict[str, Any] = plain(content, "solution", {})
-    return made
+    return cast("dict[str, Any]", plain(content, "solution", {}))
 
 
 def writable(*paths: Path | None) -> None:

@@ -146,8 +146,8 @@ def _compute(
 def _write_manifest(
     store: Store, work: Work, timings: Mapping[str, float], summary: Summary | None
 ) -> None:
-    known = store.read_manifest() or {}
-    spent = dict(known.get("timings", {}))
+    known = store.read_manifest()
+    spent = dict(known.get("timings", {})) if known is not None else {}
     if summary is not None and summary.computed:
         # a resumed run adds to what the interrupted one took
         spent = {k: spent.get(k, 0.0) + v for k, v in timings.items()}

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from study.cli import output
+from study.cli.output import Document
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results, Set
 from study.errors import Fault, InputError
 
@@ -70,7 +71,7 @@ def _numbers(text: str, option: str) -> list[float]:
         raise InputError(Fault(option, rule)) from None
 
 
-def _print_series(cell: Mapping[str, Any]) -> None:
+def _print_series(cell: Document) -> None:
     labels = " / ".join(str(v) for v in (cell.get("levels") or {}).values())
     parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
     title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
@@ -88,7 +89,7 @@ def _print_series(cell: Mapping[str, Any]) -> None:
     print()
 
 
-def _mesh_rows(cell: Mapping[str, Any]) -> list[list[str]]:
+def _mesh_rows(cell: Document) -> list[list[str]]:
     unit = f"value [{cell['unit']}]" if cell["unit"] else "value"
     meshes = [m for m in cell.get("meshes") or () if m["status"] == "converged"]
     pairs = list(zip(cell["mesh_size"], cell["value"], strict=True))
@@ -104,7 +105,7 @@ def _mesh_rows(cell: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def _print_limit(cell: Mapping[str, Any]) -> None:
+def _print_limit(cell: Document) -> None:
     if cell["gci_fine"] is not None:
         print(f"order {output.number(cell['observed_order'])}, "
               f"extrapolated {output.number(cell['extrapolated'], 8)}, "
@@ -119,7 +120,7 @@ def _print_limit(cell: Mapping[str, Any]) -> None:
         print(f"stopped: {cell['stopped']}")
 
 
-def _quantity_rows(quantities: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
+def _quantity_rows(quantities: Mapping[str, Document]) -> list[list[str]]:
     rows = [["quantity", "finest value", "unit", "behavior", "order", "u_num"]]
     for name, q in quantities.items():
         rows.append([
@@ -129,7 +130,7 @@ def _quantity_rows(quantities: Mapping[str, Mapping[str, Any]]) -> list[list[str
     return rows
 
 
-def _source_rows(sources: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+def _source_rows(sources: Sequence[Document]) -> list[list[str]]:
     rows = [["quantity", "source", "u", "unit", "part of the value"]]
     for row in sources:
         part = "-" if row["relative"] is None else f"{row['relative']:.1e}"
@@ -137,7 +138,7 @@ def _source_rows(sources: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def _print_front(front: Mapping[str, Any]) -> None:
+def _print_front(front: Document) -> None:
     title = f"error and seconds against the limit {front['reference']:.6g}"
     rows = [["cell", "mesh size", "unknowns", "seconds", "MB", "error"]]
     for p in front["points"]:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from study.runner.batch import Progress
 
 
+#: what a verb answers with --json
+Document = Mapping[str, Any]
+
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
 
@@ -22,7 +25,7 @@ QUIET_S = 10.0
 SAME = 4
 
 
-def print_json(document: Any) -> None:
+def print_json(document: object) -> None:
     """One JSON document on stdout; never a bare NaN."""
     print(json.dumps(document, indent=2, allow_nan=False))
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
 from study.cli.convergence import converge
+from study.cli.output import Document
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
 from study.material.registry import is_dimensionless
@@ -188,7 +189,7 @@ class _Line:
             print(file=sys.stderr)
 
 
-def _print_calibration(found: dict[str, Any]) -> None:
+def _print_calibration(found: Document) -> None:
     rows = [["constant", "value", "unit", "standard error", "95 % interval", "profile interval"]]
     for name, entry in found["parameters"].items():
         profile = found["profiles"].get(name, {}).get("interval")
@@ -225,19 +226,19 @@ def _print_calibration(found: dict[str, Any]) -> None:
     output.warn(found["warnings"])
 
 
-def _between(pair: Any) -> str:
+def _between(pair: Sequence[float | None] | None) -> str:
     if pair is None:
         return "-"
     return " to ".join("-" if v is None else f"{v:.5g}" for v in pair)
 
 
-def _print_converted(found: dict[str, Any]) -> None:
+def _print_converted(found: Document) -> None:
     values = ", ".join(f"{name} = {value:.6g}" for name, value in found["constants"].items())
     note = f" ({found['note']})" if found["note"] else ""
     print(f"{found['convention']}: {found['keyword']}: {values} in MPa{note}")
 
 
-def _print_curves(indent: str, curves: list[dict[str, Any]]) -> None:
+def _print_curves(indent: str, curves: Sequence[Document]) -> None:
     for curve in curves:
         name = f"{curve['file']}, {curve['specimen']}" if curve["specimen"] else curve["file"]
         if curve["rms_force_error"] is None:
@@ -247,7 +248,7 @@ def _print_curves(indent: str, curves: list[dict[str, Any]]) -> None:
               f"({curve['relative_rms_force_error']:.3g} %)")  # fmt: skip
 
 
-def _print_energies(found: dict[str, Any]) -> None:
+def _print_energies(found: Document) -> None:
     rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
     for one in found["energies"]:
         rows.append(

@@ -108,7 +108,7 @@ def analyze(
 VERBS: tuple[Callable[..., None], ...] = (analyze,)
 
 
-def _reference_json(factor: str, found: Comparisons) -> dict[str, Any]:
+def _reference_json(factor: str, found: Comparisons) -> dict[str, object]:
     pairs = [asdict(pair) for pair in found.pairs]
     return {"factor": factor, "method": found.method, "alpha": found.alpha, "pairs": pairs}
 

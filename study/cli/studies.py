@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
+from study.cli.output import Document
 
 if TYPE_CHECKING:
     from study.api.planning.plan import Plan
@@ -179,7 +180,7 @@ def why(
 VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why)
 
 
-def _running(runner: dict[str, Any] | None, seconds_left: float | None) -> str:
+def _running(runner: Document | None, seconds_left: float | None) -> str:
     """Who is at work, and for how long."""
     if runner is None:
         return "not running"
@@ -243,7 +244,7 @@ def _print_diff(beside: Beside) -> None:
             output.paragraph(note)
 
 
-def _print_scheme(scheme: dict[str, Any]) -> None:
+def _print_scheme(scheme: Document) -> None:
     """Say what the choice of cells can and cannot tell."""
     if not scheme["summary"]:
         return

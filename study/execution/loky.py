@@ -14,10 +14,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol, TypeVar
 
 from study.execution.queue import ReadyQueue
 from study.execution.supervisor import Answer, Supervisor
@@ -33,6 +33,9 @@ THREAD_VARIABLES = (
     "VECLIB_MAXIMUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
+#: what a call in a process gives
+Given = TypeVar("Given")
+
 #: seconds within which a worker notices that its parent is gone
 PARENT_CHECK_S = 1.0
 
@@ -76,23 +79,38 @@ class Loky:
                 slot.kill()
 
 
+class ProcessPool(Protocol):
+    """What is used of loky's executor, which has no types of its own."""
+
+    def submit(self, call: Callable[..., Given], /, *args: object) -> Future[Given]:
+        """Begin a call in a process."""
+        ...
+
+    def shutdown(self, wait: bool = True, kill_workers: bool = False) -> None:
+        """End the processes."""
+        ...
+
+
 class Process:
     """Slot with one process, replaced when a task kills it or takes too long."""
 
     def __init__(self, perform: Perform) -> None:
         self._perform = perform
-        self._executor: Any = None
+        self._executor: ProcessPool | None = None
         self._up: Future[int] | None = None
 
-    def open(self) -> None:
+    def open(self) -> ProcessPool:
         """Let the process start; several slots do so at the same time."""
         from joblib.externals.loky import ProcessPoolExecutor
 
         capped = dict.fromkeys(THREAD_VARIABLES, "1")
-        self._executor = ProcessPoolExecutor(1, env=capped, initializer=serve_quietly)
-        self._up = self._executor.submit(os.getpid)
+        pool: ProcessPool = ProcessPoolExecutor(1, env=capped, initializer=serve_quietly)
+        self._executor, self._up = pool, pool.submit(os.getpid)
+        return pool
 
-    def start(self, text: str, done: queue.SimpleQueue[tuple[Any, Answer]], ticket: object) -> None:
+    def start(
+        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+    ) -> None:
         """Begin a task given as JSON."""
 
         def ended(future: Future[str]) -> None:
@@ -120,13 +138,12 @@ class Process:
         else:
             executor.shutdown(wait=True, kill_workers=True)
 
-    def _warm(self) -> Any:
+    def _warm(self) -> ProcessPool:
         """Executor with a process that is up, so that its start is in nobody's limit."""
-        if self._executor is None:
-            self.open()
+        pool = self._executor or self.open()
         if self._up is not None:
             self._up.result()
-        return self._executor
+        return pool
 
 
 def serve_quietly() -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import heapq
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any
 
-from study.execution.task import Results, Task
+from study.execution.task import Document, Results, Task
 
 
 class ReadyQueue:
@@ -18,7 +17,7 @@ class ReadyQueue:
     """
 
     def __init__(self, tasks: Sequence[Task], finished: Results) -> None:
-        self.results: dict[str, dict[str, Any]] = dict(finished)
+        self.results: dict[str, Document] = dict(finished)
         self._tasks = list(tasks)
         self._open: dict[int, int] = {}
         self._dependents: dict[str, list[int]] = defaultdict(list)
@@ -41,7 +40,7 @@ class ReadyQueue:
         """Keys of the tasks that were not handed out."""
         return [self._tasks[number].key for number in self._open]
 
-    def finish(self, key: str, result: dict[str, Any]) -> None:
+    def finish(self, key: str, result: Document) -> None:
         """Note a result; tasks that waited for it become ready."""
         self.results[key] = result
         for number in self._dependents.pop(key, ()):

@@ -7,7 +7,7 @@ import queue
 import time
 from collections.abc import Generator
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from study.execution.queue import ReadyQueue
 from study.execution.task import Outcome, Task
@@ -29,7 +29,9 @@ class Answer:
 class Slot(Protocol):
     """Room for one task at a time, whose death, hang or bug costs that task alone."""
 
-    def start(self, text: str, done: queue.SimpleQueue[tuple[Any, Answer]], ticket: object) -> None:
+    def start(
+        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+    ) -> None:
         """Begin a task given as JSON; puts ``(ticket, answer)`` on the queue when it ends."""
         ...
 
@@ -72,7 +74,7 @@ class Supervisor:
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Yield every outcome as it comes; kills all slots when closed."""
         desks = [Desk(slot) for slot in self.slots]
-        done: queue.SimpleQueue[tuple[Any, Answer]] = queue.SimpleQueue()
+        done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
         try:
             while len(self.ready) or any(desk.task for desk in desks):
                 self._hand_out(desks, done)
@@ -87,7 +89,7 @@ class Supervisor:
             for desk in desks:
                 desk.slot.kill()
 
-    def _hand_out(self, desks: list[Desk], done: queue.SimpleQueue[tuple[Any, Answer]]) -> None:
+    def _hand_out(self, desks: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]) -> None:
         for desk in desks:
             task = self.ready.take(desk.group) if desk.task is None else None
             if task is None:
@@ -101,7 +103,7 @@ class Supervisor:
             desk.slot.start(text, done, desk.ticket)
 
     def _answered(
-        self, busy: list[Desk], done: queue.SimpleQueue[tuple[Any, Answer]]
+        self, busy: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]
     ) -> list[Outcome]:
         """Outcome of the next task that ends, if one does before somebody may be late."""
         try:

@@ -10,9 +10,15 @@ from typing import Any, Protocol
 
 from study.errors import Fault, InputError
 
-#: plain data (JSON) in, plain data with a ``status`` out; a function of a module, found by name
-Perform = Callable[[dict[str, Any]], dict[str, Any]]
-Results = Mapping[str, dict[str, Any]]
+#: what JSON can hold under names: the only thing that crosses to a worker and back
+Document = Mapping[str, object]
+
+#: a document as a worker gets it, to be read at once by the task that it describes
+Received = Mapping[str, Any]
+
+#: a task's document in, a document with a ``status`` out; a function of a module, found by name
+Perform = Callable[[dict[str, object]], Document]
+Results = Mapping[str, Document]
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class Task:
     """
 
     key: str
-    payload: Callable[[Results], dict[str, Any]]
+    payload: Callable[[Results], Document]
     needs: tuple[str, ...] = ()
     group: str = ""
 
@@ -43,8 +49,18 @@ class Outcome:
     """What became of a task; the result always has a ``status``."""
 
     key: str
-    result: dict[str, Any]
+    result: Document
     seconds: float = 0.0
+
+    @property
+    def status(self) -> str:
+        """Word of what became of it."""
+        return str(self.result["status"])
+
+    @property
+    def message(self) -> str:
+        """Why it has no answer; empty if it has."""
+        return str(self.result.get("message", ""))
 
 
 class Executor(Protocol):

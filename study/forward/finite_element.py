@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from study.curve import Curve
 from study.forward.model import Prediction
 from study.setup.load_steps import StepSettings
 from study.setup.setup import Problem, ResolvedTables, problem_of
@@ -22,6 +21,22 @@ from study.setup.setup import Problem, ResolvedTables, problem_of
 if TYPE_CHECKING:  # they load compiled kernels
     from study.fem.solver.options import Options
     from study.fem.solver.solution import Solution
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Solution that the specimens of a cell start from.
+
+    Parameters
+    ----------
+    group : str
+        Name of the cell.
+    constants : mapping of str to float, or None
+        Those of its first specimen, MPa; None where the configuration gives them.
+    """
+
+    group: str
+    constants: Mapping[str, float] | None = None
 
 
 class Anchors:
@@ -37,7 +52,7 @@ class Anchors:
         config: ResolvedTables,
         constants: Mapping[str, float] | None,
         depth_mm: float,
-        anchor: Mapping[str, Any] | None,
+        anchor: Anchor | None,
     ) -> Prediction:
         """Solve for one specimen, from the anchor of its cell where there is one.
 
@@ -45,15 +60,15 @@ class Anchors:
         ----------
         constants : mapping or None
             MPa; None where the configuration gives them.
-        anchor : mapping or None
-            ``group``, the name of the cell, and ``constants`` of its first specimen.
+        anchor : Anchor or None
+            Of its cell; None where nothing is shared.
         """
         if anchor is None:
             return _cold(config, constants, depth_mm, gradients=False)
         self._prepare(config, depth_mm, anchor)
         if self._solution is None:
             return _cold(config, constants, depth_mm, gradients=False)
-        if constants == anchor["constants"]:
+        if constants == anchor.constants:
             return Prediction(self._solution, self._seconds)
         problem = problem_of(config, constants, depth_mm)
         found = solve(problem, gradients=False, warm=self._solution)
@@ -61,12 +76,12 @@ class Anchors:
             return _cold(config, constants, depth_mm, gradients=False)
         return Prediction(found, self._seconds)
 
-    def _prepare(self, config: ResolvedTables, depth_mm: float, anchor: Mapping[str, Any]) -> None:
-        if anchor["group"] == self._group:
+    def _prepare(self, config: ResolvedTables, depth_mm: float, anchor: Anchor) -> None:
+        if anchor.group == self._group:
             return
         self._solution = None  # its memory goes before the next one comes
-        made = _cold(config, anchor["constants"], depth_mm, gradients=True)
-        self._group, self._seconds = anchor["group"], made.cold_seconds
+        made = _cold(config, anchor.constants, depth_mm, gradients=True)
+        self._group, self._seconds = anchor.group, made.cold_seconds
         self._solution = made.solution if made.solution.status == "converged" else None
 
 
@@ -97,16 +112,6 @@ def load_compiled(problem: Problem) -> None:
     test = replace(problem.test, steps=1, displacement_mm=problem.test.depth_mm / 50)
     model = replace(problem.model, mesh="coarse", mesh_size_mm=None)
     solve(replace(problem, test=test, model=model), gradients=False)
-
-
-def mesh_facts(solution: Solution) -> dict[str, object]:
-    """Describe the mesh of a solution for the record."""
-    return {
-        "dofs": int(solution.dofs),
-        "elements": int(solution.elements),
-        "hash": str(solution.mesh_hash),
-        "mesh_size_mm": float(solution.mesh_size_mm),
-    }
 
 
 def solve(
@@ -140,11 +145,6 @@ def solve(
         options = replace(options, steps=StepSettings(smallest=cutbacks), snaps=False)
     options = replace(options, curve_error=CURVE_ERROR)
     return forward_solve(problem, gradients=gradients, warm=warm, options=options)
-
-
-def without_gradients(curve: Curve) -> Curve:
-    """Curve without its gradients, which nobody reads from the store."""
-    return curve.without_gradients()
 
 
 #: Share of the force, root mean square, by which the interpolation between load steps may be

@@ -9,13 +9,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
 from study.errors import Fault, InputError, nearest
+from study.measurement.section import Labels
+
+#: labels that are wanted of grouping columns; a number stands for the text that a file has of it
+Label = Labels | float | Sequence[str | float]
+Selection = Mapping[str, Label]
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,8 @@ class Measurements:
     displacement_mm: Array
     block: str | None = None
     average: tuple[str, ...] = ()
-    fit: Mapping[str, Any] | None = None
-    score: Mapping[str, Any] | None = None
+    fit: Selection | None = None
+    score: Selection | None = None
     swap: bool = False
     notes: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
@@ -106,7 +110,7 @@ class Measurements:
         """One sha256 over the contents of all files, whatever their names."""
         return hashlib.sha256("\n".join(sorted(self.files.values())).encode()).hexdigest()
 
-    def curve(self, block: str | None = None, **where: Any) -> MeasuredTest:
+    def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``.
 
         Parameters
@@ -140,7 +144,9 @@ class Measurements:
         notes = tuple(note for test in chosen for note in test.notes)
         return MeasuredTest(curve, scatter, len(chosen), shared, notes)
 
-    def curves(self, block: str | None = None, **where: Any) -> list[tuple[dict[str, str], Curve]]:
+    def curves(
+        self, block: str | None = None, **where: Label
+    ) -> list[tuple[dict[str, str], Curve]]:
         """Every matching group (labels, averaged curve), repeats averaged."""
         keep: dict[tuple[tuple[str, str], ...], None] = {}
         for test in self._matching(block, where):
@@ -162,7 +168,13 @@ class Measurements:
             pairs.append((pairs[0][1], pairs[0][0]))
         return pairs
 
-    def _matching(self, block: str | None, where: Mapping[str, Any]) -> list[SingleTest]:
+    @property
+    def sides(self) -> list[tuple[Selection | None, Selection | None]]:
+        """What is fitted and what is scored, in the order of :meth:`pairs`."""
+        sides = [(self.fit, self.score or self.fit)]
+        return [*sides, (sides[0][1], sides[0][0])] if self.swap else sides
+
+    def _matching(self, block: str | None, where: Selection) -> list[SingleTest]:
         wanted = {name: _labels(value) for name, value in where.items()}
         if self.block is not None and block is not None:
             wanted[self.block] = (block,)
@@ -195,15 +207,15 @@ def _shared(tests: Sequence[SingleTest]) -> dict[str, str]:
     return {n: v for n, v in tests[0].groups.items() if all(t.groups[n] == v for t in tests)}
 
 
-def _labels(value: Any) -> tuple[str, ...]:
+def _labels(value: Label) -> tuple[str, ...]:
     """Labels wanted, as the text they are in a file (1 and 1.0 are both "1")."""
-    values = value if isinstance(value, (list, tuple, set, frozenset)) else [value]
+    values = [value] if isinstance(value, (str, float, int)) else value
     return tuple(
         str(int(v)) if isinstance(v, float) and v.is_integer() else str(v).strip() for v in values
     )
 
 
-def _words(block: str | None, where: Mapping[str, Any]) -> str:
+def _words(block: str | None, where: Selection) -> str:
     items = [f"{n} = {', '.join(_labels(v))}" for n, v in where.items()]
     if block is not None and not any(item.endswith(f"= {block}") for item in items):
         items.insert(0, f"block = {block}")

@@ -10,14 +10,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from study.curve import Curve
 from study.errors import StoreError, nearest
+from study.record.document import (
+    CurveKey,
+    FitDocument,
+    MeshDocument,
+    ParameterDocument,
+    ResponseDocument,
+    ScoreDocument,
+    SolverDocument,
+)
 
 SCHEMA = 1
 STATUSES = (
@@ -50,18 +59,20 @@ class Record:
         One of :data:`STATUSES`.
     message : str
         Sentence that explains the status.
-    responses : mapping
-        Name to ``{"value": float or None, "unit": str}``.
-    parameters : mapping
-        Name to ``{"value", "unit", "standard_error", "ci95"}``.
-    fit : mapping or None
-        What else is known of the fit, or the id of a shared one.
-    curves : mapping of str to Curve
-        For example ``"measured:B"`` and ``"predicted:B"``.
+    responses : mapping of str to ResponseDocument
+        Value and unit by name.
+    parameters : mapping of str to ParameterDocument
+        Constants averaged over the fits, by name.
+    fit : mapping of str to FitDocument, or None
+        Every fit by the label of what was fitted; None where constants were given.
+    curves : mapping of CurveKey to Curve
+        For example ``measured:B`` and ``predicted:B``.
     timings : mapping of str to float
         Seconds of each part; ``"total"`` is shown in tables.
-    mesh, solver, versions : mapping
-        Provenance.
+    mesh, solver : MeshDocument, SolverDocument
+        Of the last prediction.
+    versions : mapping of str to str
+        Versions of everything that may move a digit.
     input_hash : str
         Hash of everything that decides the answer: case, data, configuration, code version.
     extra : mapping
@@ -78,16 +89,16 @@ class Record:
     block: str | None = None
     status: str = "converged"
     message: str = ""
-    responses: Mapping[str, Any] = field(default_factory=dict)
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    fit: Mapping[str, Any] | None = None
-    curves: Mapping[str, Curve] = field(default_factory=dict)
+    responses: Mapping[str, ResponseDocument] = field(default_factory=dict)
+    parameters: Mapping[str, ParameterDocument] = field(default_factory=dict)
+    fit: Mapping[str, FitDocument] | None = None
+    curves: Mapping[CurveKey, Curve] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
-    mesh: Mapping[str, Any] = field(default_factory=dict)
-    solver: Mapping[str, Any] = field(default_factory=dict)
-    versions: Mapping[str, Any] = field(default_factory=dict)
+    mesh: MeshDocument = field(default_factory=MeshDocument)
+    solver: SolverDocument = field(default_factory=SolverDocument)
+    versions: Mapping[str, str] = field(default_factory=dict)
     input_hash: str = ""
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.status not in STATUSES:
@@ -106,8 +117,35 @@ class Record:
 
     def response(self, name: str) -> float:
         """Value of a response; NaN where it is missing or the case has no answer."""
-        value = self.responses.get(name, {}).get("value") if self.converged else None
-        return math.nan if value is None else float(value)
+        value = self.value(name) if self.converged else None
+        return math.nan if value is None else value
+
+    def value(self, name: str) -> float | None:
+        """Look up the value of a response, whatever the status; None where there is none."""
+        found = self.responses.get(name)
+        return None if found is None or found["value"] is None else float(found["value"])
+
+    @property
+    def fits(self) -> tuple[FitDocument, ...]:
+        """Every fit of the case."""
+        return tuple((self.fit or {}).values())
+
+    @property
+    def scores(self) -> tuple[ScoreDocument, ...]:
+        """Every scored curve of the case; empty without an answer, or for a refit."""
+        found = self.extra.get("directions", ()) if self.converged else ()
+        return tuple(cast("Sequence[ScoreDocument]", found))
+
+    def pair(self, label: str) -> tuple[Curve, Curve] | None:
+        """Measured and predicted curve of a label; None unless both are kept."""
+        measured = self.curves.get(CurveKey("measured", label))
+        predicted = self.curves.get(CurveKey("predicted", label))
+        return None if measured is None or predicted is None else (measured, predicted)
+
+    def first_pair(self) -> tuple[Curve, Curve] | None:
+        """Measured and predicted curve of the first direction; None without a prediction."""
+        labels = (key.label for key in self.curves if key.role == "predicted")
+        return next((pair for label in labels if (pair := self.pair(label)) is not None), None)
 
     def to_json(self) -> str:
         """Text of the record with its checksum; never holds a bare NaN."""
@@ -115,18 +153,17 @@ class Record:
         content = {
             f.name: plain(getattr(self, f.name), f.name, lost)
             for f in fields(self)
-            if f.name != "curves"
+            if f.name not in ("curves", "extra")
         }
         content["curves"] = {
-            name: plain(curve.as_dict(), f"curves.{name}", lost)
-            for name, curve in self.curves.items()
+            str(key): plain(curve.as_dict(), f"curves.{key}", lost)
+            for key, curve in self.curves.items()
         }
+        extra = cast("dict[str, object]", plain(self.extra, "extra", lost))
         if lost:
-            content["extra"] = {
-                **content["extra"],
-                "not_finite": {**content["extra"].get("not_finite", {}), **lost},
-            }
-        return seal(content)
+            before = cast("Mapping[str, str]", extra.get("not_finite", {}))
+            extra["not_finite"] = {**before, **lost}
+        return seal(content | {"extra": extra})
 
     @classmethod
     def from_json(cls, text: str | bytes, source: str = "record") -> Record:
@@ -146,9 +183,10 @@ class Record:
                 raise StoreError(f"{source}: field {name!r} has the wrong type")
         _check_parts(content, source)
         try:
-            curves = {k: Curve.from_dict(v) for k, v in content.pop("curves").items()}
+            kept = content.pop("curves")
+            curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in kept.items()}
             return cls(**content, curves=curves)
-        except (TypeError, ValueError, KeyError, AttributeError) as error:
+        except (TypeError, ValueError, KeyError, AttributeError, StoreError) as error:
             raise StoreError(f"{source}: is not a valid record ({error})") from error
 
 
@@ -173,7 +211,7 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
 }
 
 
-def _check_parts(content: Mapping[str, Any], source: str) -> None:
+def _check_parts(content: Mapping[str, Mapping[str, object]], source: str) -> None:
     """Check the types inside the mappings that tables and reports read."""
     number = (int, float, type(None))
     if not all(isinstance(v, str) for v in content["levels"].values()):
@@ -185,12 +223,12 @@ def _check_parts(content: Mapping[str, Any], source: str) -> None:
             raise StoreError(f"{source}: response {name!r} has no number or null as its value")
 
 
-def plain(value: Any, where: str, lost: dict[str, str]) -> Any:
+def plain(value: object, where: str, lost: dict[str, str]) -> object:
     """Value as JSON can hold it; floats that are not finite become None and are listed.
 
     Parameters
     ----------
-    value : Any
+    value : object
         Nested mappings, sequences, arrays and scalars.
     where : str
         Dotted place of the value, for the list.
@@ -226,20 +264,20 @@ def _key(key: object, where: str) -> str:
     return key
 
 
-def canonical(content: Any) -> str:
+def canonical(content: object) -> str:
     """JSON text that is the same for equal content."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def seal(content: Any) -> str:
+def seal(content: object) -> str:
     """JSON text of ``content`` with schema and checksum."""
     text = canonical(content)
     checksum = hashlib.sha256(text.encode()).hexdigest()
     return f'{{"schema":{SCHEMA},"checksum":"{checksum}","content":{text}}}\n'
 
 
-def unseal(text: str | bytes, source: str) -> Any:
-    """Content of a sealed text.
+def unseal(text: str | bytes, source: str) -> object:
+    """Content of a sealed text, as JSON gives it.
 
     Raises
     ------

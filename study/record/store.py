@@ -20,15 +20,19 @@ import zipfile
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from study.errors import StoreError
 from study.record import lock
 from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.record.document import ManifestDocument
 from study.record.record import Record, plain, seal, unseal
+
+#: an array as it was kept: of numbers, flags or text
+Stored = NDArray[np.generic]
 
 MAX_JSON_BYTES = 200_000_000
 MAX_FIELD_BYTES = 4_000_000_000
@@ -113,7 +117,7 @@ class Store:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
         return lock.holder(self.path) if lock.is_locked(self.path) else None
 
-    def write(self, record: Record, fields: Mapping[str, NDArray[Any]] | None = None) -> Record:
+    def write(self, record: Record, fields: Mapping[str, ArrayLike] | None = None) -> Record:
         """Store a record, whole or not at all, and after its fields.
 
         Parameters
@@ -163,7 +167,7 @@ class Store:
         """Every valid record, by case id: the order of the runs leaves no trace."""
         return [record for name in self._case_ids() if (record := self.read(name)) is not None]
 
-    def read_fields(self, record: Record) -> dict[str, NDArray[Any]]:
+    def read_fields(self, record: Record) -> dict[str, Stored]:
         """Arrays kept with a record; empty if it has none.
 
         Raises
@@ -243,7 +247,7 @@ class Store:
         """Read the records of this very input, by the name of their case."""
         return {record.case_id: record for record in self.records(input_hashes)}
 
-    def write_json(self, name: str, content: Any) -> None:
+    def write_json(self, name: str, content: object) -> None:
         """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
         lost: dict[str, str] = {}
         clean = plain(content, name, lost)
@@ -251,7 +255,7 @@ class Store:
             clean["not_finite"] = lost
         write_atomic(self._json(name), seal(clean).encode(), self._system)
 
-    def read_json(self, name: str) -> Any | None:
+    def read_json(self, name: str) -> object:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""
         path = self._json(name)
         data = self._bytes(path)
@@ -263,20 +267,25 @@ class Store:
             self._set_aside(path, str(error))
             return None
 
-    def write_manifest(self, meta: Mapping[str, Any]) -> None:
+    def read_rows(self, name: str) -> list[dict[str, Any]]:
+        """Rows of a table stored under a name, to be read by who wrote them; empty if none is."""
+        found = self.read_json(name)
+        return found if isinstance(found, list) else []
+
+    def write_manifest(self, meta: ManifestDocument) -> None:
         """Store what the study is: name, question, seed, design text, versions."""
         self.write_json("study", dict(meta))
 
-    def read_manifest(self) -> dict[str, Any] | None:
+    def read_manifest(self) -> ManifestDocument | None:
         """Read what :meth:`write_manifest` stored; None if it is missing or was damaged."""
         found = self.read_json("study")
-        return found if isinstance(found, dict) else None
+        return cast(ManifestDocument, found) if isinstance(found, dict) else None
 
-    def write_fit(self, fit_id: str, content: Mapping[str, Any]) -> None:
+    def write_fit(self, fit_id: str, content: Mapping[str, object]) -> None:
         """Store a calibration that several cases share."""
         self.write_json(f"fits/{fit_id}", dict(content))
 
-    def read_fit(self, fit_id: str) -> dict[str, Any] | None:
+    def read_fit(self, fit_id: str) -> dict[str, object] | None:
         """Read a shared calibration; None if it is missing or was damaged."""
         found = self.read_json(f"fits/{fit_id}")
         return found if isinstance(found, dict) else None
@@ -369,7 +378,7 @@ class Store:
             self._warn(message)
 
 
-def _pack(fields: Mapping[str, NDArray[Any]]) -> bytes:
+def _pack(fields: Mapping[str, ArrayLike]) -> bytes:
     arrays = {name: np.asarray(value) for name, value in fields.items()}
     bad = [name for name, value in arrays.items() if value.dtype.hasobject]
     if bad:
@@ -379,7 +388,7 @@ def _pack(fields: Mapping[str, NDArray[Any]]) -> bytes:
     return stream.getvalue()
 
 
-def _unpack(data: bytes, path: Path) -> dict[str, NDArray[Any]]:
+def _unpack(data: bytes, path: Path) -> dict[str, Stored]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(info.file_size for info in archive.infolist())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.errors import Fault, InputError, StoreError
 from study.record.atomic_files import FileSystem, write_atomic
@@ -20,7 +20,7 @@ FIXED = ("case_id", "block", "status", "seconds", "dofs")
 REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
 
 
-def is_repeat(extra: Mapping[str, Any]) -> bool:
+def is_repeat(extra: Mapping[str, object]) -> bool:
     """Whether a case repeats another one for an error term; ``extra`` is that of its record.
 
     Examples
@@ -28,7 +28,13 @@ def is_repeat(extra: Mapping[str, Any]) -> bool:
     >>> is_repeat({}), is_repeat({"mesh_seed": 1}), is_repeat({"noise_seed": 1})
     (False, False, True)
     """
-    return any(int(extra.get(name) or first) != first for name, first in REPLICATES.items())
+    return any(replicate(extra, name) != first for name, first in REPLICATES.items())
+
+
+def replicate(extra: Mapping[str, object], name: str) -> int:
+    """Read the number that a case has among its repeats, by a key of :data:`REPLICATES`."""
+    number = extra.get(name)
+    return number if isinstance(number, int) and number else REPLICATES[name]
 
 
 def table(records: Sequence[Record]) -> DataFrame:
@@ -65,7 +71,7 @@ def table(records: Sequence[Record]) -> DataFrame:
         "case_id": [r.case_id for r in records],
         "block": [r.block for r in records],
         **{name: [r.levels[name] for r in records] for name in factors},
-        **{n: [int(r.extra.get(n) or REPLICATES[n]) for r in records] for n in numbered},
+        **{n: [replicate(r.extra, n) for r in records] for n in numbered},
         "status": [r.status for r in records],
     }
     numbers = {name: [r.response(name) for r in records] for name in units}

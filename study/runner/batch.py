@@ -12,17 +12,20 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import partial
 
-from study.execution.task import Executor, Outcome, Task
+from study.design.cases import plain
+from study.execution.task import Document, Executor, Outcome, Results, Task
+from study.forward.finite_element import Anchor
 from study.record.record import Record
 from study.record.store import Store
-from study.runner.case import blank
+from study.runner.case_task import CaseFrame, CaseTask, ScoreTask
 from study.runner.cost import Costs, Pace, same_model
-from study.runner.expansion import for_workers
-from study.runner.fitting import fit_task
-from study.runner.job import CaseJob, FitJob, Work
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_task import FitTask
+from study.runner.job import CaseJob, FitJob, Work, fits_of
+from study.runner.tables import PROBLEM
 from study.runner.tasks import processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
@@ -115,32 +118,48 @@ def run_batch(
         return run.execute(workers, executor or processes(workers, timeout_s))
 
 
+def computing(
+    work: Work,
+    store: Store,
+    *,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+    executor: Executor | None = None,
+) -> Callable[[Sequence[CaseJob]], list[Record | None]]:
+    """Make the computation of cases, for :func:`study.runner.numerical.refinement.refine`.
+
+    Parameters
+    ----------
+    work : Work
+        Study that the cases belong to.
+    store, jobs, progress, timeout_s, executor
+        As of :func:`run_batch`.
+    """
+
+    def compute(cases: Sequence[CaseJob]) -> list[Record | None]:
+        part = replace(work, jobs=tuple(cases))
+        run_batch(part, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor)
+        records = store.by_case(part.input_hashes)
+        return [records.get(case.case.case_id) for case in cases]
+
+    return compute
+
+
 def missing(work: Work, store: Store) -> list[CaseJob]:
     """Cases without a usable record of this very input."""
     done = store.done_ids(work.input_hashes, RETRIED)
     return [job for job in work.jobs if job.case.case_id not in done]
 
 
-def needed_fits(work: Work, todo: Sequence[CaseJob]) -> list[FitJob]:
+def needed_fits(todo: Sequence[CaseJob]) -> list[FitJob]:
     """Fits that the cases need, with the fits that start them, starts first."""
-    found: dict[str, FitJob] = {}
-
-    def add(key: str) -> None:
-        job = work.fits[key]
-        if job.start is not None:
-            add(job.start)
-        found.setdefault(key, job)
-
-    for case in todo:
-        for key in case.needs:
-            add(key)
-    starts = {job.start for job in found.values()}
-    return sorted(found.values(), key=lambda job: job.key not in starts)
+    return list(fits_of(todo).values())
 
 
-def open_fits(work: Work, todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
+def open_fits(todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
     """Fits that the cases need and that are not stored yet."""
-    return [job for job in needed_fits(work, todo) if store.read_fit(job.key) is None]
+    return [job for job in needed_fits(todo) if store.read_fit(job.key) is None]
 
 
 class _Batch:
@@ -154,8 +173,8 @@ class _Batch:
         self.work, self.store, self.progress = work, store, progress
         self.cases = {f"case-{job.case.case_id}": job for job in todo}
         self.fits: dict[str, FitJob] = {}
-        self.known: dict[str, dict[str, Any]] = {}
-        for job in needed_fits(work, todo):
+        self.known: dict[str, Document] = {}
+        for job in needed_fits(todo):
             stored = store.read_fit(job.key)
             if stored is None:
                 self.fits[job.key] = job
@@ -187,11 +206,11 @@ class _Batch:
     def _tasks(self) -> list[Task]:
         """Cases first: each is scored as soon as its fits are there."""
         tasks = [
-            Task(key, _case_payload(self.work, job), needs=job.needs, group=job.group)
+            Task(key, partial(case_document, self.work, job), needs=job.needs, group=job.group)
             for key, job in self.cases.items()
         ]
         tasks += [
-            Task(job.key, _fit_payload(job), needs=(job.start,) if job.start else ())
+            Task(job.key, partial(fit_document, job), (job.start.key,) if job.start else ())
             for job in self.fits.values()
         ]
         return tasks
@@ -204,7 +223,7 @@ class _Batch:
     def _kind(self, key: str) -> str:
         """Name what costs alike: computations on one mesh of one test."""
         if key in self.fits:
-            return f"fit {same_model(self.fits[key].problem.config)}"
+            return f"fit {same_model(self.fits[key].problem.tables)}"
         return same_model(self.cases[key].case.config)
 
     def _label(self, key: str) -> str:
@@ -215,7 +234,7 @@ class _Batch:
     def _keep(self, outcome: Outcome) -> None:
         if outcome.key in self.fits:
             self.spent["fits"] += outcome.seconds
-            if outcome.result.get("status") in _KEPT:
+            if outcome.status in _KEPT:
                 self.store.write_fit(outcome.key, outcome.result)
             return
         self.spent["cases"] += outcome.seconds
@@ -225,68 +244,54 @@ class _Batch:
 
     def _record(self, outcome: Outcome) -> Record:
         text = outcome.result.get("record")
-        if text is not None:
+        if isinstance(text, str):
             return Record.from_json(text, f"worker, {self._label(outcome.key)}")
-        task = _case_frame(self.work, self.cases[outcome.key])
-        found = outcome.result.get("traceback")
-        return blank(
-            task,
-            outcome.result["status"],
-            outcome.result.get("message", ""),
-            timings={"total": outcome.seconds},
-            extra={"traceback": found} if found else None,
+        return case_frame(self.work, self.cases[outcome.key]).record(
+            outcome.status,
+            outcome.message,
+            seconds=outcome.seconds,
+            traceback=str(outcome.result.get("traceback", "")),
         )
 
 
-def _fit_payload(job: FitJob) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
-    def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-        start = None if job.start is None else results[job.start]
-        task = fit_task.payload(job.problem, job.measured, start)
-        return task if job.noise is None else {**task, "kind": "noise", "noise": list(job.noise)}
-
-    return make
+def fit_document(job: FitJob, results: Results) -> Document:
+    """Make what a worker gets of a fit, once the fit that starts it is known."""
+    start = None if job.start is None else FitResult.from_json(results[job.start.key])
+    return FitTask(job.problem, job.measured, start, job.noise).to_json()
 
 
-def _case_frame(work: Work, job: CaseJob) -> dict[str, Any]:
+def case_frame(work: Work, job: CaseJob) -> CaseFrame:
     """Everything of a record that is known before the case is computed."""
-    return {
-        "case_id": job.case.case_id,
-        "study": work.design.name,
-        "levels": dict(job.case.levels),
-        "block": job.case.block,
-        "responses": dict(work.responses),
-        "input_hash": job.input_hash,
-        "extra": dict(job.extra),
-    }
+    case = job.case
+    return CaseFrame(
+        case.case_id, work.design.name, case.levels, case.block, work.responses, job.input_hash,
+        job.origin,
+    )  # fmt: skip
 
 
-def _case_payload(
-    work: Work, job: CaseJob
-) -> Callable[[Mapping[str, dict[str, Any]]], dict[str, Any]]:
-    def make(results: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-        directions = [
-            d.payload(None if d.fit_key is None else results[d.fit_key]) for d in job.directions
-        ]
-        return {
-            "kind": "case",
-            **_case_frame(work, job),
-            "config": for_workers(job.case.config),
-            "directions": directions,
-            "anchor": _anchor(job, results),
-        }
-
-    return make
+def case_document(work: Work, job: CaseJob, results: Results) -> Document:
+    """Make what a worker gets of a case, once its fits are known."""
+    fits = {key: FitResult.from_json(results[key]) for key in job.needs}
+    directions = tuple(
+        ScoreTask(
+            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.fit_key,
+            None if pair.fit is None else fits[pair.fit.key],
+        )
+        for pair in job.directions
+    )  # fmt: skip
+    tables = plain({name: job.case.config[name] for name in PROBLEM})
+    frame = case_frame(work, job)
+    return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
 
 
-def _anchor(job: CaseJob, results: Mapping[str, dict[str, Any]]) -> dict[str, Any] | None:
+def _anchor(job: CaseJob, fits: Mapping[str, FitResult]) -> Anchor | None:
     """Name of the shared solution and its constants; None where they could not be fitted."""
     if not job.group:
         return None
     if job.anchor is None:
-        return {"group": job.group, "constants": None}
-    fit = results[job.anchor]
-    known = fit.get("status") == "converged" and fit.get("usable", True)
-    return {"group": job.group, "constants": dict(fit["values"])} if known else None
+        return Anchor(job.group)
+    fit = fits[job.anchor.key]
+    return Anchor(job.group, fit.constants) if fit.usable else None
 
 
 @contextlib.contextmanager

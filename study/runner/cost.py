@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 from study.canonical import digest
 from study.errors import InputError
-from study.runner.fitting.fit_task import FitProblem, fit_problem
+from study.runner.fitting.fit_task import FitProblem
 from study.runner.job import CaseJob, FitJob
-from study.runner.response import constants_only
+from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Setup, known_height_mm, problem_of
+from study.setup.setup import known_height_mm, problem_of
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -42,21 +41,16 @@ class Costs:
         """Seconds of one calibration."""
         if problem.method != "inverse-fem":
             return _OVERHEAD_S
-        names = MaterialSection.of(problem.config["material"]).calibrated_names
+        names = MaterialSection.of(problem.tables["material"]).calibrated_names
         solves = (
             _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
-        return _OVERHEAD_S + solves * self.solve_seconds(problem.config)
+        return _OVERHEAD_S + solves * self.solve_seconds(problem.tables)
 
     def case_seconds(self, job: CaseJob) -> float:
         """Seconds of one case without its fits."""
         config = job.case.config
-        if constants_only(job.extra):
-            return _OVERHEAD_S
-        problem = fit_problem(config)
-        shared = problem.method == "inverse-fem" and problem.shares_scored_problem
-        asked = (config.get("calibration") or {}).get("method") or "auto"
-        if shared or (asked == "analytic" and Setup.of(config).is_homogeneous):
+        if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
         if job.group:
@@ -81,15 +75,15 @@ class Costs:
         """
         return max(sum(seconds) / jobs, max(seconds, default=0.0))
 
-    def solve_seconds(self, config: Mapping[str, Any], depth_mm: float | None = None) -> float:
+    def solve_seconds(self, config: Tables, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
         return self._estimate(config, depth_mm)[0]
 
-    def memory_MB(self, config: Mapping[str, Any]) -> float:  # noqa: N802
+    def memory_MB(self, config: Tables) -> float:  # noqa: N802
         """Peak memory of one worker at this configuration."""
         return self._estimate(config, None)[1]
 
-    def _estimate(self, config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
+    def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:
         key = same_model(config)
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)
@@ -101,18 +95,18 @@ def _scales(names: Sequence[str]) -> bool:
     return len(names) == 1
 
 
-def _from_anchor(config: Mapping[str, Any]) -> float:
+def _from_anchor(config: Tables) -> float:
     if _scales(MaterialSection.of(config["material"]).calibrated_names):
         return _SCALED
     return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
 
 
-def same_model(config: Mapping[str, Any]) -> str:
+def same_model(config: Tables) -> str:
     """Name of all that differ in their material alone."""
     return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
 
 
-def _estimated(config: Mapping[str, Any], depth_mm: float | None) -> tuple[float, float]:
+def _estimated(config: Tables, depth_mm: float | None) -> tuple[float, float]:
     from study.fem.cost import estimate
 
     section = {**config["material"], "constants": None, "model": "neo-hookean"}

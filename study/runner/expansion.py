@@ -1,29 +1,30 @@
-"""A design and its data -> every computation that is needed, each once, with its name."""
+"""A design and its data -> every computation that is needed, each once, with its name.
+
+Treatments become cases, cases their replicates, these become jobs with their fits, and the jobs
+of resampled residuals follow: each step takes the values of the one before and changes none.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from study.canonical import digest
 from study.curve import Curve
-from study.design.cases import case_id, cases, plain, treatments
-from study.design.spec import Case, Design
+from study.design.cases import cases, plain, treatments
+from study.design.spec import Case, Design, Treatment
 from study.errors import Fault, InputError
-from study.measurement.measured_test import MeasuredTest, Measurements
+from study.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.runner import provenance
-from study.runner.calibration.model_selection import LeftOut, distinct_tests, left_out
-from study.runner.fitting.fit_task import FitProblem, fit_key, fit_problem, start_problem
-from study.runner.job import CaseJob, DataCache, Direction, FitJob, Work
+from study.runner.calibration.model_selection import distinct_tests, left_out
+from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
+from study.runner.job import CaseJob, DataCache, FitJob, Forward, Origin, ScorePair, Work, repeated
 from study.runner.provenance import code_version
 from study.runner.replicates import mesh_seeded, resampled
-from study.runner.response import UNITS, is_plain
-from study.setup.setup import Setup
-
-Config = Mapping[str, Any]
+from study.runner.response import units_of
+from study.runner.tables import CalibrationTable, is_analytic
 
 
 def expand(design: Design, data_root: Path) -> Work:
@@ -34,129 +35,30 @@ def expand(design: Design, data_root: Path) -> Work:
     InputError
         If data are missing or malformed, or the blocks differ between treatments.
     """
-    data = DataCache(data_root, distinct_tests([t.config for t in treatments(design)]))
-    found = _blocks(design, data)
-    all_cases = mesh_seeded(_distinct(cases(design, found)), design)
+    cells = treatments(design)
+    data = DataCache(data_root, distinct_tests([cell.config for cell in cells]))
+    blocks = common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
-    all_cases = [(_located(case, places), extra) for case, extra in all_cases]
-    fits: dict[str, FitJob] = {}
-    responses = _responses(design)
-    jobs = anchored([case_job(case, data, fits, responses, extra) for case, extra in all_cases])
-    jobs += resampled(jobs, design, fits)
-    return Work(design, jobs, fits, responses, found, data)
+    # a replicate is named by what was written, not by where its surface was found
+    planned = mesh_seeded(distinct(cases(design, blocks)), design)
+    units = units_of(response.name for response in design.responses)
+    jobs = anchored(
+        case_job(located(case, places), data, units, origin) for case, origin in planned
+    )
+    return Work(design, (*jobs, *resampled(jobs, design)), units, blocks, data)
 
 
-def _located(case: Case, places: Sequence[Path]) -> Case:
-    return replace(case, config=provenance.located(case.config, places))
+def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
+    """Labels of the blocks, the same in the measurements of every treatment.
 
-
-def _distinct(found: Sequence[Case]) -> list[Case]:
-    """Give cells of equal content names of their own, so that none hides the other's record."""
-    seen: set[str] = set()
-    out = []
-    for case in found:
-        if case.case_id in seen:
-            case = replace(case, case_id=case_id([case.case_id, case.levels]))
-        seen.add(case.case_id)
-        out.append(case)
-    return out
-
-
-def case_job(
-    case: Case,
-    data: DataCache,
-    fits: dict[str, FitJob],
-    responses: Mapping[str, str],
-    extra: Mapping[str, Any] | None = None,
-) -> CaseJob:
-    """Directions of one case; its fits are added to ``fits``."""
-    problem = fit_problem(case.config)
-    directions = tuple(_directions(case, problem, data, fits))
-    identity = [
-        case.case_id,
-        sorted(responses),
-        [
-            [d.label, d.fit_label, d.fit_key, d.measured.displacement_mm.tolist(),
-             d.measured.force_N.tolist()]
-            for d in directions
-        ],
-        code_version(),
-        *provenance.fingerprints(case.config),
-    ]  # fmt: skip
-    return CaseJob(case, directions, digest(identity), dict(extra or {}))
-
-
-def _directions(
-    case: Case, problem: FitProblem, data: DataCache, fits: dict[str, FitJob]
-) -> list[Direction]:
-    scored = data.scored(case.config)
-    if scored is None:
-        rule = "the responses of a study compare with measured curves: there is no [measurements]"
-        raise InputError(Fault("measurements", rule, "add it, or use `study solve`"))
-    if problem.method == "none":
-        _, test = scored.pairs(case.block)[0]
-        return [_direction(test, scored.score, None, None)]
-    if case.config["calibration"].get("leave_out"):
-        return [_left_out(one, fits, case) for one in left_out(case, scored, data)]
-    own = data.calibrated(case.config)
-    if own is not None:
-        fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
-        key = _add_fit(problem, (fitted.curve,), fits, case)
-        _, test = scored.pairs(case.block)[0]
-        return [_direction(test, scored.score, key, None)]
-    out = []
-    sides = [(scored.fit, scored.score or scored.fit)]
-    if scored.swap:
-        sides.append((sides[0][1], sides[0][0]))
-    for (fit, score), (fit_where, score_where) in zip(scored.pairs(case.block), sides, strict=True):
-        key = _add_fit(problem, (fit.curve,), fits, case)
-        role = "fit" if fit_where == score_where else "score"
-        out.append(_direction(score, score_where, key, fit_where, role))
-    return out
-
-
-def _left_out(one: LeftOut, fits: dict[str, FitJob], case: Case) -> Direction:
-    key = _add_fit(one.problem, one.measured, fits, case)
-    return replace(_direction(one.test, one.score_where, key, None), fit_label=one.label)
-
-
-def _direction(
-    test: MeasuredTest,
-    score_where: Mapping[str, Any] | None,
-    key: str | None,
-    fit_where: Mapping[str, Any] | None,
-    role: str = "score",
-) -> Direction:
-    scatter = None if test.scatter_N is None else [float(v) for v in test.scatter_N]
-    return Direction(_label(score_where), test.curve, key, role, _label(fit_where), scatter)
-
-
-def _label(where: Mapping[str, Any] | None) -> str:
-    if not where:
-        return "all"
-    values = [v if isinstance(v, (list, tuple)) else [v] for v in where.values()]
-    return " ".join("+".join(str(item) for item in group) for group in values)
-
-
-def _add_fit(
-    problem: FitProblem, measured: tuple[Curve, ...], fits: dict[str, FitJob], case: Case
-) -> str:
-    key = fit_key(problem, measured)
-    if key not in fits:
-        before = start_problem(problem)
-        start = None if before is None else _add_fit(before, measured, fits, case)
-        fits[key] = FitJob(key, problem, measured, start, case.label)
-    return key
-
-
-def _block_in(found: Measurements, block: str | None) -> str | None:
-    return block if found.block is not None else None
-
-
-def _blocks(design: Design, data: DataCache) -> tuple[str, ...]:
+    Raises
+    ------
+    InputError
+        If they differ.
+    """
     found: tuple[str, ...] | None = None
-    for treatment in treatments(design):
-        measured = data.scored(treatment.config)
+    for cell in cells:
+        measured = data.scored(cell.config)
         own = () if measured is None else measured.blocks
         if found is not None and own != found:
             rule = f"treatments have different blocks: {', '.join(found)} and {', '.join(own)}"
@@ -165,26 +67,143 @@ def _blocks(design: Design, data: DataCache) -> tuple[str, ...]:
     return found or ()
 
 
-def _responses(design: Design) -> dict[str, str]:
-    """Responses of every record: those of a curve, mu0, and what the design asks besides."""
-    asked = [response.name for response in design.responses]
-    constants = [name for name in asked if name not in UNITS and name not in ("mu0", "seconds")]
-    units = {**UNITS, "mu0": "kPa"}
-    units |= {name: "" if is_plain(name) else "kPa" for name in constants}
-    return units | ({"seconds": "s"} if "seconds" in asked else {})
+def distinct(found: Sequence[Case]) -> tuple[Case, ...]:
+    """Give cells of equal content names of their own, so that none hides the other's record."""
+    seen: set[str] = set()
+    out = []
+    for case in found:
+        made = repeated(case, [case.levels]) if case.case_id in seen else case
+        seen.add(made.case_id)
+        out.append(made)
+    return tuple(out)
 
 
-def for_workers(config: Config) -> dict[str, Any]:
-    """Make a configuration plain JSON."""
-    made: dict[str, Any] = plain(config)
-    return made
+def located(case: Case, places: Sequence[Path]) -> Case:
+    """Copy a case with every surface in it found and checked."""
+    return replace(case, config=provenance.located(case.config, places))
 
 
-def anchored(jobs: Sequence[CaseJob]) -> tuple[CaseJob, ...]:
+def case_job(
+    case: Case, data: DataCache, units: Mapping[str, str], origin: Origin | None = None
+) -> CaseJob:
+    """Make the job of one case.
+
+    Parameters
+    ----------
+    units : mapping of str to str
+        Unit of every response that its record holds.
+    origin : Origin, optional
+        Why it is computed besides the cells of the design.
+    """
+    problem = fit_problem(case.config)
+    pairs = tuple(score_pairs(case, problem, data))
+    identity = [
+        case.case_id,
+        sorted(units),
+        [
+            [d.label, d.fit_label, d.fit_key, d.measured.displacement_mm.tolist(),
+             d.measured.force_N.tolist()]
+            for d in pairs
+        ],
+        code_version(),
+        *provenance.fingerprints(case.config),
+    ]  # fmt: skip
+    return CaseJob(case, pairs, digest(identity), forward_of(case, problem), origin or Origin())
+
+
+def forward_of(case: Case, problem: FitProblem) -> Forward:
+    """Where the predicted curves of a case come from."""
+    if problem.method == "inverse-fem" and problem.shares_scored_problem:
+        return "fit"
+    return "closed-form" if is_analytic(case.config) else "simulation"
+
+
+def score_pairs(case: Case, problem: FitProblem, data: DataCache) -> list[ScorePair]:
+    """Say what is fitted and what is scored in a case.
+
+    Raises
+    ------
+    InputError
+        If nothing was measured.
+    """
+    scored = data.scored(case.config)
+    if scored is None:
+        rule = "the responses of a study compare with measured curves: there is no [measurements]"
+        raise InputError(Fault("measurements", rule, "add it, or use `study solve`"))
+    if problem.method == "none":
+        return [_first_pair(scored, case, None)]
+    if CalibrationTable.of(case.config).leave_out:
+        return [
+            replace(
+                _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
+                fit_label=one.label,
+            )
+            for one in left_out(case, scored, data)
+        ]
+    own = data.calibrated(case.config)
+    if own is not None:
+        fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
+        return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
+    return _swapped_pairs(scored, case, problem)
+
+
+def _first_pair(scored: Measurements, case: Case, fit: FitJob | None) -> ScorePair:
+    _, test = scored.pairs(case.block)[0]
+    return _pair(test, scored.score, fit)
+
+
+def _swapped_pairs(scored: Measurements, case: Case, problem: FitProblem) -> list[ScorePair]:
+    """Pairs of fit and score; with ``swap`` both also change places."""
+    out = []
+    pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
+    for (fitted, test), (fit_where, score_where) in pairs:
+        fit = fit_job(problem, (fitted.curve,), case.label)
+        role = "fit" if fit_where == score_where else "score"
+        out.append(_pair(test, score_where, fit, fit_where, role))
+    return out
+
+
+def _pair(
+    test: MeasuredTest,
+    score_where: Selection | None,
+    fit: FitJob | None,
+    fit_where: Selection | None = None,
+    role: str = "score",
+) -> ScorePair:
+    scatter = None if test.scatter_N is None else tuple(float(v) for v in test.scatter_N)
+    return ScorePair(_label(score_where), test.curve, fit, role, _label(fit_where), scatter)
+
+
+def _label(where: Selection | None) -> str:
+    if not where:
+        return "all"
+    groups = [[v] if isinstance(v, (str, float, int)) else v for v in where.values()]
+    return " ".join("+".join(map(str, group)) for group in groups)
+
+
+def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> FitJob:
+    """Make a fit and those that give its start values.
+
+    Parameters
+    ----------
+    label : str
+        The case that asks for it, for progress lines.
+    """
+    before = start_problem(problem)
+    start = None if before is None else fit_job(before, measured, label)
+    return FitJob.of(problem, measured, start, label)
+
+
+def _block_in(found: Measurements, block: str | None) -> str | None:
+    return block if found.block is not None else None
+
+
+def anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give the cases of each cell their anchor: the fit of the first case's first direction.
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.
     """
+    jobs = tuple(found)
     groups = [_group(job) if _may_share_a_start(job) else "" for job in jobs]
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
@@ -198,8 +217,9 @@ def anchored(jobs: Sequence[CaseJob]) -> tuple[CaseJob, ...]:
 
 
 def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
-    key = leader.directions[0].fit_key
-    return replace(job, group=group, anchor=key, input_hash=digest([job.input_hash, key]))
+    anchor = leader.directions[0].fit
+    name = digest([job.input_hash, None if anchor is None else anchor.key])
+    return replace(job, group=group, anchor=anchor, input_hash=name)
 
 
 def _group(job: CaseJob) -> str:
@@ -207,16 +227,6 @@ def _group(job: CaseJob) -> str:
 
 
 def _may_share_a_start(job: CaseJob) -> bool:
-    """Whether a prediction may start from the load steps of another specimen's."""
-    return _is_simulated(job) and not Setup.of(job.case.config).has_close_equilibria
-
-
-def _is_simulated(job: CaseJob) -> bool:
-    """Whether every prediction of a case is a solution of its own, all of one depth."""
-    config = job.case.config
-    depths = {float(d.measured.displacement_mm.max()) for d in job.directions}
-    problem = fit_problem(config)
-    asked = (config.get("calibration") or {}).get("method") or "auto"
-    closed = asked == "analytic" and Setup.of(config).is_homogeneous
-    solved = problem.method == "inverse-fem" and problem.shares_scored_problem
-    return len(depths) == 1 and not closed and not solved
+    """Whether predictions, all of one depth, may start from another specimen's load steps."""
+    one_depth = len({pair.depth_mm for pair in job.directions}) == 1
+    return one_depth and job.forward == "simulation" and not job.case.setup.has_close_equilibria

@@ -1,14 +1,15 @@
-"""The jobs of a study: cases and fits, as values that cross to a worker."""
+"""The jobs of a study: its measurements, cases and fits, as values that know what they need."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 from study.canonical import digest
 from study.curve import Curve
+from study.design.cases import case_id
 from study.design.spec import Case, Design
 from study.measurement.conditioning import SORTED
 from study.measurement.measured_test import Measurements
@@ -16,32 +17,43 @@ from study.measurement.reading import read_measurements
 from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
 from study.runner import provenance
-from study.runner.fitting.fit_task import FitProblem
+from study.runner.fitting.fit_task import FitProblem, fit_key
+from study.runner.tables import CalibrationTable, Tables
 from study.setup.setup import known_height_mm
-
-Config = Mapping[str, Any]
 
 #: ends in the name of the file that says how virtual measurements were made
 TRUTH_SUFFIX = ".virtual.json"
 
+#: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
+#: or a solution of its own.
+Forward = Literal["fit", "closed-form", "simulation"]
+
 
 class DataCache:
-    """Measured tests of a study, each specification read once."""
+    """Measured tests of a study.
 
-    def __init__(self, root: Path, tests: Sequence[Config] = ()) -> None:
+    Parameters
+    ----------
+    root : Path
+        Folder of the measured files.
+    tests : sequence of mapping
+        The different specimens, tests and measurements of the study.
+    """
+
+    def __init__(self, root: Path, tests: Sequence[Tables] = ()) -> None:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
 
-    def scored(self, config: Config) -> Measurements | None:
-        """Measurements that a configuration is scored on."""
-        return self._get(config.get("measurements"), config["specimen"], config["test"])
+    def scored(self, tables: Tables) -> Measurements | None:
+        """Measurements that a case is scored on."""
+        return self._get(tables)
 
-    def calibrated(self, config: Config) -> Measurements | None:
+    def calibrated(self, tables: Tables) -> Measurements | None:
         """Measurements that only the calibration uses."""
-        own = (config.get("calibration") or {}).get("problem") or {}
-        if not own or own.get("measurements") == config.get("measurements"):
+        own = CalibrationTable.of(tables).problem
+        if not own or own.get("measurements") == tables.get("measurements"):
             return None
-        return self._get(own.get("measurements"), own["specimen"], own["test"])
+        return self._get(own)
 
     def notes(self) -> tuple[str, ...]:
         """Count what every rule did to the data, each once."""
@@ -51,15 +63,51 @@ class DataCache:
         """Name of each file read and its sha256."""
         return {name: sha for found in self._read.values() for name, sha in found.files.items()}
 
-    def _get(self, spec: Any, specimen: Config, test: Config) -> Measurements | None:
+    def _get(self, tables: Tables) -> Measurements | None:
+        spec = tables.get("measurements")
         if not spec:
             return None
-        height, depth = known_height_mm(specimen), test.get("displacement_mm")
+        height, depth = known_height_mm(tables["specimen"]), tables["test"].get("displacement_mm")
         made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
         key = digest([made.as_dict(), height, depth])
         if key not in self._read:
             self._read[key] = read_measurements(made, self.root, height, depth)
         return self._read[key]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Why a case is computed besides the cells of the design; its record says so.
+
+    Parameters
+    ----------
+    mesh_seed, noise_seed : int, optional
+        Number among the cases that repeat a cell on other meshes, or with resampled residuals.
+    purpose : {"refinement", "input"}, optional
+        What it serves beside the study's own answer.
+    of : str, optional
+        Id of the case that it is compared with.
+    level : int, optional
+        How often the mesh was refined.
+    input : str, optional
+        Key of the input that was moved.
+    """
+
+    mesh_seed: int | None = None
+    noise_seed: int | None = None
+    purpose: Literal["refinement", "input"] | None = None
+    of: str | None = None
+    level: int | None = None
+    input: str | None = None
+
+    @property
+    def predicts(self) -> bool:
+        """Whether its curve is wanted: a fit to resampled residuals has constants alone."""
+        return not self.noise_seed
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data without what does not apply."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -72,36 +120,112 @@ class FitJob:
     key: str
     problem: FitProblem
     measured: tuple[Curve, ...]
-    start: str | None = None
+    start: FitJob | None = None
     label: str = ""
     noise: tuple[int, int] | None = None
+
+    @classmethod
+    def of(
+        cls, problem: FitProblem, measured: tuple[Curve, ...], start: FitJob | None, label: str
+    ) -> FitJob:
+        """Make a fit with the name of its content."""
+        return cls(fit_key(problem, measured), problem, measured, start, label)
+
+    def resampled(self, seed: int, number: int) -> FitJob:
+        """Make the fit to resampled residuals of this one."""
+        key = digest([self.key, "noise", seed, number], 32)
+        return replace(self, key=key, start=self, noise=(seed, number))
+
+    @property
+    def chain(self) -> tuple[FitJob, ...]:
+        """The fits before this one, the first one first, and itself."""
+        return (self,) if self.start is None else (*self.start.chain, self)
+
+
+@dataclass(frozen=True)
+class ScorePair:
+    """What is fitted and what is scored; with ``swap`` a case has two, each other's reverse.
+
+    Parameters
+    ----------
+    label : str
+        Which of the block's curves is scored, for example ``"B"``.
+    measured : Curve
+        The scored curve.
+    fit : FitJob or None
+        The fit that gives the constants; None where they are given.
+    role : str
+        ``"score"``, or ``"fit"`` where the scored curve is the fitted one.
+    fit_label : str
+        Which curve gave the constants.
+    scatter_N : tuple of float or None
+        Standard deviation of the averaged repeats at each point.
+    """
+
+    label: str
+    measured: Curve
+    fit: FitJob | None
+    role: str = "score"
+    fit_label: str = ""
+    scatter_N: tuple[float, ...] | None = None  # noqa: N815
+
+    @property
+    def fit_key(self) -> str | None:
+        """Name of the fit that gives the constants."""
+        return None if self.fit is None else self.fit.key
+
+    @property
+    def depth_mm(self) -> float:
+        """Largest measured displacement."""
+        return float(self.measured.displacement_mm.max())
 
 
 @dataclass(frozen=True)
 class CaseJob:
     """One case and the fits that it needs.
 
-    ``group`` names the cell whose cases share a solution to start from, and ``anchor`` the fit
-    that gives the constants of that one (see :mod:`study.forward.finite_element`).
+    Parameters
+    ----------
+    case : Case
+        The cell in its block.
+    directions : tuple of ScorePair
+        What is fitted and scored.
+    input_hash : str
+        Name of everything that decides the record.
+    forward : str
+        Where the predicted curves come from.
+    origin : Origin
+        Why it is computed besides the cells of the design.
+    group : str
+        Cell whose cases share a solution to start from; empty where none is shared.
+    anchor : FitJob or None
+        The fit that gives the constants of that solution (see
+        :mod:`study.forward.finite_element`).
     """
 
     case: Case
-    directions: tuple[Direction, ...]
+    directions: tuple[ScorePair, ...]
     input_hash: str
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    forward: Forward = "simulation"
+    origin: Origin = field(default_factory=Origin)
     group: str = ""
-    anchor: str | None = None
+    anchor: FitJob | None = None
 
     @property
     def depth_mm(self) -> float:
         """Largest measured displacement of its directions."""
-        return max(float(d.measured.displacement_mm.max()) for d in self.directions)
+        return max(pair.depth_mm for pair in self.directions)
+
+    @property
+    def fits(self) -> tuple[FitJob, ...]:
+        """The fits that it waits for, each once."""
+        found = (self.anchor, *(pair.fit for pair in self.directions))
+        return tuple({fit.key: fit for fit in found if fit is not None}.values())
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Keys of its fits."""
-        keys = (self.anchor, *(d.fit_key for d in self.directions))
-        return tuple(dict.fromkeys(key for key in keys if key))
+        return tuple(fit.key for fit in self.fits)
 
 
 @dataclass(frozen=True)
@@ -114,8 +238,6 @@ class Work:
         The study.
     jobs : tuple of CaseJob
         One for every case, in the order of the design.
-    fits : mapping of str to FitJob
-        Every fit, by key, start fits included.
     responses : mapping of str to str
         Unit of every response that a record holds.
     blocks : tuple of str
@@ -126,10 +248,14 @@ class Work:
 
     design: Design
     jobs: tuple[CaseJob, ...]
-    fits: Mapping[str, FitJob]
     responses: Mapping[str, str]
     blocks: tuple[str, ...]
     data: DataCache
+
+    @property
+    def fits(self) -> dict[str, FitJob]:
+        """Every fit by its key, those that give start values included."""
+        return fits_of(self.jobs)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -154,7 +280,8 @@ class Work:
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""
-        return replace(self, jobs=tuple(job for job in self.jobs if not is_repeat(job.extra)))
+        own = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
+        return replace(self, jobs=tuple(own))
 
     @property
     def input_hashes(self) -> dict[str, str]:
@@ -162,41 +289,24 @@ class Work:
         return {job.case.case_id: job.input_hash for job in self.jobs}
 
 
-@dataclass(frozen=True)
-class Direction:
-    """One way of fitting and scoring; with ``swap`` there are two, each other's reverse.
+def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
+    """Every fit that some cases need, by its key, with those that give start values first."""
+    found: dict[str, FitJob] = {}
+    for job in jobs:
+        for fit in job.fits:
+            for one in fit.chain:
+                found.setdefault(one.key, one)
+    starts = {fit.start.key for fit in found.values() if fit.start is not None}
+    return dict(sorted(found.items(), key=lambda item: item[0] not in starts))
 
-    Parameters
-    ----------
-    label : str
-        Which of the block's curves is scored, for example ``"B"``.
-    fit_label : str
-        Which gave the constants.
-    measured : Curve
-        The scored curve.
-    fit_key : str or None
-        Name of the fit that gives the constants; None where they are given.
-    role : str
-        ``"score"``, or ``"fit"`` where the scored curve is the fitted one.
-    scatter_N : list of float or None
-        Standard deviation of the averaged repeats at each point.
-    """
 
-    label: str
-    measured: Curve
-    fit_key: str | None
-    role: str = "score"
-    fit_label: str = ""
-    scatter_N: Sequence[float] | None = None
+def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:
+    """Copy a case that repeats it in some way; its name is made of the case's and of the way."""
+    config = case.config if tables is None else dict(tables)
+    return replace(case, config=config, case_id=case_id([case.case_id, *way]))
 
-    def payload(self, fit: Mapping[str, Any] | None) -> dict[str, Any]:
-        """Plain values for the worker."""
-        return {
-            "label": self.label,
-            "fit_label": self.fit_label,
-            "role": self.role,
-            "measured": self.measured.as_dict(),
-            "scatter_N": None if self.scatter_N is None else list(self.scatter_N),
-            "fit_key": self.fit_key,
-            "fit": None if fit is None else dict(fit),
-        }
+
+def varied(case: Case, tables: Tables, purpose: str) -> Case:
+    """Copy a case with other tables; its name is made of them and of the purpose."""
+    name = case_id({**tables, "block": case.block, "purpose": purpose})
+    return replace(case, config=dict(tables), case_id=name)

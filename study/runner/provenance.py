@@ -9,11 +9,13 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, cast
+from typing import TypeGuard, cast
 
 import study
+from study.design.sections.cell import Config
 from study.errors import Fault, InputError, MissingDataError, nearest
 from study.measurement.data_root import check_relative, locate
+from study.runner.tables import CalibrationTable, Tables
 from study.setup.geometry import Surface
 from study.setup.setup import problem_of, specimen_of
 
@@ -21,8 +23,8 @@ from study.setup.setup import problem_of, specimen_of
 _TASKS = (
     "study.runner.case",
     "study.runner.fitting.fit_task",
-    "study.runner.residual_bootstrap",
-    "study.runner.numerical.refinement",
+    "study.runner.fitting.residual_bootstrap",
+    "study.runner.numerical.solve_task",
 )
 
 #: Rooms in which imports are followed; reports and statistics may change without a new run.
@@ -124,7 +126,7 @@ def _code_only(source: str) -> str:
     return ast.unparse(tree)
 
 
-def _is_text(node: Any) -> bool:
+def _is_text(node: object) -> bool:
     return (
         isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
@@ -132,7 +134,6 @@ def _is_text(node: Any) -> bool:
     )
 
 
-Config = Mapping[str, Any]
 _WHERE = "specimen.file"
 
 #: depth of a test over the height where the measurements have to give it
@@ -146,7 +147,7 @@ def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(folder.resolve() for folder in found))
 
 
-def located(config: Config, places: Sequence[Path]) -> dict[str, Any]:
+def located(config: Tables, places: Sequence[Path]) -> Config:
     """Copy a configuration with every surface in it found and checked.
 
     Parameters
@@ -161,18 +162,18 @@ def located(config: Config, places: Sequence[Path]) -> dict[str, Any]:
     InputError
         If a file is missing or outside these folders, or its surface cannot be used.
     """
-    found = cast(dict[str, Any], _walked(config, places))
+    found = cast(Config, _walked(config, places))
     for one in found.get("tests") or [found]:
         if _is_surface(one.get("specimen")):
             _check_use(one)
     return found
 
 
-def _is_surface(section: Any) -> bool:
+def _is_surface(section: object) -> TypeGuard[Tables]:
     return isinstance(section, Mapping) and section.get("shape") == "surface"
 
 
-def _walked(value: Any, places: Sequence[Path]) -> Any:
+def _walked(value: object, places: Sequence[Path]) -> object:
     if _is_surface(value):
         return _found(value, places)
     if isinstance(value, Mapping):
@@ -180,7 +181,7 @@ def _walked(value: Any, places: Sequence[Path]) -> Any:
     return [_walked(v, places) for v in value] if isinstance(value, list) else value
 
 
-def _found(section: Config, places: Sequence[Path]) -> dict[str, Any]:
+def _found(section: Tables, places: Sequence[Path]) -> Tables:
     from study.surface.surface import height_of
 
     path = find(str(section["file"]), places)
@@ -215,7 +216,7 @@ def find(name: str, places: Sequence[Path]) -> Path:
     raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
 
 
-def _check_use(config: Config) -> None:
+def _check_use(config: Tables) -> None:
     """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
     from study.fem.checks import check
 
@@ -226,12 +227,12 @@ def _check_use(config: Config) -> None:
     check(problem_of({**config, "material": material}, {"C10": 0.005}, depth))
 
 
-def surface_notes(configs: Sequence[Config]) -> tuple[str, ...]:
+def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
     """List what was mended in the surfaces of some configurations, each once."""
     return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
 
 
-def _notes(config: Config) -> Iterator[str]:
+def _notes(config: Tables) -> Iterator[str]:
     from study.surface.surface import body
 
     if _is_surface(config.get("specimen")):
@@ -240,8 +241,8 @@ def _notes(config: Config) -> Iterator[str]:
             yield from body(made).notes
 
 
-def fingerprints(config: Config) -> list[str]:
+def fingerprints(config: Tables) -> list[str]:
     """Hashes of the surfaces that a configuration uses."""
-    own = (config.get("calibration") or {}).get("problem") or {}
+    own = CalibrationTable.of(config).problem or {}
     sections = [config.get("specimen") or {}, own.get("specimen") or {}]
     return [section["sha256"] for section in sections if section.get("sha256")]

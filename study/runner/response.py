@@ -1,94 +1,241 @@
-"""Responses: one number each from a predicted and a measured curve."""
+"""Responses: one number each, from a predicted and a measured curve or from the constants."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import ClassVar, Protocol
 
 import numpy as np
 
+from study.arrays import Array
 from study.curve import Curve
-from study.design.study_file import RESPONSES, SCORED
+from study.design.study_file import RESPONSES
 from study.material.registry import is_dimensionless
+from study.record.document import Quantity
+
+#: kPa in one MPa: a fit is in MPa, a response in kPa
+KPA = 1000.0
 
 
-def constants_only(extra: Mapping[str, Any]) -> bool:
-    """Whether a case is a fit to resampled noise, which predicts nothing."""
-    return int(extra.get("noise_seed") or 0) > 0
+class Need(Enum):
+    """What a response is computed from."""
+
+    CURVES = "a predicted and a measured curve"
+    CONSTANTS = "the constants of the material"
 
 
-#: unit of every response that comes from curves
-UNITS = {name: RESPONSES[name] for name in SCORED}
+@dataclass(frozen=True)
+class Scored:
+    """One scored curve of a case: all that a response may look at.
+
+    Parameters
+    ----------
+    measured : Curve
+        What was measured.
+    predicted : Curve or None
+        What the model says; None for a fit to resampled residuals, which predicts nothing.
+    constants : mapping of str to float
+        Constants of the material in MPa, exponents plain.
+    mu0 : float or None
+        Initial shear modulus in MPa, where it is known.
+    """
+
+    measured: Curve
+    predicted: Curve | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
+    mu0: float | None = None
 
 
-def rms_force_error(predicted: Curve, measured: Curve) -> float:
-    """Root mean square of the difference in force, N, over the measured points."""
-    return float(np.sqrt(np.mean(_residual(predicted, measured) ** 2)))
+class Response(Protocol):
+    """One number of a scored curve."""
+
+    @property
+    def name(self) -> str:
+        """Key of the study file and of records."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value; empty for a plain number."""
+        ...
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """What it is computed from."""
+        ...
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit."""
+        ...
 
 
-def relative_rms_force_error(predicted: Curve, measured: Curve) -> float:
-    """RMS of the difference over the RMS of the measured force, %.
+class CurveResponse(ABC):
+    """A response that compares a predicted with a measured curve."""
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CURVES})
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit.
+
+        Raises
+        ------
+        ValueError
+            If there is no predicted curve.
+        """
+        if found.predicted is None:
+            raise ValueError(f"{self.name} needs {Need.CURVES.value}")
+        return self.between(found.predicted, found.measured)
+
+    @abstractmethod
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves over the measured points."""
+
+
+class RmsForceError(CurveResponse):
+    """Root mean square of the difference in force over the measured points."""
+
+    name = "rms_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, N."""
+        return float(np.sqrt(np.mean(residual_N(predicted, measured) ** 2)))
+
+
+class RelativeRmsForceError(CurveResponse):
+    """RMS of the difference over the RMS of the measured force.
 
     Examples
     --------
     >>> measured = Curve(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     >>> predicted = Curve(np.array([1.0, 2.0]), np.array([3.3, 4.4]))
-    >>> round(relative_rms_force_error(predicted, measured), 10)
+    >>> round(RelativeRmsForceError().between(predicted, measured), 10)
     10.0
     """
-    scale = float(np.sqrt(np.mean(measured.force_N**2)))
-    return 100 * rms_force_error(predicted, measured) / scale
+
+    name = "relative_rms_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, %."""
+        scale = float(np.sqrt(np.mean(measured.force_N**2)))
+        return 100 * RmsForceError().between(predicted, measured) / scale
 
 
-def peak_force_error(predicted: Curve, measured: Curve) -> float:
-    """Absolute difference of the largest forces, N."""
-    forces = predicted.force_at(measured.displacement_mm)
-    return float(abs(forces.max() - measured.force_N.max()))
+class PeakForceError(CurveResponse):
+    """Absolute difference of the largest forces."""
+
+    name = "peak_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, N."""
+        forces = predicted.force_at(measured.displacement_mm)
+        return float(abs(forces.max() - measured.force_N.max()))
 
 
-def work_error(predicted: Curve, measured: Curve) -> float:
-    """Absolute difference of the work over the measured range, % of the measured work."""
-    d = measured.displacement_mm
-    work = float(np.trapezoid(measured.force_N, d))
-    return 100 * abs(float(np.trapezoid(_residual(predicted, measured), d)) / work)
+class WorkError(CurveResponse):
+    """Absolute difference of the work over the measured range, over the measured work."""
+
+    name = "work_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, %."""
+        d = measured.displacement_mm
+        work = float(np.trapezoid(measured.force_N, d))
+        return 100 * abs(float(np.trapezoid(residual_N(predicted, measured), d)) / work)
 
 
-CURVE_RESPONSES: Mapping[str, Callable[[Curve, Curve], float]] = {
-    "relative_rms_force_error": relative_rms_force_error,
-    "rms_force_error": rms_force_error,
-    "peak_force_error": peak_force_error,
-    "work_error": work_error,
+@dataclass(frozen=True)
+class ConstantResponse:
+    """A constant of the material in kPa; an exponent is a plain number."""
+
+    name: str
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+        return "" if is_dimensionless(self.name) else "kPa"
+
+    def compute(self, found: Scored) -> float:
+        """Value of the constant."""
+        return scale_of(self.name) * float(found.constants[self.name])
+
+
+class InitialShearModulus:
+    """Initial shear modulus of the material."""
+
+    name: ClassVar[str] = "mu0"
+    unit: ClassVar[str] = RESPONSES[name]
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
+
+    def compute(self, found: Scored) -> float:
+        """Value of the modulus, kPa; NaN where it is not known."""
+        return float("nan") if found.mu0 is None else KPA * found.mu0
+
+
+#: responses of a predicted and a measured curve, by name; every record holds them all
+CURVE_RESPONSES: Mapping[str, CurveResponse] = {
+    one.name: one
+    for one in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
 }
 
 
-def constants_in_kPa(fit: Mapping[str, Any]) -> dict[str, tuple[float, str]]:  # noqa: N802
-    """mu0 and every constant of a fit with its unit; exponents stay plain."""
-    out: dict[str, tuple[float, str]] = {}
-    if fit.get("mu0") is not None:
-        out["mu0"] = (1000 * float(fit["mu0"]), "kPa")
-    for name, value in fit.get("values", {}).items():
-        out[name] = (float(value), "") if is_plain(name) else (1000 * float(value), "kPa")
-    return out
+def units_of(asked: Iterable[str]) -> dict[str, str]:
+    """Units of all responses that the records of a study hold, by name.
+
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of the responses that the study asks for; every record also holds those of
+        :data:`CURVE_RESPONSES` and the initial shear modulus.
+    """
+    every: list[Response] = [*CURVE_RESPONSES.values(), InitialShearModulus()]
+    units = {one.name: one.unit for one in every}
+    names = list(asked)
+    constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
+    units |= {one.name: one.unit for one in constants}
+    return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
 
 
-def is_plain(name: str) -> bool:
-    """Whether a constant is an exponent, a number without unit."""
-    return is_dimensionless(name)
+def scale_of(constant: str) -> float:
+    """Factor from MPa to the unit in which a constant is reported; 1 for an exponent."""
+    return 1.0 if is_dimensionless(constant) else KPA
 
 
-def averaged(values: Sequence[Mapping[str, tuple[float, str]]]) -> dict[str, dict[str, Any]]:
+def score(found: Scored) -> dict[str, Quantity]:
+    """Every response that a scored curve has, with its unit."""
+    every: list[Response] = [] if found.predicted is None else list(CURVE_RESPONSES.values())
+    return computed(every, found) | constants_of(found)
+
+
+def constants_of(found: Scored) -> dict[str, Quantity]:
+    """List the initial shear modulus, where it is known, and every constant, with its unit."""
+    known: list[Response] = [] if found.mu0 is None else [InitialShearModulus()]
+    known += [ConstantResponse(name) for name in found.constants]
+    return computed(known, found)
+
+
+def computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity]:
+    """Values of some responses, by name."""
+    return {one.name: {"value": one.compute(found), "unit": one.unit} for one in responses}
+
+
+def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
     """Mean over the directions (fit and score changed places), with units."""
-    out: dict[str, dict[str, Any]] = {}
-    for name in values[0]:
-        numbers = [direction[name][0] for direction in values if name in direction]
-        mean = float(np.mean(numbers))
-        out[name] = {"value": mean if np.isfinite(mean) else None, "unit": values[0][name][1]}
+    out: dict[str, Quantity] = {}
+    for name, first in scores[0].items():
+        numbers = [score[name]["value"] for score in scores if name in score]
+        mean = float(np.mean(np.array(numbers, dtype=float)))
+        out[name] = {"value": mean if np.isfinite(mean) else None, "unit": first["unit"]}
     return out
-
-
-def score(predicted: Curve, measured: Curve) -> dict[str, tuple[float, str]]:
-    """Every response that comes from a pair of curves, with its unit."""
-    return {n: (f(predicted, measured), UNITS[n]) for n, f in CURVE_RESPONSES.items()}
 
 
 def step_uncertainty(predicted: Curve, measured: Curve) -> dict[str, float]:
@@ -105,10 +252,11 @@ def step_uncertainty(predicted: Curve, measured: Curve) -> dict[str, float]:
         return {}
     rough = predicted.every_other_point()
     return {
-        name: abs(response(predicted, measured) - response(rough, measured))
-        for name, response in CURVE_RESPONSES.items()
+        name: abs(one.between(predicted, measured) - one.between(rough, measured))
+        for name, one in CURVE_RESPONSES.items()
     }
 
 
-def _residual(predicted: Curve, measured: Curve) -> np.ndarray[Any, np.dtype[np.float64]]:
+def residual_N(predicted: Curve, measured: Curve) -> Array:  # noqa: N802
+    """Predicted less measured force at the measured points, N, shape (n,)."""
     return predicted.force_at(measured.displacement_mm) - measured.force_N

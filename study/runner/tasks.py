@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from study.execution.loky import Loky
-from study.execution.task import Executor, Perform
-from study.runner import case, residual_bootstrap
-from study.runner.fitting import fit_task
-from study.runner.numerical import refinement
+from study.execution.task import Document, Executor, Perform
+from study.runner import case
+from study.runner.fitting import fit_task, residual_bootstrap
+from study.runner.numerical import solve_task
 from study.runner.virtual import specimens
 
 KINDS: dict[str, Perform] = {
@@ -16,14 +14,14 @@ KINDS: dict[str, Perform] = {
     "fit": fit_task.perform,
     "noise": residual_bootstrap.perform,
     "reference": specimens.perform,
-    "solve": refinement.perform,
+    "solve": solve_task.perform,
     "ping": lambda task: {"status": "converged"},
 }
 
 
-def perform(task: dict[str, Any]) -> dict[str, Any]:
+def perform(task: dict[str, object]) -> Document:
     """Do one task, named by its ``kind``."""
-    return KINDS[task["kind"]](task)
+    return KINDS[str(task["kind"])](task)
 
 
 def processes(jobs: int, timeout_s: float | None = None) -> Executor:

@@ -217,8 +217,11 @@ def test_f22_a_level_that_failed_everywhere_is_bounded_too() -> None:
     ("text", "match"),
     [
         ("a,y\nx,1\nx,2\nx,3\n", "factor 'a': needs at least two levels, got"),
-        ("a,y\n1,1\n 1,2\n2,3\n2,4\n", "row 3, column 'a': the level ' 1' and the level '1'"),
-        ("a,y\nx,1\nx ,2\nz,3\n", "row 3, column 'a': the level 'x ' and the level 'x'"),
+        (
+            "a,y\n1,1\n 1,2\n2,3\n2,4\n",
+            "csv:3: column 'a': the level ' 1' and the level '1'",
+        ),
+        ("a,y\nx,1\nx ,2\nz,3\n", "csv:3: column 'a': the level 'x ' and the level 'x'"),
     ],
 )
 def test_f23_levels_are_checked_with_row_and_column(tmp_path: Path, text: str, match: str) -> None:

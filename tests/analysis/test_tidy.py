@@ -32,22 +32,33 @@ def test_reads_common_shapes(tmp_path: Path, text: str) -> None:
     ("text", "match"),
     [
         (GOOD.replace("a,b", "A,b"), "did you mean 'A'|Valid: A, b, y"),
-        ("", "has no data"),
-        ("a,b,y\n", "has no data"),
-        (GOOD.replace("1.5", "1_0"), "row 2, column 'y': '1_0' is not a finite number"),
-        (GOOD.replace("1.5", "inf"), "is not a finite number"),
-        (GOOD.replace("1.5", "1e400"), "is not a finite number"),
-        (GOOD.replace("1.5", "\u0661"), "is not a finite number"),
-        (GOOD.replace(",", ";").replace("1.5", "1,5"), "write a decimal point"),
-        (GOOD.replace("x,1,1.5", "x,1,1,5"), "has 4 cells, expected 3"),
-        (GOOD.replace("x,1", ",1"), "the level is empty"),
-        (GOOD.replace("z,1", "z, 1"), "differ in blanks alone"),
-        (GOOD.replace("a,b", "b,b"), "occurs twice"),
+        ("", "the file is empty"),
+        ("a,b,y\n", "no row of data"),
+        (GOOD.replace("1.5", "1_0"), "data.csv:2: column 'y': must be a finite number, got '1_0'"),
+        (GOOD.replace("1.5", "inf"), "must be a finite number"),
+        (GOOD.replace("1.5", "1e400"), "must be a finite number"),
+        (GOOD.replace("1.5", "\u0661"), "must be a finite number"),
+        (GOOD.replace(",", ";").replace("1.5", "1,5"), "write --decimal ,"),
+        (GOOD.replace(",", ";").replace("2.5", "2,5"), "(?s)data.csv:3:.* declared: --decimal ,"),
+        (GOOD.replace("x,1,1.5", "x,1,1,5"), "data.csv:2: has 4 cells where the header has 3"),
+        ("\n" + GOOD.replace("z,1", ",1"), "data.csv:5: column 'a': the level is empty"),
+        (GOOD.replace("z,1", "z, 1"), "data.csv:4: .* of line 2 differ in blanks alone"),
+        (GOOD.replace("a,b", "b,b"), "stands 2 times in the header"),
     ],
 )
 def test_bad_files_are_named(tmp_path: Path, text: str, match: str) -> None:
     with pytest.raises(InputError, match=match):
         read_csv(write(tmp_path, text), "y", ["a"], "b")
+
+
+def test_a_decimal_comma_is_read_where_it_is_declared(tmp_path: Path) -> None:
+    text = GOOD.replace(",", ";").replace(".", ",")
+    table = read_csv(write(tmp_path, text), "y", ["a"], "b", decimal=",")
+    assert table["y"].tolist()[:2] == [1.5, 2.5]
+
+
+def test_lines_of_a_spreadsheet_without_a_cell_are_left_out(tmp_path: Path) -> None:
+    assert len(read_csv(write(tmp_path, GOOD + ",,\n,,\n"), "y", ["a"], "b")) == 4
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from study.design.load import loads
 from study.design.spec import Design, Practical, Response
 from study.record.record import Record
 from study.record.table import table
-from study.runner.numerical.study_refinement import fine_uncertainty
+from study.runner.numerical.series_uncertainty import fine_uncertainty
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 NAME = "relative_rms_force_error"

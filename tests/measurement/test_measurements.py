@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from study import tabular
+from study import tabular, text_file
 from study.errors import InputError
 from study.measurement.reading import read_measurements
 from study.measurement.section import MeasurementSpec, Range
@@ -294,7 +294,7 @@ def test_groups_from_the_names_of_files(tmp_path):
 
 
 def test_size_caps(tmp_path, monkeypatch):
-    monkeypatch.setattr(tabular, "MAX_BYTES", 1000)
+    monkeypatch.setattr(text_file, "MAX_BYTES", 1000)
     assert "holds more than" in refusal(tmp_path, LINE + "5,10\n" * 1000)
     assert "holds more than" in refusal(tmp_path, gzip.compress((LINE + "5,10\n" * 1000).encode()))
     monkeypatch.setattr(tabular, "MAX_ROWS", 10)

@@ -8,6 +8,7 @@ import numpy as np
 
 from study.curve import Curve
 from study.measurement.section import MeasurementSpec, Range
+from study.record.document import CurveKey
 from study.record.record import Record
 
 
@@ -31,7 +32,7 @@ def record(case_id: str = "a1", **changes: Any) -> Record:
         "block": "B1",
         "responses": {"error": {"value": 1.25, "unit": "%"}},
         "parameters": {"C10": {"value": 5.0, "unit": "kPa", "ci95": (4.9, 5.1)}},
-        "curves": {"measured:B1": Curve(np.array([1.0, 2.0]), np.array([0.1, 1 / 3]))},
+        "curves": {CurveKey("measured", "B1"): Curve(np.array([1.0, 2.0]), np.array([0.1, 1 / 3]))},
         "timings": {"total": 0.5},
         "mesh": {"dofs": 120},
         "input_hash": "h-" + case_id,

@@ -12,11 +12,14 @@ from hypothesis import strategies as st
 
 from study.curve import Curve
 from study.errors import StoreError
+from study.record.document import CurveKey
 from study.record.record import Record, seal
+from study.record.table import replicate
 from tests.record.samples import record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 names = st.text(min_size=1, max_size=20)
+MEASURED = CurveKey("measured", "p")
 
 
 @given(value=finite, unit=names, force=st.lists(finite, min_size=1, max_size=5), level=names)
@@ -24,12 +27,14 @@ def test_round_trip_is_exact(value, unit, force, level):
     values = np.array(force)
     curve = Curve(np.arange(1.0, len(force) + 1), values, values, {"C10": values})
     one = record(
-        levels={"m": level}, responses={"e": {"value": value, "unit": unit}}, curves={"p": curve}
+        levels={"m": level},
+        responses={"e": {"value": value, "unit": unit}},
+        curves={MEASURED: curve},
     )
     two = Record.from_json(one.to_json())
     assert two == one
     assert two.to_json() == one.to_json()
-    assert two.curves["p"].force_N.tolist() == force
+    assert two.curves[MEASURED].force_N.tolist() == force
     assert two.levels == {"m": level}
 
 
@@ -37,7 +42,7 @@ def test_numbers_that_are_not_finite_become_null_with_a_reason():
     one = record(
         responses={"error": {"value": math.nan, "unit": "%"}},
         timings={"total": math.inf},
-        curves={"p": Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))},
+        curves={MEASURED: Curve(np.array([1.0, 2.0]), np.array([1.0, math.nan]))},
     )
     text = one.to_json()
     assert "NaN" not in text
@@ -47,9 +52,9 @@ def test_numbers_that_are_not_finite_become_null_with_a_reason():
     assert two.extra["not_finite"] == {
         "responses.error.value": "nan",
         "timings.total": "inf",
-        "curves.p.force_N.1": "nan",
+        "curves.measured:p.force_N.1": "nan",
     }
-    assert math.isnan(two.curves["p"].force_N[1])
+    assert math.isnan(two.curves[MEASURED].force_N[1])
     # once read, writing changes nothing any more, and what was lost stays listed
     again = Record.from_json(two.to_json())
     assert again.extra["not_finite"].keys() == two.extra["not_finite"].keys()
@@ -99,9 +104,10 @@ def forged(**changes):
         forged(responses={"e": 3}),
         forged(responses={"e": {"value": "3"}}),
         forged(timings={"total": "long"}),
-        forged(curves={"p": {"displacement_mm": [1]}}),
-        forged(curves={"p": {"displacement_mm": ["x"], "force_N": [1]}}),
-        forged(curves={"p": 3}),
+        forged(curves={"measured:p": {"displacement_mm": [1]}}),
+        forged(curves={"measured:p": {"displacement_mm": ["x"], "force_N": [1]}}),
+        forged(curves={"measured:p": 3}),
+        forged(curves={"p": {"displacement_mm": [1], "force_N": [1]}}),
         forged(block=3),
         forged(more=1),
         seal([1]),
@@ -140,3 +146,34 @@ def test_any_value_in_any_field_is_refused_or_a_valid_record(name, value):
     except StoreError:
         return
     assert Record.from_json(found.to_json()) == found
+
+
+#: a record as an earlier version wrote it, its checksum with it
+STORED = (
+    '{"schema":1,"checksum":"2e6305fe768f2e120168a8b8304ff640a61c0714aa8826b1490498a200592027",'
+    '"content":{"block":"M1","case_id":"a1b2","curves":{"measured:B":{"displacement_mm":[1.0,2.0],'
+    '"force_N":[3.0,7.0]},"predicted:B":{"displacement_mm":[1.0,2.0],"force_N":[3.5,7.5]}},'
+    '"extra":{"directions":[{"fit":"A","responses":{"mu0":{"unit":"kPa","value":10.5}},'
+    '"role":"score","scatter_N":[0.1,0.2],"score":"B"}],"mesh_seed":2},"fit":{"A":{"identifiable":'
+    'true,"key":"f1","method":"inverse-fem","names":["C10"],"values":{"C10":0.00525}}},'
+    '"input_hash":"h1","levels":{"material":"neo-hookean"},"mesh":{"dofs":120,"elements":40,'
+    '"mesh_size_mm":1.5},"message":"","parameters":{"C10":{"ci95":[4.0,6.5],"standard_error":0.5,'
+    '"unit":"kPa","value":5.25}},"responses":{"mu0":{"unit":"kPa","value":10.5},"rms_force_error":'
+    '{"u_steps":0.01,"unit":"N","value":0.25}},"solver":{"name":"pardiso","snaps_mm":[]},"status":'
+    '"converged","study":"small","timings":{"total":2.0},"versions":{"study":"1"}}}\n'
+)
+
+
+def test_a_stored_record_is_read_and_written_as_it_was():
+    found = Record.from_json(STORED)
+    assert found.to_json() == STORED
+    assert found.response("mu0") == 10.5
+    assert found.responses["rms_force_error"]["u_steps"] == 0.01
+    assert found.fits[0]["values"] == {"C10": 0.00525}
+    assert [one["score"] for one in found.scores] == ["B"]
+    measured, predicted = found.pair("B") or pytest.fail("the curves are there")
+    assert (measured.force_N[1], predicted.force_N[1]) == (7.0, 7.5)
+    assert found.first_pair() is not None
+    assert found.pair("A") is None
+    assert replicate(found.extra, "mesh_seed") == 2
+    assert replicate(found.extra, "noise_seed") == 0

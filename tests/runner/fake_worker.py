@@ -51,7 +51,7 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
     return SimpleNamespace(
         status=status, message=message, curve=curve, newton_iterations=(3,) * test.steps,
         dofs=100, elements=10, mesh_hash="fake", mesh_size_mm=size, solver="fake", min_j=0.9,
-        reached_mm=float(d[-1]), energy=EnergyBalance(curve.force_N, 0 * d, 0 * d),
+        reached_mm=float(d[-1]), seconds={}, energy=EnergyBalance(curve.force_N, 0 * d, 0 * d),
     )  # fmt: skip
 
 

@@ -12,6 +12,8 @@ from study.curve import Curve
 from study.forward import closed_form, finite_element
 from study.material.material import Material
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_task import FitTask, fitted
 from study.setup.setup import specimen_of
 
 from .fake_worker import BONDED, solve
@@ -53,11 +55,11 @@ def test_closed_form_recovers_the_constants_of_exact_data(
 ) -> None:
     problem = fit_task.fit_problem(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
-    found = fit_task.perform(fit_task.payload(problem, [curve(model, truth)], None))
-    assert found["status"] == "converged", found["message"]
+    found = fitted(FitTask(problem, (curve(model, truth),)))
+    assert found.status == "converged", found.message
     # V40: noise-free recovery to 1e-10 of an analytic model; RP3 is the worst conditioned
-    assert found["values"] == pytest.approx(truth, rel=1e-7, abs=1e-12)
-    assert found["rss"] == pytest.approx(0.0, abs=1e-12)
+    assert found.constants == pytest.approx(truth, rel=1e-7, abs=1e-12)
+    assert found.fit["rss"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,14 +71,14 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
     problem = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=2))
     before = fit_task.start_problem(problem)
     assert before is not None
-    start = fit_task.perform(fit_task.payload(before, [measured], None))
-    assert start["status"] == "converged"
-    assert start["solves"] <= 3  # the force is linear in C10 at a given Poisson's ratio
-    found = fit_task.perform(fit_task.payload(problem, [measured], start))
-    assert found["status"] == "converged", found["message"]
+    start = fitted(FitTask(before, (measured,)))
+    assert start.status == "converged"
+    assert start.fit["solves"] <= 3  # the force is linear in C10 at a given Poisson's ratio
+    found = fitted(FitTask(problem, (measured,), start))
+    assert found.status == "converged", found.message
     # ten solved steps, interpolated: some 1e-5 of the force
-    assert found["values"] == pytest.approx(truth, rel=2e-3)
-    assert found["start_seconds"] == start["seconds"]
+    assert found.constants == pytest.approx(truth, rel=2e-3)
+    assert found.start_seconds == start.seconds
 
 
 def _size() -> float:
@@ -100,8 +102,8 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
 
     monkeypatch.setattr(finite_element, "solve", stops)
     problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
-    found = fit_task.perform(fit_task.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], None))
-    assert found["status"] == "not-converged"
+    found = fitted(FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
+    assert found.status == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
 
 
@@ -119,21 +121,20 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
     monkeypatch.setattr(finite_element, "solve", lost)
     problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
-    found = fit_task.perform(fit_task.payload(problem, [measured], None))
-    assert found["status"] == "converged", found["message"]
-    assert found["values"] == pytest.approx(truth, rel=2e-3)
+    found = fitted(FitTask(problem, (measured,)))
+    assert found.status == "converged", found.message
+    assert found.constants == pytest.approx(truth, rel=2e-3)
     # every simulation after the first is done twice
-    assert found["solves"] == 2 * found["evaluations"] - 1
+    assert found.fit["solves"] == 2 * found.fit["evaluations"] - 1
 
 
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
     problem = fit_task.fit_problem(config("mooney-rivlin", "bonded"))
-    start = {"status": "crashed", "message": "crashed (signal 9), twice"}
-    found = fit_task.perform(
-        fit_task.payload(problem, [curve("neo-hookean", {"C10": 8e-3})], start)
-    )
-    assert found["status"] == "crashed"
-    assert "the fit that starts it" in found["message"]
+    start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
+    task = FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
+    found = fitted(FitTask.from_json(task.to_json()))
+    assert found.status == "crashed"
+    assert "the fit that starts it" in found.message
 
 
 def test_space_and_elements_do_not_enter_a_closed_form() -> None:
@@ -180,8 +181,4 @@ def test_a_force_that_pulls_is_refused_by_name() -> None:
     base = curve("neo-hookean", {"C10": 8e-3})
     pulling = Curve(base.displacement_mm, -base.force_N)
     with pytest.raises(InputError, match="sign"):
-        fit_task.perform(
-            fit_task.payload(
-                fit_task.fit_problem(config("neo-hookean", "frictionless")), [pulling], None
-            )
-        )
+        fitted(FitTask(fit_task.fit_problem(config("neo-hookean", "frictionless")), (pulling,)))

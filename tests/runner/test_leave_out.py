@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,8 @@ from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
 from study.runner.expansion import expand
-from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_task import FitTask, fitted
 from study.runner.job import Work
 from study.setup.setup import specimen_of
 
@@ -80,10 +80,10 @@ def expanded(folder: Path, kind: str, **text: str) -> Work:
     return expand(load.loads(DESIGN.format(kind=kind, **{**usual, **text})), folder)
 
 
-def constants(work: Work, key: str) -> dict[str, Any]:
+def constants(work: Work, key: str) -> FitResult:
     job = work.fits[key]
-    start = None if job.start is None else constants(work, job.start)
-    return fit_task.perform(fit_task.payload(job.problem, job.measured, start))
+    start = None if job.start is None else constants(work, job.start.key)
+    return fitted(FitTask(job.problem, job.measured, start))
 
 
 def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -> None:
@@ -98,9 +98,9 @@ def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -
     ratios = [float(c.force_N[-1] / direction.measured.force_N[-1]) for c in fitted]
     assert ratios == pytest.approx([1 / 1.2, 0.9 / 1.2])
     found = constants(work, direction.fit_key or "")
-    assert found["status"] == "converged"
-    assert found["n"] == 60
-    assert found["values"] == pytest.approx(
+    assert found.converged
+    assert found.fit["n"] == 60
+    assert found.constants == pytest.approx(
         {"C10": 0.95 * 7e-3, "C20": 0.95e-3},
         abs=3e-6,  # the curve is resampled linearly
     )
@@ -117,12 +117,12 @@ def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) 
     assert direction.fit_label == "all other tests"
     problem = work.fits[direction.fit_key or ""].problem
     assert problem.method == "together"
-    assert [t["specimen"]["height_mm"] for t in problem.config["tests"]] == [30.0, 50.0]
-    assert [t["method"] for t in problem.config["tests"]] == ["closed-form", "closed-form"]
+    assert [t["specimen"]["height_mm"] for t in problem.tables["tests"]] == [30.0, 50.0]
+    assert [t["method"] for t in problem.tables["tests"]] == ["closed-form", "closed-form"]
     found = constants(work, direction.fit_key or "")
-    assert found["status"] == "converged"
+    assert found.converged
     # one force for two heights: 20 % of each, so that the constants lie between both
-    assert 7e-3 < found["values"]["C10"] < 7e-3 * 5 / 3
+    assert 7e-3 < found.constants["C10"] < 7e-3 * 5 / 3
 
 
 @pytest.mark.parametrize(("kind", "block"), [("specimen", ""), ("specimen", BLOCK), ("test", "")])

@@ -10,8 +10,8 @@ import pytest
 from study.design.load import loads_problem
 from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import edge_rules, formal_order
-from study.runner.numerical.refinement import Budget, refine, series_of
-from study.runner.numerical.refinement_store import in_process
+from study.runner.numerical.refinement import refine, solving
+from study.runner.numerical.solver import in_process
 from study.setup.setup import problem_of
 
 PUNCH = """
@@ -53,9 +53,9 @@ def punch_series(
     )  # fmt: skip
     config = loads_problem(text, "punch.toml")
     formal = formal_order(problem_of(config))
-    one = series_of(config, config["converge"])
-    refine([one], in_process, Budget(), lambda s: judgement.outlook(s, formal.order))
-    found = judgement.document(one, formal)
+    one = judgement.series_of(config, config["converge"], formal)
+    refine([one], solving(in_process))
+    found: dict[str, Any] = judgement.judge(one, formal).to_json()
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
     found["kappa"] = [value / unit for value in found["value"]]
     found["u_kappa"] = found["u_num"] / unit

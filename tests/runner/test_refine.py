@@ -8,9 +8,10 @@ import pytest
 
 from study.design.spec import Design
 from study.record.store import Store
-from study.runner.batch import run_batch
+from study.runner.batch import computing, run_batch
 from study.runner.expansion import expand
-from study.runner.numerical import formal_order, study_refinement
+from study.runner.numerical import formal_order, series_uncertainty, study_refinement
+from study.runner.numerical.refinement import refine
 
 from .conftest import fake
 
@@ -39,14 +40,11 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
 def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
     design: Design, one_mix: Path, tmp_path: Path
 ) -> None:
-    work = expand(design, one_mix)
-    finer = study_refinement.refinement_work(work)
-    store = Store(tmp_path / "results")
-    for part in (work, finer):
-        run_batch(part, store, jobs=2, executor=fake(2))
-    records = {r.case_id: r for r in store.read_all()}
-    rows = {r.response: r for r in study_refinement.numerical(work, finer, records, ["mu0"])}
-    row = rows["mu0"]
+    work, store = expand(design, one_mix), Store(tmp_path / "results")
+    run_batch(work, store, jobs=2, executor=fake(2))
+    series = study_refinement.study_series(work, store.by_case(work.input_hashes))
+    refine(series, computing(work, store, jobs=2, executor=fake(2)))
+    row = series[-1].uncertainty("mu0", "kPa")
     # the fake solver is too stiff by 1e-3 of the mesh size: mu0 too low by that share
     size = row.mesh_size[0]
     true_error = row.value * 1e-3 * size if row.value is not None else 0.0
@@ -58,14 +56,16 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
 
 def test_two_meshes_give_a_cautious_bound() -> None:
     # f = 1 + 0.1 h at h = 1, 1/1.5: the error of the coarse one is 0.1
-    u = study_refinement.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
+    u = series_uncertainty.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
     assert u == pytest.approx(3 * 0.1)
 
 
 def test_a_series_without_an_order_takes_three_times_its_range() -> None:
-    behaviour, u = study_refinement.series_uncertainty([1.0, 1.2, 1.1], 1.5)
+    behaviour, u = series_uncertainty.series_uncertainty([1.0, 1.2, 1.1], 1.5)
     assert behaviour == "oscillatory"
     assert u == pytest.approx(3 * 0.2)
     # order 0.1: not in the asymptotic range
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-    assert study_refinement.series_uncertainty(slow, 1.5)[1] == pytest.approx(3 * (slow[-1] - 1.0))
+    assert series_uncertainty.series_uncertainty(slow, 1.5)[1] == pytest.approx(
+        3 * (slow[-1] - 1.0)
+    )

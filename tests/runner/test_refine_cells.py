@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,6 @@ from study.record.store import Store
 from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.numerical import formal_order, input_uncertainty, study_refinement
-from study.runner.numerical.study_refinement import columns
 
 from .conftest import DESIGN, fake
 
@@ -29,7 +29,8 @@ ERROR = 1e-3
 
 def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Path) -> None:
     results = tmp_path / "results"
-    found = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
+    made = measured_cells(design, one_mix, 2, results, lambda _: None, executor=fake())
+    found: dict[str, Any] = made.to_json()
     cells = {tuple(c["levels"].values()): c for c in found["cells"]}
     assert len(cells) == 4
     bonded = cells["neo-hookean", "bonded"]
@@ -50,7 +51,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4
     # of other cases it knows nothing
-    assert numerical.stored_cells(store, {"other": "hash"}) == []
+    assert numerical.stored_numerical(store, {"other": "hash"}) == ()
 
 
 def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
@@ -108,7 +109,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     run_batch(work, store, jobs=2, executor=fake(2))
     run_batch(study_refinement.refinement_work(work), store, jobs=2, executor=fake(2))
     moved = input_uncertainty.input_work(work)
-    assert {job.extra["input"] for job in moved.jobs} == {"specimen.radius"}
+    assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
     run_batch(moved, store, jobs=2, executor=fake(2))
     rows = {tuple(r["levels"].values()): r for r in validation.compared(work, moved, store)}
     assert len(rows) == 4
@@ -161,8 +162,8 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     gone = next(j for j in work.jobs if j.case.levels["plates"] == "bonded")
     records = store.by_case(work.input_hashes)
     del records[gone.case.case_id]
-    series = columns(work)
-    assert len(input_uncertainty.column_shares(series, records)) == 3 * (len(series) - 1)
+    series = study_refinement.own_series(work, records)
+    assert sum(len(one.shares()) for one in series) == 3 * (len(series) - 1)
 
 
 def test_comparison_says_what_is_unknown() -> None:

@@ -18,12 +18,13 @@ from study.record.store import Store
 from study.runner.expansion import expand
 from study.runner.job import Work
 from study.runner.numerical.formal_order import base_size_mm
-from study.runner.numerical.study_refinement import columns, fine_uncertainty, numerical_of_columns
+from study.runner.numerical.series_uncertainty import fine_uncertainty
+from study.runner.numerical.study_refinement import own_series
 from study.runner.virtual.specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import DESIGN, finished
 
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'
-UNITS = {"relative_rms_force_error": "%"}
+RESPONSE = ("relative_rms_force_error", "%")
 
 
 def work_with(meshes: str, home: Path) -> Work:
@@ -50,9 +51,9 @@ def records(work: Work, results: Path) -> dict[str, Record]:
 
 
 def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
-    series = columns(work)
-    assert [len(jobs) for jobs in series] == [3, 3]
-    for jobs in series:
+    series = own_series(work, {})
+    assert [len(one.jobs) for one in series] == [3, 3]
+    for jobs in (one.jobs for one in series):
         assert {job.case.block for job in jobs} == {work.blocks[0]}
         assert len({job.case.levels["material"] for job in jobs}) == 1
         sizes = [base_size_mm(job.case) for job in jobs]
@@ -62,9 +63,10 @@ def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
 def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
     work: Work, records: dict[str, Record]
 ) -> None:
-    rows = numerical_of_columns(columns(work), records, UNITS)
-    assert len(rows) == 2
-    for row, jobs in zip(rows, columns(work), strict=True):
+    series = own_series(work, records)
+    assert len(series) == 2
+    for one in series:
+        row, jobs = one.uncertainty(*RESPONSE), one.jobs
         own = [records[j.case.case_id].response(row.response) for j in jobs]
         assert row.series == tuple(own)
         assert row.value == own[-1]
@@ -76,9 +78,9 @@ def test_uncertainty_is_that_of_the_finest_mesh_of_the_column(
 def test_a_column_without_all_its_meshes_has_no_uncertainty(
     work: Work, records: dict[str, Record]
 ) -> None:
-    series = columns(work)
-    kept = {k: r for k, r in records.items() if k != series[0][1].case.case_id}
-    first, second = numerical_of_columns(series, kept, UNITS)
+    gone = own_series(work, {})[0].jobs[1].case.case_id
+    kept = {k: r for k, r in records.items() if k != gone}
+    first, second = (one.uncertainty(*RESPONSE) for one in own_series(work, kept))
     assert (first.u_num, first.note) == (None, "2 of 3 meshes gave an answer")
     assert second.u_num is not None
 
@@ -111,7 +113,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     first, second = (level.label for level in work.design.factors[0].levels)
     meshes = ("coarse", "medium", "fine")
     apart = [mean(first, level) - mean(second, level) for level in meshes]
-    jobs = columns(work)[0]
+    jobs = own_series(work, records)[0].jobs
     row = next(r for r in study.numerical if r.levels == {"material": first})
     sizes = row.mesh_size[::-1]
 
@@ -140,7 +142,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
 
 
 def test_two_meshes_are_no_column(tmp_path: Path) -> None:
-    assert columns(work_with("", tmp_path)) == []
+    assert own_series(work_with("", tmp_path), {}) == []
 
 
 def test_without_an_order_thrice_the_range_counts() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import pytest
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.api.convergence.cells import problem_cells
 from study.api.convergence.problem import problem
+from study.curve import Curve
 from study.design.load import loads, loads_problem
 from study.errors import InputError
 from study.record.store import Store
-from study.runner.numerical import refinement_store
 from study.runner.numerical.formal_order import clamped_corner, formal_order
 from study.runner.numerical.judgement import within
-from study.runner.numerical.refinement import Budget, perform, solve_task, task_key
+from study.runner.numerical.refinement import Budget
+from study.runner.numerical.solve_task import SolveResult, SolveTask, solved
+from study.runner.numerical.solver import kept
 from study.setup.setup import problem_of
 
 PROBLEM = """
@@ -51,34 +54,31 @@ class Fake:
         self.order, self.error, self.wish = order, error, wish
         self.sizes: list[float] = []
 
-    def __call__(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return [self.one(task) for task in tasks]
+    def __call__(self, tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+        for task in tasks:
+            yield task.key, self.one(task)
 
-    def one(self, task: Mapping[str, Any]) -> dict[str, Any]:
-        config = task["config"]
-        h, steps = config["model"]["mesh_size_mm"], config["test"]["steps"]
-        if steps == 5 and task["looser"] == 1.0:
+    def one(self, task: SolveTask) -> SolveResult:
+        h, steps = task.tables["model"]["mesh_size_mm"], task.tables["test"]["steps"]
+        if steps == 5 and task.looser == 1.0:
             self.sizes.append(h)
         if any(abs(h - bad) < 1e-9 for bad in self.wish.get("fails", ())):
-            return {"status": "not-converged", "message": "stopped at 1 mm of 3 mm"}
+            return SolveResult("not-converged", "stopped at 1 mm of 3 mm")
         d = 3.0 * np.arange(1, steps + 1) / steps
         scale = 10 * (1 + self.error * h**self.order)
-        scale *= 1 + self.wish.get("loose", 1e-9) * (task["looser"] - 1)
+        scale *= 1 + self.wish.get("loose", 1e-9) * (task.looser - 1)
         scale *= 1 + self.wish.get("stepping", 0.0) / steps
-        curve = {
-            "displacement_mm": d.tolist(), "force_N": (scale * d).tolist(),
-            "stiffness_N_per_mm": np.full(steps, scale).tolist(),
-        }  # fmt: skip
+        curve = Curve(d, scale * d, np.full(steps, scale))
         elements = self.wish.get("elements") or round(1e4 / h**2)
-        return {
-            "status": "converged", "message": "", "curve": curve, "elements": elements,
-            "dofs": 3 * elements, "seconds": 1e-3 * elements, "memory_MB": 100 + 0.01 * elements,
-            "base_MB": 100.0,
-        }  # fmt: skip
+        return SolveResult(
+            "converged", curve=curve, elements=elements, dofs=3 * elements,
+            seconds=1e-3 * elements, memory_MB=100 + 0.01 * elements, base_MB=100.0,
+        )  # fmt: skip
 
 
 def converged(fake: Fake, text: str = "", **options: Any) -> dict[str, Any]:
-    return problem(loads_problem(PROBLEM + text, "p.toml"), solve=fake, **options)
+    found = problem(loads_problem(PROBLEM + text, "p.toml"), solve=fake, **options)
+    return dict(found.to_json())
 
 
 def test_three_meshes_give_order_limit_and_interval() -> None:
@@ -195,13 +195,13 @@ def test_one_table_of_mesh_steps_and_tolerance() -> None:
 def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
     first, second = Fake(), Fake()
     config = loads_problem(PROBLEM, "p.toml")
-    one = problem(config, solve=refinement_store.kept(first, Store(tmp_path)))
-    two = problem(config, solve=refinement_store.kept(second, Store(tmp_path)))
+    one = problem(config, solve=kept(first, Store(tmp_path)))
+    two = problem(config, solve=kept(second, Store(tmp_path)))
     assert len(first.sizes) == 3
     assert second.sizes == []
-    assert one == two
+    assert one.to_json() == two.to_json()
     finer = loads_problem(PROBLEM + "levels = 4", "p.toml")
-    problem(finer, solve=refinement_store.kept(second, Store(tmp_path)))
+    problem(finer, solve=kept(second, Store(tmp_path)))
     assert second.sizes == pytest.approx([4 / 1.5**3])
 
 
@@ -212,18 +212,18 @@ def test_a_quantity_that_needs_measurements_is_refused() -> None:
 
 def test_keys_of_solutions_tell_everything_apart() -> None:
     config = loads_problem(PROBLEM, "p.toml")
-    tasks = [solve_task(config, 4), solve_task(config, 3), solve_task(config, 4, more_steps=2),
-             solve_task(config, 4, looser=10)]  # fmt: skip
-    assert len({task_key(t) for t in tasks}) == 4
-    assert task_key(solve_task(config, 4.0)) == task_key(tasks[0])
+    tasks = [SolveTask.of(config, 4), SolveTask.of(config, 3),
+             SolveTask.of(config, 4, more_steps=2), SolveTask.of(config, 4, looser=10)]  # fmt: skip
+    assert len({task.key for task in tasks}) == 4
+    assert SolveTask.of(config, 4.0).key == tasks[0].key
 
 
 def test_one_real_solution() -> None:
-    result = perform(solve_task(loads_problem(PROBLEM, "p.toml"), 6.0))
-    assert result["status"] == "converged"
-    assert result["elements"] > 10
-    assert result["seconds"] > 0
-    assert result["memory_MB"] >= result["base_MB"] > 10
+    result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml"), 6.0))
+    assert result.converged
+    assert result.elements > 10
+    assert result.seconds > 0
+    assert result.memory_MB >= result.base_MB > 10
 
 
 def test_budget_counts_from_its_start() -> None:
@@ -328,19 +328,19 @@ model.element_order = ["linear", "quadratic"]
 class TwoElements(Fake):
     """Quadratic elements: a twentieth of the error, three times the seconds."""
 
-    def one(self, task: Mapping[str, Any]) -> dict[str, Any]:
-        quadratic = task["config"]["model"]["element_order"] == "quadratic"
+    def one(self, task: SolveTask) -> SolveResult:
+        quadratic = task.tables["model"]["element_order"] == "quadratic"
         self.error = 5e-4 if quadratic else 1e-2
         result = super().one(task)
-        return result | {"seconds": result["seconds"] * (3 if quadratic else 1)}
+        return replace(result, seconds=result.seconds * (3 if quadratic else 1))
 
 
 def test_which_element_is_cheapest_for_an_accuracy(tmp_path: Path) -> None:
     fake = TwoElements()
-    found = problem_cells(
+    found: dict[str, Any] = problem_cells(
         loads(CELLS, "elements.toml"), 1, tmp_path, lambda _: None, solve=fake,
         reports=tmp_path / "reports",
-    )  # fmt: skip
+    ).to_json()  # fmt: skip
     assert [cell["settled"] for cell in found["cells"]] == [True, True]
     (front,) = found["fronts"]
     assert front["reference"] == pytest.approx(30, rel=1e-3)

@@ -16,8 +16,8 @@ import pytest
 from study.design.load import loads_problem
 from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import formal_order
-from study.runner.numerical.refinement import Budget, refine, series_of
-from study.runner.numerical.refinement_store import in_process
+from study.runner.numerical.refinement import refine, solving
+from study.runner.numerical.solver import in_process
 from study.setup.setup import problem_of
 from tests.fem.answers import layers
 
@@ -60,11 +60,11 @@ def volume_law(nu: float) -> str:
 def series(text: str) -> dict[str, Any]:
     config = loads_problem(text, "known.toml")
     formal = formal_order(problem_of(config))
-    one = series_of(config, config["converge"])
+    one = judgement.series_of(config, config["converge"], formal)
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
-        refine([one], in_process, Budget(), lambda s: judgement.outlook(s, formal.order))
-    return judgement.document(one, formal)
+        refine([one], solving(in_process))
+    return judgement.judge(one, formal).to_json()
 
 
 def judged(name: str, text: str, truth: float, digits: float, unit: float) -> tuple[Any, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,16 @@ from study.design.load import loads
 from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
+from study.record.document import FitDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.record.table import table
-from study.runner import residual_bootstrap
 from study.runner.batch import run_batch
 from study.runner.cost import Costs
 from study.runner.expansion import expand
-from study.runner.fitting import fit_task
+from study.runner.fitting import fit_task, residual_bootstrap
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_task import FitTask
 from study.runner.job import Work
 from study.runner.numerical.study_refinement import refinement_work
 from study.setup.setup import specimen_of
@@ -101,14 +104,14 @@ def test_another_seed_of_the_study_is_another_noise(noisy) -> None:  # type: ign
 def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
     work = expand(loads(DESIGN + MESHES), one_mix)
     assert len(work.jobs) == len(work.input_hashes) == 4 * 5
-    assert [job.extra["mesh_seed"] for job in work.jobs] == 4 * [1, 2, 3, 4, 5]
+    assert [job.origin.mesh_seed for job in work.jobs] == 4 * [1, 2, 3, 4, 5]
     seeds = {job.case.config["model"]["mesh_seed"] for job in work.jobs}
     assert len(seeds) == 20  # meshes of two cells have nothing to do with each other
     # a fit on a mesh is one of its own, one without a mesh is shared by all
     plates = {f: len({j.needs for j in work.jobs if j.case.levels["plates"] == f})
               for f in ("bonded", "frictionless")}  # fmt: skip
     assert plates == {"bonded": 10, "frictionless": 2}
-    assert [job.extra["mesh_seed"] for job in work.plain().jobs] == 4 * [1]
+    assert [job.origin.mesh_seed for job in work.plain().jobs] == 4 * [1]
     again = expand(loads(DESIGN + MESHES), one_mix)
     assert again.input_hashes == work.input_hashes
 
@@ -116,12 +119,12 @@ def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
 def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_mix: Path) -> None:
     work = expand(loads(DESIGN + MESHES), one_mix)
     finer = refinement_work(work.plain())
-    bases = {job.extra["of"] for job in finer.jobs}
-    assert len(bases) == len({job.extra["of"] for job in refinement_work(
+    bases = {job.origin.of for job in finer.jobs}
+    assert len(bases) == len({job.origin.of for job in refinement_work(
         expand(loads(DESIGN), one_mix)).jobs})  # fmt: skip
     known = {job.case.case_id: job for job in work.jobs}
     for job in finer.jobs:
-        of = known[job.extra["of"]].case.config["model"]
+        of = known[job.origin.of].case.config["model"]
         assert job.case.config["model"]["mesh_seed"] == of["mesh_seed"]
 
 
@@ -133,13 +136,13 @@ def test_too_many_replicates_are_refused(one_mix: Path, monkeypatch: pytest.Monk
 
 def test_a_refit_is_cheap_in_a_plan(one_mix: Path) -> None:
     work, costs = expand(loads(DESIGN + NOISE), one_mix), Costs()
-    again = [costs.case_seconds(job) for job in work.jobs if job.extra.get("noise_seed")]
+    again = [costs.case_seconds(job) for job in work.jobs if job.origin.noise_seed]
     assert max(again) < 0.1
 
 
 def fitted(
     model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
-) -> tuple[fit_task.FitProblem, Curve, dict]:  # type: ignore[type-arg]
+) -> tuple[fit_task.FitProblem, Curve, FitResult]:
     config = {
         "specimen": SPECIMEN,
         "test": {"kind": "compression", "interface": "frictionless", "base": None,
@@ -153,7 +156,19 @@ def fitted(
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
     problem = fit_task.fit_problem(config)
     measured = Curve(DEPTHS, exact + noise_N)
-    return problem, measured, fit_task.perform(fit_task.payload(problem, [measured], None))
+    return problem, measured, fit_task.fitted(FitTask(problem, (measured,)))
+
+
+def refit(task: FitTask) -> FitDocument:
+    found = residual_bootstrap.refitted(task)
+    assert found.converged
+    return found.fit
+
+
+def standard_error(found: FitResult, name: str) -> float:
+    error = found.fit["standard_error"][name]
+    assert error is not None
+    return error
 
 
 @pytest.mark.parametrize(("model", "order"), [("neo-hookean", None), ("reduced-polynomial", 2)])
@@ -161,29 +176,25 @@ def test_the_scatter_of_refits_is_the_standard_error_of_the_fit(
     model: str, order: int | None
 ) -> None:
     problem, measured, base = fitted(model, order, seed=1)
-    task = fit_task.payload(problem, [measured], base)
-    found = [residual_bootstrap.perform({**task, "noise": [2011, k]}) for k in range(1, 121)]
+    found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 121)]
     assert all(f["resampling"][0]["block"] == 1 for f in found)  # independent noise is seen so
-    for name in base["names"]:
+    for name in base.fit["names"]:
         values = np.array([f["values"][name] for f in found])
-        ratio = values.std(ddof=1) / base["standard_error"][name]
+        ratio = values.std(ddof=1) / standard_error(base, name)
         # sd of 120: 1/sqrt(240) = 6.5 %; three of them. Both rest on one residual variance
         assert ratio == pytest.approx(1, abs=0.2)
         # and their mean is the fit: sd/sqrt(120) = 0.09 of a standard error
-        assert abs(values.mean() - base["values"][name]) < 0.27 * base["standard_error"][name]
+        assert abs(values.mean() - base.constants[name]) < 0.27 * standard_error(base, name)
 
 
 def test_cells_fitted_to_one_curve_see_the_same_noise() -> None:
     tasks = []
     for poisson_ratio in (0.4995, 0.49):
         problem, measured, base = fitted("neo-hookean", None, 1, poisson_ratio)
-        tasks.append((fit_task.payload(problem, [measured], base), base))
+        tasks.append((FitTask(problem, (measured,), base), base))
     both = np.array(
         [
-            [
-                residual_bootstrap.perform({**task, "noise": [2011, k]})["mu0"] / base["mu0"]
-                for k in range(1, 31)
-            ]
+            [refit(replace(task, noise=(2011, k)))["mu0"] / base.fit["mu0"] for k in range(1, 31)]
             for task, base in tasks
         ]
     )
@@ -201,12 +212,11 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
         specimen_of(SPECIMEN), Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995), DEPTHS
     ).force_N
     measured = Curve(DEPTHS, exact + 0.02 * drift)
-    base = fit_task.perform(fit_task.payload(problem, [measured], None))
-    task = fit_task.payload(problem, [measured], base)
-    found = [residual_bootstrap.perform({**task, "noise": [2011, k]}) for k in range(1, 101)]
+    base = fit_task.fitted(FitTask(problem, (measured,)))
+    found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 101)]
     block = found[0]["resampling"][0]["block"]
     assert 5 < block <= 30
-    ratio = np.std([f["values"]["C10"] for f in found], ddof=1) / base["standard_error"]["C10"]
+    ratio = np.std([f["values"]["C10"] for f in found], ddof=1) / standard_error(base, "C10")
     # the formula of the fit takes points for independent; for an AR(1) of 0.8 the mean of many
     # scatters by sqrt(1.8 / 0.2) = 3 more, of which blocks of a tenth of the curve see a part
     assert 1.5 < ratio < 3.5
@@ -214,11 +224,11 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
 
 def test_a_fit_that_failed_is_not_resampled() -> None:
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
-    failed = {"status": "not-converged", "message": "too stiff"}
-    task = fit_task.payload(problem, [measured], failed)
-    found = residual_bootstrap.perform({**task, "noise": [2011, 1]})
-    assert found["status"] == "not-converged"
-    assert "too stiff" in found["message"]
+    failed = FitResult.without_answer("not-converged", "too stiff")
+    task = FitTask(problem, (measured,), failed, (2011, 1))
+    found = residual_bootstrap.refitted(FitTask.from_json(task.to_json()))
+    assert found.status == "not-converged"
+    assert "too stiff" in found.message
 
 
 def test_block_length_follows_the_correlation() -> None:

@@ -67,10 +67,10 @@ def _fit(work: Work, way: str, block: str) -> Fit:
 def _done(work: Work, job: FitJob) -> Fit:
     start = None if job.start is None else _done(work, work.fits[job.start]).constants()
     problem = job.problem
-    names, first = fit_task.start_values(problem.config, job.measured, start)
+    names, first = fit_task.start_values(problem.tables, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
     found = staged_fit(
-        [Part(problem.method, problem.config, data)], names, first, fit_task.model
+        [Part(problem.method, problem.tables, data)], names, first, fit_task.model
     ).fit
     assert found.converged, found.message
     return found

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
+from study.design.study_file import RESPONSES, SCORED
 from study.runner import response
+from study.runner.response import Scored
 
 D = np.linspace(0.0, 2.0, 201)
 MEASURED = Curve(D, 10 * D)
@@ -15,19 +17,38 @@ MEASURED = Curve(D, 10 * D)
 @pytest.mark.parametrize("factor", [1.1, 0.9])
 def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor: float) -> None:
     predicted = Curve(D, factor * MEASURED.force_N)
-    found = response.score(predicted, MEASURED)
-    assert found["relative_rms_force_error"] == (pytest.approx(10.0), "%")
-    assert found["work_error"] == (pytest.approx(10.0), "%")
-    assert found["peak_force_error"] == (pytest.approx(2.0), "N")
+    found = response.score(Scored(MEASURED, predicted))
+    assert found["relative_rms_force_error"] == {"value": pytest.approx(10.0), "unit": "%"}
+    assert found["work_error"] == {"value": pytest.approx(10.0), "unit": "%"}
+    assert found["peak_force_error"] == {"value": pytest.approx(2.0), "unit": "N"}
     # RMS of d on [0, 2] is 2/sqrt(3), up to the grid's 1e-4
-    assert found["rms_force_error"][0] == pytest.approx(2 / np.sqrt(3), rel=5e-3)
+    assert found["rms_force_error"]["value"] == pytest.approx(2 / np.sqrt(3), rel=5e-3)
 
 
 def test_constants_are_reported_in_kpa_and_exponents_plain() -> None:
-    found = response.constants_in_kPa({"mu0": 0.01, "values": {"mu1": 0.01, "alpha1": 2.0}})
-    assert found == {"mu0": (10.0, "kPa"), "mu1": (10.0, "kPa"), "alpha1": (2.0, "")}
+    found = response.constants_of(Scored(MEASURED, None, {"mu1": 0.01, "alpha1": 2.0}, 0.01))
+    assert found == {
+        "mu0": {"value": 10.0, "unit": "kPa"},
+        "mu1": {"value": 10.0, "unit": "kPa"},
+        "alpha1": {"value": 2.0, "unit": ""},
+    }
+
+
+def test_every_response_of_the_study_file_is_one_of_these() -> None:
+    known = {*response.CURVE_RESPONSES, response.InitialShearModulus().name, "seconds"}
+    assert known == set(RESPONSES)
+    assert set(response.CURVE_RESPONSES) == set(SCORED)
+    assert response.units_of(["C10", "alpha1"])["alpha1"] == ""
+    assert response.units_of(["seconds"])["seconds"] == "s"
+
+
+def test_a_curve_response_without_a_prediction_is_a_mistake() -> None:
+    with pytest.raises(ValueError, match="needs a predicted and a measured curve"):
+        response.WorkError().compute(Scored(MEASURED))
 
 
 def test_directions_are_averaged() -> None:
-    found = response.averaged([{"mu0": (10.0, "kPa")}, {"mu0": (12.0, "kPa")}])
+    found = response.averaged(
+        [{"mu0": {"value": 10.0, "unit": "kPa"}}, {"mu0": {"value": 12.0, "unit": "kPa"}}]
+    )
     assert found == {"mu0": {"value": 11.0, "unit": "kPa"}}

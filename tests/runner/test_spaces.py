@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 
 from study.api.planning.plan import plan
 from study.api.uncertainty.credibility import checks_of_spaces, compare_spaces
+from study.curve import Curve
 from study.design.load import loads
 from study.record.record import Record
 from study.record.store import Store
@@ -17,7 +19,8 @@ from study.runner.batch import Progress
 from study.runner.cost import Costs
 from study.runner.expansion import expand
 from study.runner.job import Work
-from study.runner.numerical.refinement_store import in_process, kept
+from study.runner.numerical.solve_task import SolveResult, solutions
+from study.runner.numerical.solver import in_process, kept
 from study.runner.numerical.space_comparison import compared, pairs, upcoming
 from study.runner.numerical.study_refinement import refinement_work
 from study.runner.virtual.specimens import usual_generator, write_virtual
@@ -97,7 +100,7 @@ def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
     (pair,) = pairs(work, records)
     assert pair.levels == {}
     for task, space in zip(pair.tasks, ("axisymmetric", "3d"), strict=True):
-        config = task["config"]
+        config = task.tables
         assert config["model"]["space"] == space
         assert config["specimen"]["radius_mm"] == pytest.approx(24 / 3.141592653589793**0.5)
         assert config["test"]["displacement_mm"] == pytest.approx(1.0, rel=0.05)
@@ -124,10 +127,12 @@ def test_the_control_says_how_far_it_is_and_is_solved_once(
 
 def test_both_spaces_are_solved_and_compared(work: Work, records: dict[str, Record]) -> None:
     (pair,) = pairs(work, records)
-    row = compared(pair, in_process(pair.tasks))
-    assert row["unknowns"][1] > row["unknowns"][0]
-    assert abs(row["at_end"]) <= abs(row["largest"]) < 0.05
-    (check,) = checks_of_spaces((row,))
+    row = compared(pair, *solutions(in_process, pair.tasks))
+    assert row.unknowns[1] > row.unknowns[0]
+    assert row.at_end is not None
+    assert row.largest is not None
+    assert abs(row.at_end) <= abs(row.largest) < 0.05
+    (check,) = checks_of_spaces((asdict(row),))
     assert "1 mm" in check.finding
     assert check.outcome in ("pass", "caution")
 
@@ -136,20 +141,18 @@ def test_each_space_may_have_load_steps_of_its_own(work: Work, records: dict[str
     """Steps are added where a curve bends, and two spaces bend at different places."""
     (pair,) = pairs(work, records)
 
-    def solution(d: list[float], stiffer: float) -> dict[str, Any]:
-        curve = {"displacement_mm": d, "force_N": [stiffer * v for v in d]}
-        return {"status": "converged", "dofs": 9, "curve": curve}
+    def solution(d: list[float], stiffer: float) -> SolveResult:
+        return SolveResult("converged", curve=Curve(np.array(d), stiffer * np.array(d)), dofs=9)
 
-    row = compared(pair, [solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02)])
-    assert row["at_end"] == pytest.approx(0.02)
-    assert row["largest"] == pytest.approx(0.02)
+    row = compared(pair, solution([0.5, 1.0], 1.0), solution([0.5, 0.75, 1.0], 1.02))
+    assert row.at_end == pytest.approx(0.02)
+    assert row.largest == pytest.approx(0.02)
 
 
 def test_a_solution_that_failed_is_said(work: Work, records: dict[str, Record]) -> None:
     (pair,) = pairs(work, records)
-    bad = {"status": "not-converged", "message": "stopped at 0.4 mm", "dofs": 7}
-    row = compared(pair, [bad, bad])
-    (check,) = checks_of_spaces((row,))
+    bad = SolveResult("not-converged", "stopped at 0.4 mm", dofs=7)
+    (check,) = checks_of_spaces((asdict(compared(pair, bad, bad)),))
     assert check.outcome == "caution"
     assert "stopped at 0.4 mm" in check.finding
 
@@ -180,7 +183,7 @@ def test_a_plan_counts_what_is_still_to_be_solved(
 
     assert plan(work.design, data=home, results=results).controls == 2
     (pair,) = pairs(work, records)
-    kept(in_process, Store(results / "slab"))(pair.tasks[:1])
+    list(kept(in_process, Store(results / "slab"))(pair.tasks[:1]))
     assert plan(work.design, data=home, results=results).controls == 1
 
 

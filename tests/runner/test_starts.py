@@ -15,6 +15,7 @@ from study.curve import Curve
 from study.design.load import load
 from study.runner import expansion
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.staged_fit import Checkpoint, Part, Staged, staged_fit
 from study.runner.fitting.starts import gentler
 from study.runner.job import Work
@@ -174,16 +175,16 @@ def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) ->
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
     work = expansion.expand(load(DESIGN), data_dir)
     solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
-    assert solid["status"] == "converged", solid["message"]
-    assert "was begun with the higher constants halved" in solid["message"]
+    assert solid.status == "converged", solid.message
+    assert "was begun with the higher constants halved" in solid.message
     # the equivalent axisymmetric fit of the same curve: C10 to 0.1 %, and the same fit of it
-    assert solid["values"]["C10"] == pytest.approx(round_["values"]["C10"], rel=2e-3)
-    assert solid["values"]["C20"] == pytest.approx(round_["values"]["C20"], rel=0.1)
-    assert solid["values"]["C30"] == pytest.approx(round_["values"]["C30"], rel=0.2)
-    assert solid["rss"] == pytest.approx(round_["rss"], rel=0.05)
+    assert solid.constants["C10"] == pytest.approx(round_.constants["C10"], rel=2e-3)
+    assert solid.constants["C20"] == pytest.approx(round_.constants["C20"], rel=0.1)
+    assert solid.constants["C30"] == pytest.approx(round_.constants["C30"], rel=0.2)
+    assert solid.fit["rss"] == pytest.approx(round_.fit["rss"], rel=0.05)
 
 
-def _third_order_fit(work: Work, space: str) -> dict[str, Any]:
+def _third_order_fit(work: Work, space: str) -> FitResult:
     wanted = {"material": "reduced-polynomial-3", "plates": "bonded", "model.space": space,
               "model.element_order": "quadratic"}  # fmt: skip
     (job,) = (j for j in work.jobs
@@ -193,7 +194,7 @@ def _third_order_fit(work: Work, space: str) -> dict[str, Any]:
     return _performed(work, key)
 
 
-def _performed(work: Work, key: str) -> dict[str, Any]:
+def _performed(work: Work, key: str) -> FitResult:
     job = work.fits[key]
-    start = None if job.start is None else _performed(work, job.start)
-    return fit_task.perform(fit_task.payload(job.problem, job.measured, start))
+    start = None if job.start is None else _performed(work, job.start.key)
+    return fit_task.fitted(fit_task.FitTask(job.problem, job.measured, start))

@@ -167,4 +167,4 @@ def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     assert config["specimen"]["height_mm"] == pytest.approx(6)
     part = cheaper(Part("inverse-fem", {**config, "model": {"space": "3d", "mesh": "fine"}}, ()))
     assert part is not None
-    assert part.config["model"] == {"space": "3d", "mesh": "coarse"}
+    assert part.tables["model"] == {"space": "3d", "mesh": "coarse"}

@@ -262,8 +262,10 @@ def test_its_scores_are_those_of_the_definitions() -> None:
     d = np.sort(rng.uniform(0.1, 3, 40))
     known, force = d**1.5 + rng.normal(0, 0.05, 40), d**1.4
     found = recompute_forward.scores(force, np.array([d, known]))
-    for name, function in CURVE_RESPONSES.items():
-        assert found[name] == pytest.approx(function(Curve(d, force), Curve(d, known)), rel=1e-12)
+    for name, one in CURVE_RESPONSES.items():
+        assert found[name] == pytest.approx(
+            one.between(Curve(d, force), Curve(d, known)), rel=1e-12
+        )
 
 
 @pytest.mark.parametrize("monotone", [False, True])

@@ -2,35 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from study.analysis.convergence.work_precision import CostPoint, cost_to_accuracy, reference_value
+from study.analysis.convergence.work_precision import (
+    CostPoint,
+    CostToAccuracy,
+    cost_to_accuracy,
+    reference_value,
+)
 from study.api.convergence.page import write_page
+from study.api.convergence.result import CostFront, DesignConvergence, FrontPoint, RankedCell
 from study.api.folders import data_root
+from study.api.uncertainty.credibility import uncertainties
 from study.canonical import digest
 from study.design.cases import case_id, treatments
 from study.design.load import load
 from study.execution.task import Executor
 from study.record.store import Store
 from study.runner import provenance
-from study.runner.batch import default_jobs, run_batch
+from study.runner.batch import Progress as RunProgress
+from study.runner.batch import computing, default_jobs
 from study.runner.cost import Costs
 from study.runner.expansion import expand
-from study.runner.numerical import curve_quantities, judgement, study_refinement
+from study.runner.numerical import curve_quantities, study_refinement
 from study.runner.numerical.curve_quantities import QUANTITIES
 from study.runner.numerical.formal_order import formal_order
-from study.runner.numerical.input_uncertainty import with_sources
-from study.runner.numerical.judgement import documents
-from study.runner.numerical.refinement import budget_of, refine, series_of
-from study.runner.numerical.refinement_store import kept_by_workers, store_of
+from study.runner.numerical.judgement import SeriesJudgement, judge, series_of, with_sources
+from study.runner.numerical.refinement import Series, budget_of, refine, solving
+from study.runner.numerical.solver import by_workers, kept, store_of
+from study.runner.tables import Tables
 from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
     from study.design.spec import Design
     from study.runner.job import CaseJob, Work
-    from study.runner.numerical.refinement import Series, Solver
+    from study.runner.numerical.solve_task import Solver
 
 Progress = Callable[[str], None]
 
@@ -48,7 +57,7 @@ def design_series(
     progress: Progress,
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
-) -> dict[str, Any]:
+) -> DesignConvergence:
     """Refine every cell of a design: whole cases where it has measurements, else problems."""
     design = load(source, overrides)
     workers = jobs or default_jobs()
@@ -68,113 +77,113 @@ def problem_cells(
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> dict[str, Any]:
-    """Series of every cell of a design without measurements, and what each accuracy costs."""
+) -> DesignConvergence:
+    """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
     curve_quantities.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
-    cells = [
-        series_of(provenance.located(t.config, places), spec, levels_of=dict(t.levels))
-        for t in treatments(design)
-    ]
-    formal = {id(one): formal_order(problem_of(one.config)) for one in cells}
-    solver = solve or kept_by_workers(jobs, store_of(results, design.name))
     budget = budget_of(spec.budget_s, memory_MB)
-    refine(
-        cells,
-        solver,
-        budget,
-        lambda one: judgement.outlook(one, formal[id(one)].order),
-        progress,
-    )
-    documents = [judgement.document(one, formal[id(one)]) for one in cells]
-    progress("load steps and solver tolerance")
-    documents = [
-        with_sources(made, one, solver) if made["quantities"] else made
-        for made, one in zip(documents, cells, strict=True)
+    tables = [provenance.located(t.config, places) for t in treatments(design)]
+    formal = [formal_order(problem_of(one)) for one in tables]
+    cells = [
+        series_of(one, spec, order, budget, dict(treatment.levels))
+        for one, order, treatment in zip(tables, formal, treatments(design), strict=True)
     ]
-    found = {"cells": documents}
-    found |= cost_front(cells, documents, spec.tolerance or USUAL_ACCURACY)
-    return _with_page(found, design, [one.config for one in cells], reports)
+    solver = solve or kept(by_workers(jobs), store_of(results, design.name))
+    refine(cells, solving(solver, progress))
+    judged = [judge(one, order) for one, order in zip(cells, formal, strict=True)]
+    progress("load steps and solver tolerance")
+    judged = [
+        with_sources(found, one, solver) if found.quantities else found
+        for found, one in zip(judged, cells, strict=True)
+    ]
+    fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
+    found = DesignConvergence(tuple(judged), tuple(fronts))
+    return _with_page(found, design, tables, reports)
 
 
 def _with_page(
-    found: dict[str, Any],
-    design: Design,
-    configs: Sequence[Mapping[str, Any]],
-    reports: Path | None,
-) -> dict[str, Any]:
+    found: DesignConvergence, design: Design, tables: Sequence[Tables], reports: Path | None
+) -> DesignConvergence:
     if reports is None:
         return found
+    page = write_page(design.name, design.question, found, tables, reports)
+    return replace(found, report=page)
 
-    page = write_page(design.name, design.question, found, configs, reports)
-    return found | {"report": str(page)}
 
-
-def cost_front(
-    cells: Sequence[Series], documents: Sequence[Mapping[str, Any]], accuracy: float
-) -> dict[str, Any]:
+def cost_fronts(
+    cells: Sequence[Series], judged: Sequence[SeriesJudgement], accuracy: float
+) -> list[CostFront]:
     """Error against seconds of every mesh, and which cell reaches the accuracy first.
 
-    The reference is the limit with the smallest uncertainty among the cells that differ in
-    nothing but their discretization.
+    Parameters
+    ----------
+    cells : sequence of Series
+        Refined cells.
+    judged : sequence of SeriesJudgement
+        What is said of each.
+    accuracy : float
+        Wanted relative error.
     """
     groups: dict[str, list[int]] = {}
     for k, one in enumerate(cells):
-        groups.setdefault(_physics(one.config), []).append(k)
-    fronts = []
-    for members in groups.values():
-        value, u = reference_value(
-            [(documents[k]["extrapolated"], documents[k]["u_num"]) for k in members]
-        )
-        if not value:
-            continue
-        points = {_label(cells[k], k): _points(cells[k], documents[k], value) for k in members}
-        ranked = cost_to_accuracy(
-            {name: [CostPoint(p["mesh_size"], p["error"], p["seconds"]) for p in row]
-             for name, row in points.items()},
-            accuracy,
-        )  # fmt: skip
-        fronts.append(
-            {
-                "reference": value,
-                "reference_u": u,
-                "accuracy": accuracy,
-                "points": [{"cell": name, **p} for name, row in points.items() for p in row],
-                "ranking": [
-                    {"cell": r.name, "seconds": r.seconds, "mesh_size": r.mesh_size, "how": r.how}
-                    for r in ranked
-                ],
-                "answer": _answer(ranked, accuracy, u, value),
-            }
-        )
-    return {"fronts": fronts}
+        groups.setdefault(_physics(one.tables), []).append(k)
+    fronts = [
+        _front([(_label(cells[k], k), cells[k], judged[k]) for k in members], accuracy)
+        for members in groups.values()
+    ]
+    return [front for front in fronts if front is not None]
 
 
-def _physics(config: Mapping[str, Any]) -> str:
-    return case_id({k: config.get(k) for k in ("specimen", "test", "material")})
+def _front(
+    members: Sequence[tuple[str, Series, SeriesJudgement]], accuracy: float
+) -> CostFront | None:
+    value, u = reference_value(
+        [(found.main.extrapolated, found.main.u_num) for *_, found in members]
+    )
+    if not value:
+        return None
+    points = {name: _points(name, one, found, value) for name, one, found in members}
+    ranked = cost_to_accuracy(
+        {
+            name: [CostPoint(p.mesh_size, p.error, p.seconds) for p in row]
+            for name, row in points.items()
+        },
+        accuracy,
+    )
+    return CostFront(
+        value,
+        u,
+        accuracy,
+        tuple(point for row in points.values() for point in row),
+        tuple(RankedCell(r.name, r.seconds, r.mesh_size, r.how) for r in ranked),
+        _answer(ranked, accuracy, u, value),
+    )
+
+
+def _physics(tables: Tables) -> str:
+    return case_id({k: tables.get(k) for k in ("specimen", "test", "material")})
 
 
 def _label(one: Series, number: int) -> str:
     return " / ".join(one.levels_of.values()) or f"cell {number + 1}"
 
 
-def _points(one: Series, made: Mapping[str, Any], reference: float) -> list[dict[str, Any]]:
-    function = QUANTITIES[made["qoi"]][0]
+def _points(name: str, one: Series, found: SeriesJudgement, reference: float) -> list[FrontPoint]:
+    function = QUANTITIES[found.main.qoi][0]
     return [
-        {
-            "mesh_size": level.mesh_size_mm,
-            "unknowns": level.dofs,
-            "seconds": level.seconds,
-            "memory_MB": level.memory_MB,
-            "value": function(level.curve),
-            "error": abs(function(level.curve) - reference) / abs(reference),
-        }
+        FrontPoint(
+            name, level.mesh_size_mm, level.result.dofs, level.result.seconds,
+            level.result.memory_MB, value, abs(value - reference) / abs(reference),
+        )
         for level in one.good
-    ]
+        for value in (function(level.curve),)
+    ]  # fmt: skip
 
 
-def _answer(ranked: Sequence[Any], accuracy: float, u: float | None, value: float) -> str:
+def _answer(
+    ranked: Sequence[CostToAccuracy], accuracy: float, u: float | None, value: float
+) -> str:
     reached = [r for r in ranked if r.seconds is not None]
     if not reached:
         return f"no cell gets within {100 * accuracy:g} %"
@@ -203,36 +212,26 @@ def measured_cells(
     *,
     reports: Path | None = None,
     executor: Executor | None = None,
-) -> dict[str, Any]:
+) -> DesignConvergence:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
-    from dataclasses import asdict, replace
-
     whole = expand(design, data)
     work = whole.plain()
     bases, left_out = affordable(work, study_refinement.every_cell(work), jobs)
     store = Store(results / design.name)
-    finer = study_refinement.refinement_work(work, bases)
-    progress(f"{len(bases)} cells, {len(finer.jobs)} refined cases besides")
-    for part in (replace(work, jobs=tuple(bases)), finer):
-        if part.jobs:
-            run_batch(part, store, jobs=jobs, executor=executor, progress=_said(progress))
-    hashes = {**work.input_hashes, **finer.input_hashes}
-    records = store.by_case(hashes)
-    names = [response.name for response in design.responses]
-    rows = study_refinement.numerical(work, finer, records, names, bases) if bases else []
-    stored = {"of": digest(whole.input_hashes), "rows": [asdict(row) for row in rows]}
+    series = study_refinement.every_series(work, bases, {})
+    finer = sum(len(one.jobs) - 1 for one in series)
+    progress(f"{len(bases)} cells, {finer} refined cases besides")
+    compute = computing(work, store, jobs=jobs, executor=executor, progress=_said(progress))
+    refine(series, compute)
+    rows = [asdict(row) for row in uncertainties(work, series)]
     with store.lock():
-        store.write_json("numerical-cells", stored)
-    found = documents(work, bases, finer, records)
-    skipped = [
-        {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
-        for job in left_out
-    ]
-    made = {"cells": found, "left_out": skipped}
-    return _with_page(made, design, [base.case.config for base in bases], reports)
+        store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
+    judged = [one.judge(design.converge, work.responses) for one in series]
+    found = DesignConvergence(tuple(judged), left_out=tuple(left_out))
+    return _with_page(found, design, [base.case.config for base in bases], reports)
 
 
-def _said(progress: Progress) -> Callable[[Any], None]:
+def _said(progress: Progress) -> Callable[[RunProgress], None]:
     return lambda state: progress(f"{state.done}/{state.total}: {state.label}")
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from study.api.convergence.result import DesignConvergence, ProblemConvergence
 from study.arrays import Array
 from study.forward.closed_form import height_and_area
 from study.reporting.output.convergence_page import write_convergence
-from study.runner.numerical.refinement_store import slug
+from study.runner.numerical.judgement import SeriesJudgement
+from study.runner.numerical.solve_task import SolveTask
+from study.runner.numerical.solver import slug
+from study.runner.tables import Tables
 from study.setup.setup import problem_of
 
 #: cells whose coarsest and finest mesh are shown
@@ -25,53 +28,50 @@ _SHAPES = {3: "triangles", 4: "quadrilaterals"}
 def write_page(
     name: str,
     question: str,
-    document: Mapping[str, Any],
-    configs: Sequence[Mapping[str, Any]],
+    found: ProblemConvergence | DesignConvergence,
+    tables: Sequence[Tables],
     reports: Path,
 ) -> Path:
-    """Write the page of a document; a picture that cannot be made costs nothing else.
+    """Write the page of what was found; a picture that cannot be made costs nothing else.
 
     Parameters
     ----------
-    configs : sequence of mapping
-        Resolved problem of every cell of the document.
+    tables : sequence of mapping
+        Resolved problem of every cell.
     """
-    cells = document.get("cells", [document])
-    pictures, window = meshes(cells, configs)
-    return write_convergence(name, question, document, reports / slug(name), pictures, window)
+    pictures, window = meshes(found.cells, tables)
+    folder = reports / slug(name)
+    return write_convergence(name, question, found.to_json(), folder, pictures, window)
 
 
 def meshes(
-    cells: Sequence[Mapping[str, Any]], configs: Sequence[Mapping[str, Any]]
+    cells: Sequence[SeriesJudgement], tables: Sequence[Tables]
 ) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
     """Coarsest and finest plane mesh of cells with different meshes, and the window to see."""
     found: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
-    for cell, config in zip(cells, configs, strict=True):
-        sizes = [m["mesh_size"] for m in cell.get("meshes") or () if m["status"] == "converged"]
-        if config["model"].get("space") == "3d" or not sizes or len(found) >= 2 * SHOWN:
+    for cell, own in zip(cells, tables, strict=True):
+        sizes = [level.mesh_size_mm for level in cell.meshes if level.converged]
+        if own["model"].get("space") == "3d" or not sizes or len(found) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
-            key, picture = _picture(cell, config, float(size))
+            key, picture = _picture(own, size)
             found.setdefault(key, picture)
-        window = near(config) if window is None else window
+        window = near(own) if window is None else window
     return list(found.values()), window
 
 
-def _picture(
-    cell: Mapping[str, Any], config: Mapping[str, Any], size: float
-) -> tuple[str, tuple[str, Array, NDArray[np.int64]]]:
+def _picture(tables: Tables, size: float) -> tuple[str, tuple[str, Array, NDArray[np.int64]]]:
     from study.fem.mesh.mesher import build_mesh
 
-    model = {**config["model"], "mesh": None, "mesh_size_mm": size}
-    mesh = build_mesh(problem_of({**config, "model": model}).setup)
+    mesh = build_mesh(problem_of(SolveTask.of(tables, size).tables).setup)
     label = f"{_SHAPES[mesh.cells.shape[1]]}, {size:.3g} mm, {len(mesh.cells)} elements"
     return mesh.digest(), (label, np.asarray(mesh.points), np.asarray(mesh.cells))
 
 
-def near(config: Mapping[str, Any]) -> Array:
+def near(tables: Tables) -> Array:
     """Corner of the section that matters: under an indenter, or where plate and side meet."""
-    made = problem_of(config)
+    made = problem_of(tables)
     height, area = height_and_area(made.specimen)
     radius = float(np.sqrt(area / np.pi))
     if made.test.indenter is not None:

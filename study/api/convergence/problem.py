@@ -3,29 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.api.convergence.cells import design_series
 from study.api.convergence.page import write_page
+from study.api.convergence.result import ProblemConvergence
 from study.api.folders import RESULTS, data_root
 from study.api.opened_study import open_study
 from study.design.load import file_kind, load_problem
 from study.errors import Fault, InputError
 from study.runner import provenance
-from study.runner.numerical import curve_quantities, judgement
+from study.runner.numerical import curve_quantities
+from study.runner.numerical.case_series import stored_convergence
 from study.runner.numerical.formal_order import FormalOrder
 from study.runner.numerical.formal_order import formal_order as promised
-from study.runner.numerical.input_uncertainty import with_sources
-from study.runner.numerical.judgement import stored_convergence
-from study.runner.numerical.refinement import budget_of, refine, series_of
-from study.runner.numerical.refinement_store import in_process, kept, store_of
+from study.runner.numerical.judgement import judge, series_of, with_sources
+from study.runner.numerical.refinement import budget_of, refine, solving
+from study.runner.numerical.solver import in_process, kept, store_of
+from study.runner.tables import Tables
 from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import ConvergenceResult
-    from study.runner.numerical.refinement import Solver
+    from study.runner.numerical.solve_task import Solver
 
 Progress = Callable[[str], None]
 
@@ -100,15 +103,15 @@ def converge(
         return problem(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
-        )  # fmt: skip
+        ).to_json()  # fmt: skip
 
     return design_series(
         source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
-    )  # fmt: skip
+    ).to_json()  # fmt: skip
 
 
-def stored(source: str | Path, results: Path = RESULTS) -> dict[str, Any]:
+def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     """Judge the series that a finished study keeps.
 
     Raises
@@ -129,7 +132,7 @@ def stored(source: str | Path, results: Path = RESULTS) -> dict[str, Any]:
 
 
 def problem(
-    source: str | Path | Mapping[str, Any],
+    source: str | Path | Tables,
     overrides: Sequence[str] = (),
     formal_order: float | None = None,
     tolerance: float = 0.0,
@@ -139,25 +142,28 @@ def problem(
     progress: Progress = lambda _: None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> dict[str, Any]:
+) -> ProblemConvergence:
     """Refine one problem until its meshes are enough, and study the other errors beside."""
-    config = source
-    if not isinstance(config, Mapping):
-        places = provenance.folders(config, data_root(config))
-        config = provenance.located(load_problem(config, overrides), places)
-    curve_quantities.quantity(config["converge"].qoi)
-    formal = promised(problem_of(config))
+    tables: Tables
+    if isinstance(source, Mapping):
+        tables, name = source, "problem"
+    else:
+        places = provenance.folders(source, data_root(source))
+        tables = provenance.located(load_problem(source, overrides), places)
+        name = Path(source).stem
+    spec = tables["converge"]
+    curve_quantities.quantity(spec.qoi)
+    formal = promised(problem_of(tables))
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
-    name = "problem" if isinstance(source, Mapping) else Path(source).stem
     solver = solve or kept(in_process, store_of(results, name))
-    series = series_of(config, config["converge"])
-    budget = budget_of(config["converge"].budget_s, memory_MB)
-    refine([series], solver, budget, lambda one: judgement.outlook(one, formal.order), progress)
-    made = judgement.document(series, formal, tolerance or None)
-    if made["quantities"]:
+    series = series_of(tables, spec, formal, budget_of(spec.budget_s, memory_MB))
+    refine([series], solving(solver, progress))
+    found = judge(series, formal, tolerance or None)
+    if found.quantities:
         progress("load steps and solver tolerance")
-        made = with_sources(made, series, solver)
-    if reports is not None:
-        made["report"] = str(write_page(name, "", made, [config], reports))
-    return made
+        found = with_sources(found, series, solver)
+    made = ProblemConvergence(found)
+    if reports is None:
+        return made
+    return replace(made, report=write_page(name, "", made, [tables], reports))

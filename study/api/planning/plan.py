@@ -127,7 +127,7 @@ def _counted(
     warnings += [*work.cautions, *_idle_replicates(work)]
     found = store.survey(work.input_hashes)
     todo = missing(work, store)
-    fits = open_fits(work, todo, store)
+    fits = open_fits(todo, store)
     costs = Costs()
     controls = controls_of(work, store)
     seconds = costs.total_seconds(fits, todo, workers)

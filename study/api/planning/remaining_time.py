@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from study.record.store import Store
 from study.runner.batch import missing, open_fits
 from study.runner.cost import Costs
-from study.runner.numerical.refinement_store import is_kept
+from study.runner.numerical.solver import is_kept
 from study.runner.numerical.space_comparison import in_blocks, upcoming
-from study.runner.numerical.study_refinement import columns, refinement_work
+from study.runner.numerical.study_refinement import own_series, refinement_work
 
 if TYPE_CHECKING:
     from study.runner.batch import Progress
@@ -36,11 +36,11 @@ def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
 def refinement_seconds(work: Work, store: Store, workers: int) -> float:
     """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
     plain = work.plain()
-    if columns(plain):
+    if own_series(plain, {}):
         return 0.0
     finer = refinement_work(plain)
     todo = missing(finer, store)
-    return Costs().total_seconds(open_fits(finer, todo, store), todo, workers)
+    return Costs().total_seconds(open_fits(todo, store), todo, workers)
 
 
 def with_time_left(

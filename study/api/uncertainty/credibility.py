@@ -7,20 +7,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from study.analysis.convergence.grid_convergence import Numerical
 from study.reporting.numbers import listing, percent
-from study.runner.batch import Progress, default_jobs, run_batch
+from study.runner.batch import Progress, computing, default_jobs
 from study.runner.cost import Costs
-from study.runner.numerical import space_comparison, study_refinement
-from study.runner.numerical.refinement import task_key
-from study.runner.numerical.refinement_store import is_kept, kept_by_workers
-from study.runner.numerical.study_refinement import columns, numerical_of_columns
+from study.runner.numerical import refinement, space_comparison, study_refinement
+from study.runner.numerical.case_series import CaseSeries
+from study.runner.numerical.solve_task import SolveResult, SolveTask
+from study.runner.numerical.solver import by_workers, is_kept, kept
 from study.study_result.report_data import Check
 
 if TYPE_CHECKING:
     from study.record.store import Store
-    from study.runner.batch import Progress
     from study.runner.job import Work
-    from study.study_result.report_data import Check
 
 
 #: 3D and axisymmetric space on one cylinder may differ by so much
@@ -35,19 +34,17 @@ def refine(
     timeout_s: float | None,
 ) -> None:
     """Compute the refined cases and store what they say of every response."""
-    names = [response.name for response in work.design.responses]
-    hashes, series = dict(work.input_hashes), columns(work)
-    finer = None if series else study_refinement.refinement_work(work)
-    if finer is not None and finer.jobs:
-        run_batch(finer, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
-        hashes |= finer.input_hashes
-    records = store.by_case(hashes)
-    if finer is None:
-        rows = numerical_of_columns(series, records, {n: work.responses[n] for n in names})
-    else:
-        rows = study_refinement.numerical(work, finer, records, names)
+    series = study_refinement.study_series(work, store.by_case(work.input_hashes))
+    compute = computing(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+    refinement.refine(series, compute)
     with store.lock():
-        store.write_json("numerical", [asdict(row) for row in rows])
+        store.write_json("numerical", [asdict(row) for row in uncertainties(work, series)])
+
+
+def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[Numerical]:
+    """Numerical uncertainty of every response that a study asks for, by series."""
+    names = [one.name for one in work.design.responses if one.name != "seconds"]
+    return [one.uncertainty(name, work.responses[name]) for one in series for name in names]
 
 
 def compare_spaces(
@@ -65,15 +62,15 @@ def compare_spaces(
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
     todo = [task for task in tasks if not is_kept(task, store)]
     watch = _Watch(todo, workers, progress or (lambda state: None))
-    solve = kept_by_workers(workers, store, finished=lambda task, _: watch.finished(task))
-    results = solve(tasks)
-    solid, flat = results[: len(pairs)], results[len(pairs) :]
+    found: dict[str, SolveResult] = {}
+    for key, result in kept(by_workers(workers), store)(tasks):
+        found[key] = result
+        watch.finished(key)
     rows = [
-        space_comparison.compared(pair, both)
-        for *both, pair in zip(flat, solid, pairs, strict=True)
+        space_comparison.compared(pair, *(found[task.key] for task in pair.tasks)) for pair in pairs
     ]
     with store.lock():
-        store.write_json("spaces", rows)
+        store.write_json("spaces", [asdict(row) for row in rows])
 
 
 class _Watch:
@@ -81,22 +78,22 @@ class _Watch:
 
     def __init__(
         self,
-        tasks: Sequence[Mapping[str, Any]],
+        tasks: Sequence[SolveTask],
         workers: int,
         progress: Callable[[Progress], None],
     ) -> None:
         costs = Costs()
-        self._key, self._side_by_side = task_key, costs.side_by_side
-        self._left = {task_key(task): costs.solve_seconds(task["config"]) for task in tasks}
+        self._side_by_side = costs.side_by_side
+        self._left = {task.key: costs.solve_seconds(task.tables) for task in tasks}
         self._total, self._workers, self._progress = len(self._left), workers, progress
         self._began = time.monotonic()
         if tasks:
             self._say()
 
-    def finished(self, task: Mapping[str, Any]) -> None:
-        """Say what is left after one more."""
-        self._left.pop(self._key(task), None)
-        self._say()
+    def finished(self, key: str) -> None:
+        """Say what is left after one more; what was stored already was not waited for."""
+        if self._left.pop(key, None) is not None:
+            self._say()
 
     def _say(self) -> None:
         left = self._side_by_side(list(self._left.values()), self._workers)

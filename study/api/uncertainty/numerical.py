@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.analysis.convergence.grid_convergence import Numerical
 from study.analysis.effects.contrast_uncertainty import CellSeries
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
@@ -17,18 +18,24 @@ from study.design.cases import treatments
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.convergence.grid_convergence import Numerical
     from study.design.spec import Design, Treatment
     from study.record.record import Record
     from study.record.store import Store
 
 
-def stored_cells(store: Store, cases: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Numerical uncertainty of every cell as ``study converge`` found it for these very cases."""
+def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[Numerical, ...]:
+    """Numerical uncertainty of a study: as its run found it, and then ``study converge``.
+
+    Parameters
+    ----------
+    cases : mapping of str to str
+        Case ids and input hashes; what ``study converge`` found of others is left out.
+    """
     found = store.read_json("numerical-cells")
-    if not isinstance(found, dict) or found.get("of") != digest(cases):
-        return []
-    return list(found["rows"])
+    rows = store.read_rows("numerical")
+    if isinstance(found, dict) and found.get("of") == digest(cases):
+        rows = [*rows, *found["rows"]]
+    return tuple(Numerical(**row) for row in rows)
 
 
 #: factors whose levels are meshes
@@ -172,11 +179,8 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
 
     On the log scale it counts by its share of the value, as that of the mesh does.
     """
-    found = [
-        (float(entry["u_steps"]), entry["value"])
-        for record in records
-        if record.converged and "u_steps" in (entry := record.responses.get(response, {}))
-    ]
+    entries = [r.responses[response] for r in records if r.converged and response in r.responses]
+    found = [(float(e["u_steps"]), e["value"]) for e in entries if "u_steps" in e]
     if transform != "log":
         return max((u for u, _ in found), default=0.0)
     shares = [u / abs(value) for u, value in found if value]

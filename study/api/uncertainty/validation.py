@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,15 +11,8 @@ from study.analysis.convergence.grid_convergence import compare
 from study.arrays import Array
 from study.runner.batch import run_batch
 from study.runner.numerical import study_refinement
-from study.runner.numerical.input_uncertainty import (
-    column_shares,
-    input_shares,
-    input_work,
-    mesh_shares,
-    physics_of,
-    places_of,
-)
-from study.runner.numerical.study_refinement import columns
+from study.runner.numerical.case_series import PLACES, places_of
+from study.runner.numerical.input_uncertainty import input_shares, input_work, physics_of
 
 if TYPE_CHECKING:
     from study.curve import Curve
@@ -35,7 +28,7 @@ def validate(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Move the uncertain inputs, compare every case, and store the rows as ``validation``.
 
     Parameters
@@ -52,7 +45,7 @@ def validate(
     return rows
 
 
-def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
+def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
     """One row for every case: E and its uncertainty along the curve."""
     records = store.by_case({**work.input_hashes, **moved.input_hashes})
     inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
@@ -62,7 +55,7 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, Any]]:
         if record is None or not record.converged:
             continue
         # where the deformation is the same everywhere no mesh matters
-        share = 0.0 if job.case.setup.is_homogeneous else mesh(job)
+        share = np.zeros(PLACES.size) if job.case.setup.is_homogeneous else mesh(job)
         rows.append(
             _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
         )
@@ -76,17 +69,19 @@ def _mesh_shares(
 
     Where the meshes are a factor nothing was refined, and the study's own cases are the series.
     """
-    series = columns(work)
+    series = study_refinement.own_series(work, records)
     if series:
-        own = column_shares(series, records)
-        of_cell = {_cell(job): own.get(job.case.case_id) for jobs in series for job in jobs}
+        own = {case: share for one in series for case, share in one.shares().items()}
+        of_cell = {_cell(job): own.get(job.case.case_id) for one in series for job in one.jobs}
         return lambda job: of_cell.get(_cell(job))
-    finer, bases = study_refinement.refinement_work(work), study_refinement.chosen(work)
-    known = {**records, **store.by_case(finer.input_hashes)}
-    mesh = mesh_shares(bases, finer, known, work.design.converge.ratio)
-    of_model = {
-        study_refinement.discretization_key(b.case.config): mesh.get(b.case.case_id) for b in bases
-    }
+    series = study_refinement.chosen_series(work, records)
+    hashes = {job.case.case_id: job.input_hash for one in series for job in one.jobs}
+    known = store.by_case(hashes)
+    of_model = {}
+    for one in series:
+        one.records.update(known)
+        share = one.shares().get(one.base.case.case_id)
+        of_model[study_refinement.discretization_key(one.base.case.config)] = share
     return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))
 
 
@@ -96,11 +91,12 @@ def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
 
 
 def _row(
-    record: Record, mesh: Any, inputs: Array | None, uncertainty: Mapping[str, float]
-) -> dict[str, Any]:
-    fact = record.extra["directions"][0]
-    measured = record.curves[f"measured:{fact['score']}"]
-    predicted = record.curves[f"predicted:{fact['score']}"]
+    record: Record, mesh: Array | None, inputs: Array | None, uncertainty: Mapping[str, float]
+) -> dict[str, object]:
+    fact, pair = record.scores[0], record.first_pair()
+    if pair is None:
+        raise ValueError(f"case {record.case_id} has an answer and no curve")
+    measured, predicted = pair
     d = places_of(measured)
     force = predicted.force_at(d)
     found = compare(
@@ -114,7 +110,7 @@ def _row(
 
 
 def _data(
-    measured: Curve, d: Array, scatter: Any, uncertainty: Mapping[str, float]
+    measured: Curve, d: Array, scatter: Sequence[float] | None, uncertainty: Mapping[str, float]
 ) -> Array | None:
     """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,6 +41,7 @@ from study.runner.fitting.staged_fit import (
 )
 from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
+from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 from study.setup.setup import known_height_mm
 
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
     from study.calibration.profile_likelihood import Profile
     from study.material.material import Material
 
-Config = Mapping[str, Any]
 
 #: correlation of neighboring residuals from which intervals cannot be trusted
 _ORDERED = 0.5
@@ -59,8 +59,8 @@ _ORDERED = 0.5
 class _Setting:
     """What all fits of one calibration share."""
 
-    config: Config
-    tests: Sequence[Config]
+    config: Tables
+    tests: Sequence[Tables]
     names: tuple[str, ...]
     start: Array
     bounds: Sequence[tuple[float, float]] | None
@@ -76,7 +76,7 @@ class _Setting:
 
 
 def calibrate(
-    config: Config,
+    config: Tables,
     root: Path,
     *,
     progress: Progress | None = None,
@@ -127,17 +127,17 @@ def calibrate(
     return result
 
 
-def _checkpoint(folder: Path | None, config: Config, curves: Sequence[FitCurve]) -> Checkpoint:
+def _checkpoint(folder: Path | None, config: Tables, curves: Sequence[FitCurve]) -> Checkpoint:
     if folder is None:
         return Checkpoint()
     data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
-    problems = [problem_of(test).config for test in config["tests"]]
+    problems = [problem_of(test).tables for test in config["tests"]]
     key = digest([problems, dict(config["calibration"]), data, code_version()], 32)
     return Checkpoint(folder / "calibration.checkpoint.json", key)
 
 
 def _setting(
-    config: Config, curves: Sequence[FitCurve], progress: Progress | None, checkpoint: Checkpoint
+    config: Tables, curves: Sequence[FitCurve], progress: Progress | None, checkpoint: Checkpoint
 ) -> _Setting:
     tests = config["tests"]
     names, start = _start(tests, curves, progress, checkpoint)
@@ -158,7 +158,7 @@ def _setting(
 
 
 def _start(
-    tests: Sequence[Config],
+    tests: Sequence[Tables],
     curves: Sequence[FitCurve],
     progress: Progress | None,
     checkpoint: Checkpoint,
@@ -176,9 +176,9 @@ def _start(
     measured = [m.curve for m in part.measured]
     constants: dict[str, float] | None = None
     for before in _simpler(problem):
-        names, first = fit_task.start_values(before.config, measured, constants)
-        own = replace(part, config=before.config)
-        stage = f"start ({before.config['material']['model']}, {len(names)} constants)"
+        names, first = fit_task.start_values(before.tables, measured, constants)
+        own = replace(part, tables=before.tables)
+        stage = f"start ({before.tables['material']['model']}, {len(names)} constants)"
         found = begun_stage(
             stage,
             [cheaper(own) or own],
@@ -193,7 +193,7 @@ def _start(
             message = f"the {stage} did not converge: {found.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
         constants = found.constants()
-    return fit_task.start_values(problem.config, measured, constants)
+    return fit_task.start_values(problem.tables, measured, constants)
 
 
 def _simpler(problem: fit_task.FitProblem) -> list[fit_task.FitProblem]:
@@ -207,7 +207,7 @@ def _simpler(problem: fit_task.FitProblem) -> list[fit_task.FitProblem]:
 
 
 def _splits(
-    config: Config, curves: Sequence[FitCurve]
+    config: Tables, curves: Sequence[FitCurve]
 ) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
     """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
     asked = config["calibration"]
@@ -241,7 +241,7 @@ def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> t
 def _predicted(setting: _Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
     (part,) = parts_of(setting.tests, [curve])
     try:
-        model = fit_task.model(part.method, part.config, [curve.measured.curve], setting.names)
+        model = fit_task.model(part.method, part.tables, [curve.measured.curve], setting.names)
         return model(found.values)[0], ""
     except EvaluationFailed as error:
         return None, str(error)
@@ -257,7 +257,7 @@ def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None
 def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
     parts = parts_of(setting.tests, in_order(curves))
     models = [
-        fit_task.model(p.method, p.config, [m.curve for m in p.measured], setting.names)
+        fit_task.model(p.method, p.tables, [m.curve for m in p.measured], setting.names)
         for p in parts
     ]
 
@@ -328,7 +328,7 @@ def _plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
 
 
 def _stability(
-    tests: Sequence[Config], curves: Sequence[FitCurve], material: Material
+    tests: Sequence[Tables], curves: Sequence[FitCurve], material: Material
 ) -> tuple[bool, str]:
     """Drucker's criterion over the compressions that were fitted, else over the usual range."""
     strains = [

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from study.measurement.measured_test import MeasuredTest, Measurements
 from study.measurement.reading import read_measurements
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
+from study.runner.tables import Tables
 from study.setup.setup import known_height_mm
 
-Config = Mapping[str, Any]
 Role = Literal["fit", "held-out"]
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
@@ -72,7 +72,7 @@ class FitCurve:
         return Repeated(self.residual(predicted), scatter, self.measured.n_repeats)
 
 
-def read_tests(tests: Sequence[Config], root: Path) -> tuple[list[FitCurve], tuple[str, ...]]:
+def read_tests(tests: Sequence[Tables], root: Path) -> tuple[list[FitCurve], tuple[str, ...]]:
     """Read the curves of every test; notes say what was done to the rows.
 
     Raises
@@ -93,13 +93,13 @@ def read_tests(tests: Sequence[Config], root: Path) -> tuple[list[FitCurve], tup
     return curves, tuple(dict.fromkeys(notes))
 
 
-def _read(test: Config, root: Path) -> Measurements:
+def _read(test: Tables, root: Path) -> Measurements:
     height = known_height_mm(test["specimen"])
     depth = test["test"].get("displacement_mm")
     return read_measurements(test["measurements"], root, height, depth)
 
 
-def _weight(asked: Any, one: MeasuredTest, where: str) -> float | Array:
+def _weight(asked: str | float, one: MeasuredTest, where: str) -> float | Array:
     """Weight of a curve: a number, or one over the standard error of the mean of its repeats."""
     if asked == "equal":
         return 1.0
@@ -113,12 +113,12 @@ def _weight(asked: Any, one: MeasuredTest, where: str) -> float | Array:
     return np.asarray(np.sqrt(one.n_repeats) / np.maximum(one.scatter_N, floor))
 
 
-def problem_of(test: Config) -> fit_task.FitProblem:
+def problem_of(test: Tables) -> fit_task.FitProblem:
     """Fit problem of one ``[[tests]]`` table."""
     return fit_task.fit_problem({**test, "calibration": {"method": "auto"}})
 
 
-def parts_of(tests: Sequence[Config], curves: Sequence[FitCurve]) -> list[Part]:
+def parts_of(tests: Sequence[Tables], curves: Sequence[FitCurve]) -> list[Part]:
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
     for number, test in enumerate(tests):
@@ -126,7 +126,7 @@ def parts_of(tests: Sequence[Config], curves: Sequence[FitCurve]) -> list[Part]:
         if own:
             problem = problem_of(test)
             measured = tuple(MeasuredCurve(c.label, c.measured.curve, c.weight, "fit") for c in own)
-            parts.append(Part(problem.method, problem.config, measured))
+            parts.append(Part(problem.method, problem.tables, measured))
     return parts
 
 

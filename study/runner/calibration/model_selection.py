@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, cast
 
 from study.calibration.lack_of_fit import akaike_weights
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
-from study.measurement.measured_test import MeasuredTest, Measurements
+from study.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.record.record import plain
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.fit_task import FitProblem, fit_problem, together
 from study.runner.fitting.staged_fit import Progress
+from study.runner.job import DataCache
+from study.runner.tables import Tables
 
 if TYPE_CHECKING:
     from study.design.spec import Case
-
-Config = Mapping[str, Any]
 
 #: energies compared: name, order, label
 CANDIDATES = (
@@ -67,7 +67,7 @@ class EnergyChoice:
             return f"{said}, but its constants are not identifiable: {found.fit.reason}"
         return f"{said}; it compares energies on these data only, not the constants' truth"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Table of the energies."""
         best = min((f.fit.aicc for f in self.fits.values()), default=0.0)
 
@@ -97,11 +97,10 @@ class EnergyChoice:
             ],
             "failures": dict(self.failures),
         }
-        made: dict[str, Any] = plain(content, "energies", {})
-        return made
+        return cast("dict[str, object]", plain(content, "energies", {}))
 
 
-def choose(config: Config, root: Path, *, progress: Progress | None = None) -> EnergyChoice:
+def choose(config: Tables, root: Path, *, progress: Progress | None = None) -> EnergyChoice:
     """Fit every candidate to the tests of a calibration.
 
     Parameters
@@ -127,24 +126,12 @@ def choose(config: Config, root: Path, *, progress: Progress | None = None) -> E
     return EnergyChoice(found, weights, failures)
 
 
-def _with_energy(config: Config, model: str, order: int | None) -> dict[str, Any]:
+def _with_energy(config: Tables, model: str, order: int | None) -> Tables:
     """Make the same calibration of another energy; start, bounds and extra fits do not carry."""
     material = {**config["material"], "model": model, "order": order, "constants": {}}
     tests = [{**test, "material": material} for test in config["tests"]]
-    plain: dict[str, Any] = {"specimens": "pooled", "leave_out": None, "bounds": {}}
-    return {**config, "material": material, "tests": tests, "calibration": plain}
-
-
-class Data(Protocol):
-    """The measurements of a study."""
-
-    tests: Sequence[Config]
-
-    def scored(self, config: Config) -> Measurements | None:
-        """Measurements that a configuration is scored on."""
-
-    def calibrated(self, config: Config) -> Measurements | None:
-        """Measurements that only the calibration uses."""
+    pooled: Tables = {"specimens": "pooled", "leave_out": None, "bounds": {}}
+    return {**config, "material": material, "tests": tests, "calibration": pooled}
 
 
 @dataclass(frozen=True)
@@ -166,19 +153,19 @@ class LeftOut:
     """
 
     test: MeasuredTest
-    score_where: Mapping[str, Any] | None
+    score_where: Selection | None
     problem: FitProblem
     measured: tuple[Curve, ...]
     label: str
 
 
-def distinct_tests(configs: Sequence[Config]) -> tuple[Config, ...]:
+def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
     found = {_name(config): _sections(config) for config in configs}
     return tuple(found.values())
 
 
-def left_out(case: Case, scored: Measurements, data: Data) -> list[LeftOut]:
+def left_out(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
     """Every scored curve of a case, with the fit to everything else.
 
     Raises
@@ -191,7 +178,7 @@ def left_out(case: Case, scored: Measurements, data: Data) -> list[LeftOut]:
     return [_without_test(case, scored, data)]
 
 
-def _without_specimen(case: Case, scored: Measurements, data: Data) -> list[LeftOut]:
+def _without_specimen(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
     own = data.calibrated(case.config)
     fitted = scored if own is None else own
     others = [block for block in fitted.blocks if block != case.block]
@@ -199,11 +186,8 @@ def _without_specimen(case: Case, scored: Measurements, data: Data) -> list[Left
         rule = "leaves one specimen out, but the measurements have fewer than two blocks"
         mend = "name the column of the specimens in measurements.block"
         raise InputError(Fault("calibration.leave_out", rule, mend))
-    sides = [(scored.fit, scored.score or scored.fit)]
-    if scored.swap:
-        sides.append((sides[0][1], sides[0][0]))
     out = []
-    for fit_where, score_where in sides:
+    for fit_where, score_where in scored.sides:
         where = dict((fit_where if own is None else own.fit) or {})
         curves = tuple(fitted.curve(block, **where).curve for block in others)
         test = scored.curve(case.block, **dict(score_where or {}))
@@ -212,7 +196,7 @@ def _without_specimen(case: Case, scored: Measurements, data: Data) -> list[Left
     return out
 
 
-def _without_test(case: Case, scored: Measurements, data: Data) -> LeftOut:
+def _without_test(case: Case, scored: Measurements, data: DataCache) -> LeftOut:
     own = _name(case.config)
     others = [test for test in data.tests if _name(test) != own]
     if not others:
@@ -232,11 +216,11 @@ def _without_test(case: Case, scored: Measurements, data: Data) -> LeftOut:
     return LeftOut(held, where, problem, tuple(curves), "all other tests")
 
 
-def _sections(config: Config) -> Config:
+def _sections(config: Tables) -> Tables:
     return {key: config[key] for key in ("specimen", "test", "measurements")}
 
 
-def _name(config: Config) -> str:
+def _name(config: Tables) -> str:
     spec = config["measurements"]
     written = spec.as_dict() if hasattr(spec, "as_dict") else spec
     test = {k: v for k, v in config["test"].items() if k != "steps"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from study.errors import Fault, InputError
 from study.material import conversions
 from study.material.material import Material
 from study.measurement.measured_test import MeasuredTest
+from study.record.document import ParameterDocument
 from study.record.record import plain
-from study.runner import response
+from study.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
 from study.setup.setup import ResolvedTables
 
 if TYPE_CHECKING:
@@ -51,16 +52,16 @@ class CurveFit:
     predicted: Curve | None
     message: str = ""
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Errors of the prediction in N and in % of the RMS force."""
         errors: dict[str, float | None] = {
             "rms_force_error": None,
             "relative_rms_force_error": None,
         }
         if self.predicted is not None:
-            pair = self.predicted, self.measured.curve
-            errors["rms_force_error"] = response.rms_force_error(*pair)
-            errors["relative_rms_force_error"] = response.relative_rms_force_error(*pair)
+            for name in errors:
+                one = CURVE_RESPONSES[name]
+                errors[name] = one.between(self.predicted, self.measured.curve)
         return {
             "file": self.file,
             "specimen": self.specimen,
@@ -89,7 +90,7 @@ class PartialFit:
     fit: Fit
     curves: tuple[CurveFit, ...]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Constants in kPa, and the errors of the curves."""
         return {
             "label": self.label,
@@ -178,7 +179,7 @@ class CalibrationResult:
             raise InputError(Fault("convention", "the fit found no material to convert"))
         return conversions.convert(self.material, convention)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --json``."""
         found = self.fit
         content = {
@@ -211,30 +212,25 @@ class CalibrationResult:
             "name": self.name,
             "tests": [{name: dict(table) for name, table in one.items()} for one in self.tests],
         }
-        made: dict[str, Any] = plain(content, "calibration", {})
-        return made
+        return cast("dict[str, object]", plain(content, "calibration", {}))
 
 
-def parameters(fit: Fit) -> dict[str, dict[str, Any]]:
+def parameters(fit: Fit) -> dict[str, ParameterDocument]:
     """Constants with errors and intervals: kPa, exponents plain."""
     return {
         name: {
-            "value": _scale(name) * float(fit.values[i]),
-            "unit": "" if response.is_plain(name) else "kPa",
-            "standard_error": _scale(name) * float(fit.standard_error[i]),
-            "ci95": [_scale(name) * float(v) for v in fit.ci95[i]],
+            "value": scale_of(name) * float(fit.values[i]),
+            "unit": ConstantResponse(name).unit,
+            "standard_error": scale_of(name) * float(fit.standard_error[i]),
+            "ci95": [scale_of(name) * float(v) for v in fit.ci95[i]],
         }
         for i, name in enumerate(fit.names)
     }
 
 
-def _scale(name: str) -> float:
-    return 1.0 if response.is_plain(name) else 1000.0
-
-
-def _profile(name: str, found: Profile) -> dict[str, Any]:
+def _profile(name: str, found: Profile) -> dict[str, object]:
     return {
-        "interval": [_scale(name) * v for v in found.interval],
-        "values": _scale(name) * np.asarray(found.values),
+        "interval": [scale_of(name) * v for v in found.interval],
+        "values": scale_of(name) * np.asarray(found.values),
         "rss": found.rss,
     }

@@ -1,94 +1,157 @@
-"""A fit in plain values, as the store keeps it: numbers, names and None, never NaN."""
+"""What became of a fit: constants with all that is known of them, or why there are none."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
+from study.arrays import Array
+from study.calibration.fit import Fit
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.stability import stability
+from study.record.document import FitDocument
+from study.runner.fitting.solution import Predicted
+from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 from study.setup.setup import known_height_mm
 
-Config = Mapping[str, Any]
+
+@dataclass(frozen=True)
+class FitResult:
+    """Outcome of a fit, as the store keeps it and cases read it.
+
+    Parameters
+    ----------
+    status : str
+        ``"converged"``, or the reason why there are no constants.
+    fit : FitDocument
+        What is known of it; of a fit without constants its message alone.
+    prediction : Predicted or None
+        Last solution of an inverse fit of one test: the curve of the final constants.
+    start_seconds : float
+        What the fit took that gave the start.
+    """
+
+    status: str
+    fit: FitDocument
+    prediction: Predicted | None = None
+    start_seconds: float = 0.0
+
+    @classmethod
+    def without_answer(cls, status: str, message: str) -> FitResult:
+        """Outcome of a fit that could not be begun."""
+        return cls(status, {"message": message})
+
+    @property
+    def converged(self) -> bool:
+        """Whether it found constants."""
+        return self.status == "converged"
+
+    @property
+    def usable(self) -> bool:
+        """Whether its constants are stable over the range of the test."""
+        return self.converged and self.fit.get("usable", True)
+
+    @property
+    def message(self) -> str:
+        """How it ended."""
+        return self.fit.get("message", "")
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Constants in MPa, exponents plain; none where it did not converge."""
+        return self.fit.get("values", {})
+
+    @property
+    def seconds(self) -> float:
+        """What it took, the fit before it left out."""
+        return self.fit.get("seconds", 0.0)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data with all keys side by side."""
+        predicted = {} if self.prediction is None else self.prediction.to_json()
+        plain = {"status": self.status, "start_seconds": self.start_seconds}
+        return {**plain, **self.fit, **predicted}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> FitResult:
+        """Inverse of :meth:`to_json`; a task that had no answer has a status and a message."""
+        known = {k: v for k, v in document.items() if k in FitDocument.__annotations__}
+        return cls(
+            str(document["status"]),
+            cast(FitDocument, known),
+            Predicted.from_json(document) if "curve" in document else None,
+            cast(float, document.get("start_seconds", 0.0)),
+        )
 
 
-def described(
-    found: Any, config: Config, names: Sequence[str], measured: Sequence[Curve]
-) -> dict[str, Any]:
-    """Plain description of a fit for the store."""
-    values = [float(v) for v in found.values]
-    constants = dict(zip(names, values, strict=True))
-    good = bool(found.status.usable)
-    result: dict[str, Any] = {
-        "status": "converged" if good else "not-converged",
-        "message": str(found.message),
+def described(found: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
+    """Describe a fit.
+
+    Parameters
+    ----------
+    tables : mapping
+        Of the fitted test.
+    measured : sequence of Curve
+        Curves whose range decides whether the constants are stable enough.
+
+    Raises
+    ------
+    InputError
+        If a usable fit ended at a shear modulus that is not positive.
+    """
+    names = found.names
+    document: FitDocument = {
+        "message": found.message,
         "names": list(names),  # JSON sorts keys; the matrices need their order
-        "values": constants,
-        "standard_error": _numbers(names, found.standard_error),
-        "ci95": _intervals(names, found.ci95),
-        "correlation": _matrix(found.correlation),
-        "condition": _number(found.condition),
-        "rss": _number(found.rss),
-        "r_squared": _number(found.r_squared),
-        "aicc": _number(found.aicc),
+        "values": found.constants(),
+        "standard_error": {n: _finite(v) for n, v in zip(names, found.standard_error, strict=True)},
+        "ci95": {n: _row(pair) for n, pair in zip(names, found.ci95, strict=True)},
+        "correlation": [_row(row) for row in found.correlation],
+        "condition": _finite(found.condition),
+        "rss": _finite(found.rss),
+        "r_squared": _finite(found.r_squared),
+        "aicc": _finite(found.aicc),
         "n": int(found.n),
-        "identifiable": bool(found.identifiable) and bool(found.status.converged),
-        "reason": str(found.reason) if found.status.converged else str(found.status.sentence),
+        "identifiable": bool(found.identifiable) and found.converged,
+        "reason": str(found.reason) if found.converged else found.status.sentence,
         "evaluations": int(found.evaluations),
     }
-    if good:
-        result |= _stability(config, constants, measured)
-    return result
+    if found.status.usable:
+        document.update(_stability(tables, found.constants(), measured))
+    return document
 
 
 def _stability(
-    config: Config, constants: Mapping[str, float], measured: Sequence[Curve]
-) -> dict[str, Any]:
+    tables: Tables, constants: Mapping[str, float], measured: Sequence[Curve]
+) -> FitDocument:
     """Mu0 and whether the material is stable over the range that was measured."""
-    material = MaterialSection.of(config["material"]).material(constants)
-    outcome: dict[str, Any] = {"mu0": float(material.mu0)}
-    height = known_height_mm(config["specimen"])
+    material = MaterialSection.of(tables["material"]).material(constants)
+    if material.mu0 <= 0:
+        raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
+    height = known_height_mm(tables["specimen"])
     depth = max(float(curve.displacement_mm.max()) for curve in measured)
-    if height is None or config["test"]["kind"] != "compression" or depth >= height:
+    if height is None or tables["test"]["kind"] != "compression" or depth >= height:
         judged = stability(material)
     else:
         judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))
     # only uniaxial failure inside the range makes the answer itself meaningless; the other
     # modes are a warning about using the constants elsewhere
-    outcome |= {
+    return {
+        "mu0": float(material.mu0),
         "stable": bool(judged.stable),
         "stability": str(judged.sentence),
         "usable": "uniaxial" not in judged.limits,
     }
-    if material.mu0 <= 0:
-        raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
-    return outcome
 
 
-def _number(value: Any) -> float | None:
-    if value is None:
-        return None
-    number = float(value)
-    return number if np.isfinite(number) else None
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
-def _numbers(names: Sequence[str], values: Any) -> dict[str, float | None]:
-    if values is None:
-        return dict.fromkeys(names)
-    return {n: _number(v) for n, v in zip(names, values, strict=True)}
-
-
-def _intervals(names: Sequence[str], values: Any) -> dict[str, list[float | None] | None]:
-    if values is None:
-        return dict.fromkeys(names)
-    return {n: [_number(v) for v in pair] for n, pair in zip(names, values, strict=True)}
-
-
-def _matrix(values: Any) -> list[list[float | None]] | None:
-    if values is None:
-        return None
-    return [[_number(v) for v in row] for row in np.asarray(values)]
+def _row(values: Array) -> list[float | None]:
+    return [_finite(value) for value in values]

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,22 +20,27 @@ from study.calibration.iteration import EvaluationFailed
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
+from study.execution.task import Received
 from study.forward import closed_form, finite_element
 from study.material.registry import ENERGIES
-from study.runner.fitting.fit_summary import described
+from study.runner.fitting.fit_summary import FitResult, described
+from study.runner.fitting.solution import Predicted
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
+from study.runner.tables import PROBLEM, CalibrationTable, Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Setup, problem_of, specimen_of
+from study.setup.setup import Problem, Setup, problem_of, specimen_of
 
-Config = Mapping[str, Any]
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
+
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 
 #: smallest load step over the largest: constants that need less are next to having no answer,
 #: and an optimizer that asks there should hear so soon
 _CUTBACKS = 0.12
 
-#: sections of a configuration that a calibration problem of its own may replace
+#: tables of a case that a calibration problem of its own may replace
 _REPLACEABLE = ("specimen", "test")
 
 
@@ -47,67 +52,67 @@ class FitProblem:
     ----------
     method : str
         ``"closed-form"``, ``"inverse-fem"``, ``"together"`` (several tests) or ``"none"``.
-    config : mapping
-        The sections that enter, and nothing else; for several tests ``material`` and
+    tables : mapping
+        Those that enter, and nothing else; for several tests ``material`` and
         ``tests``, each with its own ``method``.
     shares_scored_problem : bool
         Whether the calibrated test is also the one that is scored.
     """
 
     method: str
-    config: Config
+    tables: Tables
     shares_scored_problem: bool
 
 
-def fit_problem(config: Config) -> FitProblem:
-    """Calibration of a resolved configuration.
+def fit_problem(tables: Tables) -> FitProblem:
+    """Calibration of the resolved tables of a case.
 
     Raises
     ------
     InputError
         If ``method = "analytic"`` is asked of a test that has no closed form.
     """
-    section = config.get("calibration") or {}
-    own = section.get("problem") or {}
-    scored = {k: config[k] for k in ("specimen", "test", "material", "model") if k in config}
+    section = CalibrationTable.of(tables)
+    own = section.problem or {}
+    scored = {k: tables[k] for k in PROBLEM if k in tables}
     merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
     shared = merged == scored
     merged["material"] = _written(merged["material"])
-    method = _method(section.get("method") or "auto", merged)
+    method = _method(section.method, merged)
     if method == "closed-form":
         merged.pop("model", None)
         merged["test"] = {"kind": "compression", "interface": "frictionless"}
     return FitProblem(method, merged, shared)
 
 
-def together(config: Config, tests: Sequence[Config]) -> FitProblem:
-    """One fit to several tests, with the material and model of a configuration."""
-    asked = {"method": (config.get("calibration") or {}).get("method") or "auto"}
+def together(tables: Tables, tests: Sequence[Tables]) -> FitProblem:
+    """One fit to several tests, with the material and model of a case."""
+    asked = {"method": CalibrationTable.of(tables).method}
     parts = []
     for test in tests:
-        found = fit_problem({**config, **test, "calibration": asked})
-        sections = {k: v for k, v in found.config.items() if k != "material"}
+        found = fit_problem({**tables, **test, "calibration": asked})
+        sections = {k: v for k, v in found.tables.items() if k != "material"}
         parts.append({"method": found.method, **sections})
-    return FitProblem("together", {"material": _written(config["material"]), "tests": parts}, False)
+    return FitProblem("together", {"material": _written(tables["material"]), "tests": parts}, False)
 
 
-def _parts_of(problem: FitProblem) -> list[tuple[str, Config]]:
-    """List method and configuration of every test of a fit."""
+def _tests_of(problem: FitProblem) -> list[tuple[str, Tables]]:
+    """List method and tables of every test of a fit."""
     if problem.method != "together":
-        return [(problem.method, problem.config)]
-    shared = {"material": problem.config["material"]}
-    return [(test["method"], {**shared, **test}) for test in problem.config["tests"]]
+        return [(problem.method, problem.tables)]
+    shared = {"material": problem.tables["material"]}
+    return [(test["method"], {**shared, **test}) for test in problem.tables["tests"]]
 
 
-def _written(material: Config) -> dict[str, Any]:
+def _written(material: Tables) -> dict[str, object]:
     """Material without keys that say nothing, so that equal materials have equal names."""
     return {k: v for k, v in material.items() if v not in (None, {}, False)}
 
 
-def _method(asked: str, config: Config) -> str:
+def _method(asked: str, tables: Tables) -> str:
     if asked == "none":
         return "none"
-    homogeneous = Setup.of(config).is_homogeneous
+    homogeneous = Setup.of(tables).is_homogeneous
     if asked == "analytic" and not homogeneous:
         rule = "method = 'analytic' needs compression with both faces frictionless"
         raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
@@ -125,7 +130,7 @@ def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
         The averaged curves that are fitted.
     """
     data = [[c.displacement_mm.tolist(), c.force_N.tolist()] for c in measured]
-    return digest([problem.method, problem.config, data, code_version()], 32)
+    return digest([problem.method, problem.tables, data, code_version()], 32)
 
 
 def start_problem(problem: FitProblem) -> FitProblem | None:
@@ -136,8 +141,8 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     neo-Hookean or linear itself, has a closed form, or its start is given. Start values are
     thus a function of the case alone.
     """
-    section = problem.config["material"]
-    simulated = any(method == "inverse-fem" for method, _ in _parts_of(problem))
+    section = problem.tables["material"]
+    simulated = any(method == "inverse-fem" for method, _ in _tests_of(problem))
     if not simulated or section.get("constants"):
         return None
     simpler = ENERGIES[section["model"]].simpler(int(section.get("order") or 1))
@@ -147,97 +152,139 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     model, order = simpler
     material = _written({**kept, "model": model} | ({} if order is None else {"order": order}))
     return FitProblem(
-        problem.method, {**problem.config, "material": material}, problem.shares_scored_problem
+        problem.method, {**problem.tables, "material": material}, problem.shares_scored_problem
     )
 
 
-def payload(
-    problem: FitProblem, measured: Sequence[Curve], start: Mapping[str, Any] | None
-) -> dict[str, Any]:
-    """Task for a worker: plain JSON, complete in itself.
+@dataclass(frozen=True)
+class FitTask:
+    """A fit as it goes to a worker, complete in itself.
 
     Parameters
     ----------
-    start : mapping, optional
-        Result of the fit of :func:`start_problem`.
+    problem : FitProblem
+        What is fitted.
+    measured : tuple of Curve
+        The averaged curves that it is fitted to.
+    start : FitResult or None
+        Outcome of the fit of :func:`start_problem`, or of the fit whose residuals are resampled.
+    noise : tuple of int or None
+        Seed and number of a fit to resampled residuals.
     """
-    return {
-        "kind": "fit",
-        "method": problem.method,
-        "config": dict(problem.config),
-        "measured": [curve.as_dict() for curve in measured],
-        "start": None if start is None else dict(start),
-    }
+
+    problem: FitProblem
+    measured: tuple[Curve, ...]
+    start: FitResult | None = None
+    noise: tuple[int, int] | None = None
+
+    @property
+    def kind(self) -> str:
+        """Name of what a worker does with it."""
+        return "fit" if self.noise is None else "noise"
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            "kind": self.kind,
+            "method": self.problem.method,
+            "tables": dict(self.problem.tables),
+            "measured": [curve.as_dict() for curve in self.measured],
+            "start": None if self.start is None else self.start.to_json(),
+            "noise": self.noise,
+        }
+
+    @classmethod
+    def from_json(cls, task: Received) -> FitTask:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            FitProblem(task["method"], task["tables"], False),
+            tuple(Curve.from_dict(curve) for curve in task["measured"]),
+            None if task["start"] is None else FitResult.from_json(task["start"]),
+            None if task["noise"] is None else (task["noise"][0], task["noise"][1]),
+        )
 
 
-def perform(task: Mapping[str, Any]) -> dict[str, Any]:
-    """Fit the constants of one material to measured curves.
+def perform(document: Received) -> dict[str, object]:
+    """Fit the constants of one material to measured curves: a task for a worker.
 
     Returns
     -------
     dict
-        ``status`` is ``"converged"`` or the reason why not; constants in MPa.
+        Of :meth:`FitResult.to_json`.
     """
+    return fitted(FitTask.from_json(document)).to_json()
+
+
+def fitted(task: FitTask) -> FitResult:
+    """Fit the constants of one material to measured curves."""
     began = time.perf_counter()
-    start = task["start"]
-    if start is not None and start.get("status") != "converged":  # it cannot be fitted alone
-        why = f"the fit that starts it did not converge: {start.get('message', '')}"
-        return {"status": str(start.get("status", "failed")), "message": why}
-    measured, parts = parts_of(task)
-    config = parts[0].config
-    names, first = start_values(config, measured, (start or {}).get("values"))
+    start = task.start
+    if start is not None and not start.converged:  # it cannot be fitted alone
+        why = f"the fit that starts it did not converge: {start.message}"
+        return FitResult.without_answer(start.status, why)
+    parts = parts_of(task)
+    names, first = start_values(
+        parts[0].tables, task.measured, None if start is None else start.constants
+    )
     done = staged_fit(parts, names, first, model)
-    result = described(done.fit, config, names, measured[:1] if len(parts) > 1 else measured)
-    predict = done.models[0]
-    if isinstance(predict, InverseFem) and task["method"] == "inverse-fem":
-        result |= predict.provenance(done.fit.values)
-    result |= {"message": done.message, "evaluations": done.evaluations}
-    result["method"] = task["method"]
-    result["seconds"] = time.perf_counter() - began
-    result["start_seconds"] = float((start or {}).get("seconds", 0.0))
-    return result
+    found = described(
+        done.fit, parts[0].tables, task.measured[:1] if len(parts) > 1 else task.measured
+    )
+    found.update(
+        {
+            "message": done.message,
+            "evaluations": done.evaluations,
+            "method": task.problem.method,
+        }
+    )
+    predict, predicted = done.models[0], None
+    if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
+        predicted = predict.predicted(done.fit.values)
+        found.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+    found["seconds"] = time.perf_counter() - began
+    status = "converged" if done.fit.status.usable else "not-converged"
+    return FitResult(status, found, predicted, 0.0 if start is None else start.seconds)
 
 
-def parts_of(task: Mapping[str, Any]) -> tuple[list[Curve], list[Part]]:
-    """Measured curves of a task, and the parts of its fit that they belong to."""
-    measured = [Curve.from_dict(c) for c in task["measured"]]
-    tests = _parts_of(FitProblem(task["method"], task["config"], False))
-    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(measured)]
+def parts_of(task: FitTask) -> list[Part]:
+    """Parts of a fit, each with the measured curves that belong to it."""
+    tests = _tests_of(task.problem)
+    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(task.measured)]
     if len(tests) == 1:
-        return measured, [Part(*tests[0], tuple(data))]
-    return measured, [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
+        return [Part(*tests[0], tuple(data))]
+    return [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
 
 
 def start_values(
-    config: Config, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
+    tables: Tables, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
 ) -> tuple[tuple[str, ...], Array]:
     """Names of the constants and where the fit starts, in MPa.
 
     Higher constants start at zero: those of the closed form soften so much that a bonded
     specimen cannot be solved with them.
     """
-    section = config["material"]
+    section = tables["material"]
     names = MaterialSection.of(section).calibrated_names
     given = section.get("constants")
     if given:
         return names, np.array([float(given[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
-        neo_hookean = closed_form.neo_hookean_start(config, first.displacement_mm, first.force_N)
+        neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
     energy, shear_modulus = ENERGIES[section["model"]], 2 * float(neo_hookean["C10"])
     values = {**neo_hookean, **energy.starting_values(names, shear_modulus)}
     return names, np.array([values.get(n, 0.0) for n in names])
 
 
-def model(method: str, config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of one test, for the optimizer."""
     make = closed_form_model if method == "closed-form" else InverseFem
-    return make(config, measured, names)
+    return make(tables, measured, names)
 
 
-def closed_form_model(config: Config, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of compression between frictionless plates, for the optimizer."""
-    specimen, section = specimen_of(config["specimen"]), MaterialSection.of(config["material"])
+    specimen, section = specimen_of(tables["specimen"]), MaterialSection.of(tables["material"])
 
     def predict(values: Array) -> list[Curve]:
         constants = dict(zip(names, values.tolist(), strict=True))
@@ -264,22 +311,22 @@ class InverseFem:
     otherwise the optimizer would chase the difference of two interpolations.
     """
 
-    def __init__(self, config: Config, measured: Sequence[Curve], names: Sequence[str]) -> None:
-        self._config, self._names = config, names
+    def __init__(self, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> None:
+        self._tables, self._names = tables, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._depth = max(float(grid.max()) for grid in self._grids)
         self._base: Curve | None = None
-        self._last: Any = None
-        self._newton = 0
-        #: simulations so far
+        self._last: Solution | None = None
+        #: simulations so far, and iterations of Newton's method in them
         self.solves = 0
+        self.newton_iterations = 0
         #: solved curve at every set of constants
         self.curves: dict[bytes, Curve] = {}
 
     def __call__(self, values: Array) -> list[Curve]:
         """Predict the forces at the measured displacements for constants in MPa."""
         curve = self._solved(values)
-        self.curves[values.tobytes()] = finite_element.without_gradients(curve)
+        self.curves[values.tobytes()] = curve.without_gradients()
         if self._base is None:
             self._base = curve
         return [self._at(curve, grid) for grid in self._grids]
@@ -287,7 +334,7 @@ class InverseFem:
     def _solved(self, values: Array) -> Curve:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
-            problem = problem_of(self._config, constants, self._depth)
+            problem = problem_of(self._tables, constants, self._depth)
             solution = self._simulated(problem, self._last)
             if solution.status == "not-converged" and self._last is not None:
                 # the way from the solution before was too long: that says nothing of the constants
@@ -297,12 +344,12 @@ class InverseFem:
         if solution.status != "converged":
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
         self._last = solution
-        return cast(Curve, solution.curve)
+        return solution.curve
 
-    def _simulated(self, problem: Any, warm: Any) -> Any:
+    def _simulated(self, problem: Problem, warm: Solution | None) -> Solution:
         solution = finite_element.solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
         self.solves += 1
-        self._newton += int(sum(solution.newton_iterations))
+        self.newton_iterations += int(sum(solution.newton_iterations))
         return solution
 
     def _at(self, curve: Curve, grid: Array) -> Curve:
@@ -315,17 +362,11 @@ class InverseFem:
         }
         return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
 
-    def provenance(self, values: Array) -> dict[str, Any]:
-        """Curve at the final constants, mesh, solver and effort, for the record."""
+    def predicted(self, values: Array) -> Predicted | None:
+        """Curve at the final constants, with mesh and solver of the last solution."""
         if self._last is None:
-            return {}
-        return {
-            "curve": self.curves[np.asarray(values).tobytes()].as_dict(),
-            "mesh": finite_element.mesh_facts(self._last),
-            "solver": solver_facts(self._last),
-            "newton_iterations": self._newton,
-            "solves": self.solves,
-        }
+            return None
+        return replace(Predicted.of(self._last), curve=self.curves[np.asarray(values).tobytes()])
 
 
 def _spline(knots: Array, values: Array, at: Array) -> Array:
@@ -336,14 +377,3 @@ def _spline(knots: Array, values: Array, at: Array) -> Array:
     if x.size < 3:
         return np.asarray(np.interp(at, x, y))
     return np.asarray(CubicSpline(x, y)(at))
-
-
-def solver_facts(solution: Any) -> dict[str, Any]:
-    """Describe how a solution was found, and its energy balance, for the record."""
-    return {
-        "name": str(solution.solver),
-        "min_j": float(solution.min_j),
-        "energy_mismatch": float(solution.energy.largest_mismatch),
-        "stabilization_share": float(solution.energy.stabilization_share),
-        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
-    }

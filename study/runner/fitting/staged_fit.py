@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, cast
 
 import numpy as np
 
@@ -23,17 +23,29 @@ from study.calibration.iteration import EvaluationFailed, Iteration, Status
 from study.curve import Curve
 from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler
+from study.runner.tables import Tables
+from study.setup.quantity import finite
+from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit, MeasuredCurve
     from study.calibration.iteration import Iteration
 
-Config = Mapping[str, Any]
 Predict = Callable[[Array], list[Curve]]
+
+
+class Tolerances(TypedDict, total=False):
+    """When a search ends; see :func:`study.calibration.levenberg_marquardt.levenberg_marquardt`."""
+
+    ftol: float
+    xtol: float
+    gtol: float
+    edge: float
+
 
 #: each evaluation of an inverse fit is a simulation: digits far below the error of the mesh
 #: are not worth one; a start needs fewer still
-TOLERANCES: dict[str, dict[str, Any]] = {
+TOLERANCES: Mapping[str, Tolerances] = {
     "closed-form": {},
     "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-5, "edge": 1e-3},
     "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3, "edge": 1e-2},
@@ -60,14 +72,14 @@ class Part:
     ----------
     method : str
         ``"closed-form"`` or ``"inverse-fem"``.
-    config : mapping
-        Sections that enter.
+    tables : mapping
+        Those that enter.
     measured : tuple of MeasuredCurve
         Curves of this test, of one or several specimens of equal size.
     """
 
     method: str
-    config: Config
+    tables: Tables
     measured: tuple[MeasuredCurve, ...]
 
 
@@ -82,8 +94,8 @@ class Step:
 
 Progress = Callable[[Step], None]
 
-#: method, config, measured curves and names -> model
-MakeModel = Callable[[str, Config, Sequence[Curve], Sequence[str]], Predict]
+#: method, tables, measured curves and names -> model
+MakeModel = Callable[[str, Tables, Sequence[Curve], Sequence[str]], Predict]
 
 
 @dataclass(frozen=True)
@@ -215,7 +227,7 @@ def single_stage(
     The name of the stage is that of its progress and checkpoint; one that begins with
     ``FIRST`` is only as exact as a start needs to be.
     """
-    models = [make(p.method, p.config, [m.curve for m in p.measured], names) for p in parts]
+    models = [make(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
 
     def predict(values: Array) -> list[Curve]:
         return [curve for model in models for curve in model(values)]
@@ -249,24 +261,37 @@ def cheaper(part: Part) -> Part | None:
     """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None
-    model = dict(part.config["model"])
-    if model.get("space") == "3d" and part.config["specimen"]["shape"] != "surface":
+    model = dict(part.tables["model"])
+    if model.get("space") == "3d" and part.tables["specimen"]["shape"] != "surface":
         model["space"] = "axisymmetric"
-    elif not _coarsened(model, part.config["specimen"]):
+    elif not _coarsened(model, part.tables["specimen"]):
         return None
-    return replace(part, config={**part.config, "model": model})
+    return replace(part, tables={**part.tables, "model": model})
 
 
-def _coarsened(model: dict[str, Any], specimen: Config) -> bool:
+def _coarsened(model: dict[str, object], specimen: Mapping[str, object]) -> bool:
     """Put a coarse mesh into ``model``; False where it has one already."""
     size = model.get("mesh_size_mm")
     if size is None:
         coarse = model.get("mesh", "medium") == "coarse"
         model["mesh"] = "coarse"
         return not coarse
-    height = specimen.get("height_mm")
-    model["mesh_size_mm"] = _COARSER * float(size)
-    return height is not None and float(height) / model["mesh_size_mm"] >= _FEW
+    height, coarser = known_height_mm(specimen), _COARSER * finite(size)
+    model["mesh_size_mm"] = coarser
+    return height is not None and height / coarser >= _FEW
+
+
+class StageDocument(TypedDict):
+    """An accepted iteration as it is kept; see :class:`study.calibration.iteration.Iteration`."""
+
+    iteration: int
+    evaluations: int
+    x: list[float]
+    cost: float
+    radius: float
+    damping: float
+    offset: float
+    scale: list[float]
 
 
 class Checkpoint:
@@ -282,23 +307,24 @@ class Checkpoint:
 
     def __init__(self, path: Path | None = None, key: str = "") -> None:
         self.path, self.key = path, key
-        self.stages: dict[str, dict[str, Any]] = {} if path is None else _read(path, key)
+        self.stages: dict[str, StageDocument] = {} if path is None else _read(path, key)
 
     def last(self, stage: str) -> Iteration | None:
         """Last accepted iteration of a stage; None where it has not begun."""
         kept = self.stages.get(stage)
         if kept is None:
             return None
-        arrays = {name: np.array(kept[name], float) for name in ("x", "scale")}
-        return Iteration(**{**kept, **arrays})
+        return Iteration(
+            kept["iteration"], kept["evaluations"], np.array(kept["x"], float), kept["cost"],
+            kept["radius"], kept["damping"], kept["offset"], np.array(kept["scale"], float),
+        )  # fmt: skip
 
     def keep(self, stage: str, iteration: Iteration) -> None:
         """Keep an accepted iteration."""
         if self.path is None:
             return
-        content = vars(iteration)
-        arrays = {name: content[name].tolist() for name in ("x", "scale")}
-        self.stages[stage] = {**content, **arrays}
+        arrays = {"x": iteration.x.tolist(), "scale": iteration.scale.tolist()}
+        self.stages[stage] = cast(StageDocument, {**vars(iteration), **arrays})
         text = json.dumps({"key": self.key, "stages": self.stages}, indent=1, allow_nan=False)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(self.path, text.encode())
@@ -310,12 +336,12 @@ class Checkpoint:
         self.stages = {}
 
 
-def _read(path: Path, key: str) -> dict[str, dict[str, Any]]:
+def _read(path: Path, key: str) -> dict[str, StageDocument]:
     """Stages of a file; none where it is of another fit, or damaged: the fit then starts anew."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        stages: dict[str, dict[str, Any]] = content["stages"] if content["key"] == key else {}
-        wanted = {"iteration", "evaluations", "x", "cost", "radius", "damping", "offset", "scale"}
+        stages: dict[str, StageDocument] = content["stages"] if content["key"] == key else {}
+        wanted = set(StageDocument.__annotations__)
         return {name: kept for name, kept in stages.items() if set(kept) == wanted}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}

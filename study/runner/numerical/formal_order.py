@@ -13,12 +13,12 @@ Contact Mechanics, chapters 2 and 3: bonded it oscillates besides, unless nu = 1
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.design.spec import Case
 from study.material.material import Material
+from study.runner.tables import Tables
 from study.setup.geometry import Cylinder, Surface
 from study.setup.setup import Problem, problem_of
 from study.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
@@ -131,7 +131,7 @@ def _edge_size(problem: Problem) -> float:
     return float(mesh_size(problem.setup))
 
 
-def edge_rules(config: Mapping[str, Any]) -> bool:
+def edge_rules(config: Tables) -> bool:
     """Whether all error comes from a sharp edge around which every mesh looks the same.
 
     The size at the edge is the size of the mesh then: how many elements lie elsewhere says

@@ -1,35 +1,26 @@
-"""What a refinement series says of every quantity: the document of ``study converge``."""
+"""What a refinement series says of every quantity: what ``study converge`` answers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from functools import partial
 
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.curve import Curve
-from study.record.record import Record
-from study.runner.job import CaseJob, Work
-from study.runner.numerical.curve_quantities import QUANTITIES, curve_values, quantity
-from study.runner.numerical.formal_order import (
-    FormalOrder,
-    base_size_mm,
-    edge_rules,
-    formal_of_case,
-)
-from study.runner.numerical.refinement import Outlook
-
-if TYPE_CHECKING:
-    from study.analysis.convergence.grid_convergence import ConvergenceResult, Numerical
-    from study.runner.numerical.refinement import Level, Outlook, Series
+from study.analysis.convergence.grid_convergence import ConvergenceResult, grid_convergence
+from study.canonical import plain
+from study.design.study_file import Converge
+from study.runner.numerical.curve_quantities import curve_values, quantity
+from study.runner.numerical.error_sources import ErrorSource, one_table, other_sources, remarks
+from study.runner.numerical.formal_order import FormalOrder, edge_rules
+from study.runner.numerical.refinement import FEWEST, Budget, Level, Outlook, Series
+from study.runner.numerical.solve_task import Solver
+from study.runner.tables import Tables
+from study.setup.setup import problem_of
 
 Values = Mapping[str, tuple[Sequence[float], str]]
 
 #: relative error of a force at the solver's tolerance
 SOLVER_TOLERANCE = 1e-7
-
-#: the algebraic error should be this much smaller than that of the mesh
-ALGEBRAIC = 100.0
 
 #: a value of this part of the largest of its kind is nothing to be settled
 _NOTHING = 1e-9
@@ -39,7 +30,7 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
     """Meshes with an answer and with elements of their own, and what is wrong with the others."""
     kept: list[Level] = []
     said = [
-        f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.message}"
+        f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
         for level in levels
         if not level.converged
     ]
@@ -58,23 +49,23 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
     return kept, said
 
 
-def representative_sizes(levels: Sequence[Level], config: Mapping[str, Any]) -> list[float]:
+def representative_sizes(levels: Sequence[Level], tables: Tables) -> list[float]:
     """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.elements for level in levels], config)
+    return series_sizes(sizes, [level.elements for level in levels], tables)
 
 
 def series_sizes(
     sizes: Sequence[float],
     elements: Sequence[int],
-    config: Mapping[str, Any],
+    tables: Tables,
     *,
     anchor: int = -1,
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(config):
+    if edge_rules(tables):
         return list(sizes)
-    space = str(config["model"].get("space", "axisymmetric"))
+    space = str(tables["model"].get("space", "axisymmetric"))
     return by_elements(sizes, elements, space, anchor=anchor)
 
 
@@ -135,79 +126,263 @@ def _bound(result: ConvergenceResult) -> float:
     return 3 * (max(finest) - min(finest))
 
 
-def outlook(series: Series, formal: float | None) -> Outlook:
-    """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
-    kept, _ = usable(series.levels)
-    if len(kept) < 3 or series.spec.tolerance is None:
+def outlook(
+    levels: Sequence[Level], tables: Tables, wanted: float | None, formal: float | None
+) -> Outlook:
+    """Whether every quantity has the accuracy that its problem asks for, else the size it takes.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Meshes so far.
+    tables : mapping
+        Resolved problem.
+    wanted : float or None
+        Uncertainty over the value.
+    formal : float or None
+        Order that the elements promise.
+    """
+    kept, _ = usable(levels)
+    if len(kept) < FEWEST or wanted is None:
         return Outlook(False)
-    sizes = representative_sizes(kept, series.config)
+    sizes = representative_sizes(kept, tables)
     results = judged(sizes, curve_values(kept), formal)
-    wanted = series.spec.tolerance
     sizes_needed = [size_needed(r, wanted) for r in results.values()]
     known = [size for size in sizes_needed if size is not None]
     return Outlook(all(within(results, wanted).values()), min(known, default=None))
 
 
-def document(series: Series, formal: FormalOrder, tolerance: float | None = None) -> dict[str, Any]:
-    """Everything that a series says, with the keys of the main quantity on top.
+def series_of(
+    tables: Tables,
+    spec: Converge,
+    formal: FormalOrder,
+    budget: Budget | None = None,
+    levels_of: Mapping[str, str] | None = None,
+) -> Series:
+    """Make the series of a problem, from its own mesh size.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved problem.
+    spec : Converge
+        Ratio, number of meshes, wanted accuracy.
+    formal : FormalOrder
+        What the elements promise.
+    budget : Budget, optional
+        When it must stop; by default where the memory ends.
+    levels_of : mapping of str to str, optional
+        Levels of the factors, where the problem is a cell.
+    """
+    from study.fem.mesh.mesher import mesh_size
+
+    first = float(mesh_size(problem_of(tables).setup))
+    seen = partial(outlook, tables=tables, wanted=spec.tolerance, formal=formal.order)
+    return Series(tables, spec, first, budget or Budget(), seen, levels_of or {})
+
+
+@dataclass(frozen=True)
+class GivenMesh:
+    """Value and uncertainty of the main quantity on the problem's own mesh."""
+
+    mesh_size: float
+    value: float
+    u_num: float | None
+
+
+@dataclass(frozen=True)
+class SeriesJudgement:
+    """What a refinement series says of every quantity.
+
+    Parameters
+    ----------
+    main : ConvergenceResult
+        Of the main quantity.
+    quantities : mapping of str to ConvergenceResult
+        Of every quantity; empty where there are no three meshes.
+    formal : FormalOrder
+        What the elements promise, and what limits it.
+    accuracy : float or None
+        Wanted uncertainty over the value; None where none was asked, or no order is known.
+    levels : mapping of str to str
+        Levels of the factors, where the series is that of a cell.
+    given : GivenMesh or None
+        The mesh as it was asked for.
+    meshes : tuple of Level
+        Every mesh of a problem, the finest first.
+    stopped : str
+        Why no further mesh was solved.
+    sources : tuple of ErrorSource
+        Errors of mesh, load steps and solver side by side.
+    block : str or None
+        Block of the refined cell.
+    """
+
+    main: ConvergenceResult
+    quantities: Mapping[str, ConvergenceResult]
+    formal: FormalOrder
+    accuracy: float | None = None
+    levels: Mapping[str, str] = field(default_factory=dict)
+    given: GivenMesh | None = None
+    meshes: tuple[Level, ...] = ()
+    stopped: str = ""
+    sources: tuple[ErrorSource, ...] = ()
+    block: str | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether every quantity has the wanted accuracy, or an uncertainty where none is asked."""
+        return bool(self.quantities) and not self.unsettled
+
+    @property
+    def unsettled(self) -> list[str]:
+        """Quantities without the wanted accuracy; without an uncertainty where none is asked."""
+        if self.accuracy is None:
+            return [name for name, r in self.quantities.items() if r.u_num is None]
+        good = within(self.quantities, self.accuracy)
+        return [name for name, ok in good.items() if not ok]
+
+    @property
+    def mesh_size_needed(self) -> float | None:
+        """Mesh size that would have the wanted accuracy, in mm."""
+        return None if self.accuracy is None else size_needed(self.main, self.accuracy)
+
+    def warned(self, *said: str) -> SeriesJudgement:
+        """Copy with further warnings, each once."""
+        warnings = tuple(dict.fromkeys([*self.main.warnings, *said]))
+        return replace(self, main=replace(self.main, warnings=warnings))
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study converge``: the keys of the main quantity, and all others."""
+        of_problem = {
+            "meshes": [level.to_json() for level in self.meshes],
+            "stopped": self.stopped,
+            "sources": [dict(plain(source)) for source in self.sources],
+        }
+        if not self.quantities:
+            del of_problem["sources"]
+        return {
+            **self.main.to_json(),
+            "quantities": {name: one.to_json() for name, one in self.quantities.items()},
+            "accuracy": self.accuracy,
+            "settled": self.settled,
+            "given_mesh": None if self.given is None else vars(self.given),
+            "mesh_size_needed": self.mesh_size_needed,
+            "formal_reason": self.formal.why,
+            "levels": dict(self.levels),
+            **(of_problem if self.meshes else {"block": self.block}),
+        }
+
+
+def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -> SeriesJudgement:
+    """Judge the series of a problem.
 
     Parameters
     ----------
     tolerance : float, optional
         Algebraic error of the main quantity, in its unit.
     """
-    quantity(series.spec.qoi)
+    function, unit = quantity(series.spec.qoi)
     kept, said = usable(series.levels)
-    fraction = SOLVER_TOLERANCE
-    if tolerance and kept:
-        main = curve_values(kept[-1:])[series.spec.qoi][0][0]
-        fraction = tolerance / abs(main) if main else fraction
-    facts = {
-        "formal_reason": formal.why,
-        "levels": dict(series.levels_of),
-        "meshes": [level.to_json() for level in reversed(series.levels)],
-        "stopped": series.stopped,
-    }
-    if len(kept) < 3:
-        return too_few(series.spec.qoi, kept, formal.order, said) | facts
-    sizes = representative_sizes(kept, series.config)
+    facts = SeriesJudgement(
+        inconclusive(
+            series.spec.qoi,
+            unit,
+            [level.mesh_size_mm for level in kept],
+            [function(level.curve) for level in kept],
+            formal_order=formal.order,
+        ),
+        {},
+        formal,
+        levels=series.levels_of,
+        meshes=tuple(reversed(series.levels)),
+        stopped=series.stopped,
+    )
+    if len(kept) < FEWEST:
+        return facts.warned(*said)
+    fraction, coarsest = SOLVER_TOLERANCE, kept[0]
+    if tolerance and (main := function(kept[-1].curve)):
+        fraction = tolerance / abs(main)
+    sizes = representative_sizes(kept, series.tables)
     results = judged(sizes, curve_values(kept), formal.order, fraction)
-    made = combined(series.spec.qoi, results, series.spec.tolerance, said) | facts
-    made["given_mesh"]["mesh_size"] = kept[0].mesh_size_mm
-    return made
+    found = combined(facts, series.spec.qoi, results, series.spec.tolerance, said)
+    given = given_mesh(found.main)
+    return replace(found, given=replace(given, mesh_size=coarsest.mesh_size_mm))
+
+
+def with_sources(found: SeriesJudgement, series: Series, solve: Solver) -> SeriesJudgement:
+    """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
+    rows, said = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
+    table = one_table(found.quantities, rows)
+    return replace(found, sources=table).warned(*said, *remarks(table))
 
 
 def combined(
+    facts: SeriesJudgement,
     qoi: str,
     results: Mapping[str, ConvergenceResult],
     accuracy: float | None,
-    said: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Document of several judged quantities; all of them must settle."""
+    said: Sequence[str],
+) -> SeriesJudgement:
+    """Judgement of several judged quantities, all of which must settle."""
     main = results[qoi]
-    open_ = [name for name, ok in within(results, accuracy or 1.0).items() if not ok]
-    if accuracy is None:  # nothing small is asked for, but an uncertainty there must be
-        open_ = [name for name, r in results.items() if r.u_num is None]
-    warnings = [*said, *main.warnings]
-    if accuracy is not None and open_:
-        warnings.append(f"not within {100 * accuracy:g} %: {', '.join(open_)}")
-    return replace(main, warnings=tuple(dict.fromkeys(warnings))).to_json() | {
-        "quantities": {name: result.to_json() for name, result in results.items()},
-        "accuracy": accuracy,
-        "settled": not open_,
-        "given_mesh": _given(main),
-        "mesh_size_needed": None if accuracy is None else size_needed(main, accuracy),
-    }
+    found = replace(
+        facts,
+        main=replace(main, warnings=(*said, *main.warnings)),
+        quantities=results,
+        accuracy=accuracy,
+        given=given_mesh(main),
+    )
+    if accuracy is None or not found.unsettled:
+        return found.warned()
+    return found.warned(f"not within {100 * accuracy:g} %: {', '.join(found.unsettled)}")
 
 
-def _given(result: ConvergenceResult) -> dict[str, Any]:
+def given_mesh(result: ConvergenceResult) -> GivenMesh:
     """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
     value, u = result.value[-1], None
     if result.extrapolated is not None and result.factor_of_safety is not None:
         u = result.factor_of_safety * abs(value - result.extrapolated)
     elif result.u_num is not None:
         u = max(result.u_num, abs(value - result.value[0]))
-    return {"mesh_size": result.mesh_size[-1], "value": value, "u_num": u}
+    return GivenMesh(result.mesh_size[-1], value, u)
+
+
+def inconclusive(
+    qoi: str,
+    unit: str,
+    sizes: Sequence[float],
+    values: Sequence[float],
+    *,
+    formal_order: float | None = None,
+    u_num: float | None = None,
+    verdict: str = "",
+) -> ConvergenceResult:
+    """Make the result of a series, coarse to fine, with too few meshes for an order.
+
+    Parameters
+    ----------
+    u_num : float, optional
+        Uncertainty that is known otherwise.
+    verdict : str
+        What to say; by default how many meshes there are.
+    """
+    usual = f"an order needs three meshes with an answer, there are {len(values)}"
+    return ConvergenceResult(
+        qoi=qoi,
+        unit=unit,
+        mesh_size=tuple(reversed(sizes)),
+        value=tuple(reversed(values)),
+        behaviour="inconclusive",
+        observed_order=None,
+        formal_order=formal_order,
+        extrapolated=None,
+        gci_fine=None,
+        factor_of_safety=None,
+        u_num=u_num,
+        asymptotic_ratio=None,
+        verdict=verdict or usual,
+    )
 
 
 def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
@@ -216,134 +391,3 @@ def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
         return None
     allowed = accuracy * abs(result.extrapolated)
     return float(result.mesh_size[0] * (allowed / result.u_num) ** (1 / result.order_used))
-
-
-def too_few(
-    qoi: str, kept: Sequence[Level], formal: float | None, said: Sequence[str]
-) -> dict[str, Any]:
-    """Document of a series that has no three meshes."""
-    function, unit = QUANTITIES[qoi]
-    nothing = dict.fromkeys(
-        ("observed_order", "extrapolated", "gci_fine", "factor_of_safety", "u_num",
-         "asymptotic_ratio", "order_used", "gci_coarse", "order_interval", "accuracy",
-         "mesh_size_needed", "given_mesh")
-    )  # fmt: skip
-    return {
-        **nothing,
-        "qoi": qoi,
-        "unit": unit,
-        "mesh_size": [level.mesh_size_mm for level in reversed(kept)],
-        "value": [function(level.curve) for level in reversed(kept)],
-        "behaviour": "inconclusive",
-        "formal_order": formal,
-        "verdict": f"an order needs three meshes with an answer, there are {len(kept)}",
-        "warnings": list(said),
-        "quantities": {},
-        "settled": False,
-    }
-
-
-#: relative error of a fitted constant or a score at the tolerances of fit and solver
-TOLERANCE = 1e-6
-
-
-def documents(
-    work: Work, bases: Sequence[CaseJob], finer: Work, records: Mapping[str, Record]
-) -> list[dict[str, Any]]:
-    """Judge every cell by its base case and the refined ones."""
-    return [_document(work, base, finer, records) for base in bases]
-
-
-def _document(
-    work: Work, base: CaseJob, finer: Work, records: Mapping[str, Record]
-) -> dict[str, Any]:
-    jobs = [base, *(j for j in finer.jobs if j.extra.get("of") == base.case.case_id)]
-    good, said = [], []
-    for job in jobs:
-        record = records.get(job.case.case_id)
-        size = base_size_mm(job.case)
-        if record is not None and record.converged:
-            good.append((size, record))
-        else:
-            why = "it was not computed" if record is None else record.message
-            said.append(f"the mesh of {size:.4g} mm gave no answer: {why}")
-    formal, spec = formal_of_case(base), work.design.converge
-    facts = {
-        "levels": dict(base.case.levels), "block": base.case.block, "formal_reason": formal.why,
-    }  # fmt: skip
-    values = _values(work, [record for _, record in good])
-    if len(good) < 3 or not values:
-        return _nothing(spec.qoi, formal, len(good), said) | facts
-    qoi = spec.qoi if spec.qoi in values else next(iter(values))
-    results = judged(_sizes(good, base), values, formal.order, TOLERANCE)
-    return combined(qoi, results, spec.tolerance, said) | facts
-
-
-def _sizes(good: Sequence[tuple[float, Record]], base: CaseJob) -> list[float]:
-    """Sizes by the elements the meshes really have, or as asked where a record has no mesh."""
-    elements = [int(record.mesh.get("elements", 0)) for _, record in good]
-    return series_sizes([size for size, _ in good], elements, base.case.config)
-
-
-def _values(work: Work, records: Sequence[Record]) -> dict[str, tuple[list[float], str]]:
-    """Quantities of the predicted curve, responses of the study, and fitted constants."""
-    columns: dict[str, tuple[list[float], str]] = {}
-
-    def add(name: str, numbers: Sequence[float | None], unit: str) -> None:
-        known = [float(v) for v in numbers if v is not None]
-        if known and len(known) == len(records):
-            columns.setdefault(name, (known, unit))
-
-    curves = [_predicted(record) for record in records]
-    for name, (function, unit) in QUANTITIES.items():
-        add(name, [None if c is None else function(c) for c in curves], unit)
-    for name, unit in work.responses.items():
-        if name != "seconds":
-            add(name, [r.responses.get(name, {}).get("value") for r in records], unit)
-    for name, entry in (records[0].parameters if records else {}).items():
-        numbers = [r.parameters.get(name, {}).get("value") for r in records]
-        add(name, numbers, str(entry.get("unit", "")))
-    return columns
-
-
-def _predicted(record: Record) -> Curve | None:
-    return next((c for name, c in record.curves.items() if name.startswith("predicted")), None)
-
-
-def _nothing(qoi: str, formal: FormalOrder, count: int, said: Sequence[str]) -> dict[str, Any]:
-
-    known = qoi if qoi in QUANTITIES else "peak_force"
-    made = too_few(known, [], formal.order, said)
-    verdict = f"an order needs three meshes with an answer, there are {count}"
-    return made | {"qoi": qoi, "verdict": verdict}
-
-
-def stored_convergence(rows: Sequence[Numerical]) -> list[dict[str, Any]]:
-    """Judge every stored series of a study.
-
-    Returns
-    -------
-    list of dict
-        The keys of a convergence document, with ``levels`` and ``note``; a series of two
-        meshes has no order and says so.
-    """
-    found = []
-    for row in rows:
-        cell: dict[str, Any] = {"levels": dict(row.levels), "note": row.note}
-        if len(row.series) >= 3:
-            judged = grid_convergence(
-                row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,
-                unit=row.unit,
-            )  # fmt: skip
-            cell |= judged.to_json() | {"formal_reason": row.formal_reason}
-        else:
-            cell |= {
-                "qoi": row.response, "unit": row.unit,
-                "mesh_size": list(row.mesh_size)[::-1], "value": list(row.series)[::-1],
-                "behaviour": "inconclusive", "observed_order": None, "formal_order": None,
-                "extrapolated": None, "gci_fine": None, "factor_of_safety": None,
-                "u_num": row.u_num, "asymptotic_ratio": None,
-                "verdict": f"{len(row.series)} meshes have no order; u_num is that of the study",
-            }  # fmt: skip
-        found.append(cell)
-    return found

@@ -8,19 +8,17 @@ the discretization in the effect of the space.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
-from study.curve import Curve
 from study.record.record import Record
 from study.runner.job import CaseJob, Work
 from study.runner.numerical.formal_order import base_size_mm
-from study.runner.numerical.refinement import solve_task
+from study.runner.numerical.solve_task import SolveResult, SolveTask
 from study.runner.numerical.study_refinement import meshed_cells
+from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 from study.setup.setup import specimen_of
 
-Config = Mapping[str, Any]
 SPACES = ("axisymmetric", "3d")
 
 
@@ -35,7 +33,7 @@ class Pair:
     """
 
     levels: Mapping[str, str]
-    tasks: tuple[dict[str, Any], dict[str, Any]]
+    tasks: tuple[SolveTask, SolveTask]
 
 
 def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
@@ -49,7 +47,7 @@ def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
 
 
 def upcoming(
-    work: Work, records: Mapping[str, Record], solved: Callable[[Mapping[str, Any]], bool]
+    work: Work, records: Mapping[str, Record], solved: Callable[[SolveTask], bool]
 ) -> list[CaseJob]:
     """List the cells whose cylinder is still to be solved, before the cases are computed.
 
@@ -109,7 +107,7 @@ def _preference(job: CaseJob) -> tuple[int, str, float]:
     return len(names), str(material["model"]), base_size_mm(job.case)
 
 
-def _task(job: CaseJob, constants: Mapping[str, float]) -> dict[str, Any]:
+def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
     config = job.case.config
     depth = config["test"].get("displacement_mm")
     if depth is None:
@@ -120,17 +118,17 @@ def _task(job: CaseJob, constants: Mapping[str, float]) -> dict[str, Any]:
         "material": {**config["material"], "constants": dict(constants)},
         "test": {**config["test"], "displacement_mm": depth},
     }
-    return solve_task(changed, base_size_mm(job.case))
+    return SolveTask.of(changed, base_size_mm(job.case))
 
 
 def _constants(record: Record | None) -> dict[str, float]:
     """Constants (MPa) of a case's first fit; empty without an answer."""
-    if record is None or not record.converged or not record.fit:
+    if record is None or not record.converged or not record.fits:
         return {}
-    return dict(next(iter(record.fit.values()))["values"])
+    return record.fits[0]["values"]
 
 
-def _equivalent_cylinder(block: Config) -> dict[str, Any]:
+def _equivalent_cylinder(block: Tables) -> Tables:
     """Cylinder of the same cross-section and height."""
     from study.fem.mesh.structured import equivalent_radius
 
@@ -138,30 +136,46 @@ def _equivalent_cylinder(block: Config) -> dict[str, Any]:
     return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
 
 
-def compared(pair: Pair, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How far the forces of the two spaces differ.
+@dataclass(frozen=True)
+class SpaceComparison:
+    """How far the forces of the two spaces differ on one cylinder.
 
-    Returns
-    -------
-    dict
-        ``levels``, ``unknowns`` of both, ``depth_mm``, ``at_end`` (relative difference of the
-        force at the end, 3D over axisymmetric) and ``largest`` (over the second half of the
-        depth); the last two None where a solution failed, with ``message``.
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Of the discretization, space left out.
+    unknowns : tuple of int
+        Of both solutions.
+    depth_mm : float
+        Of the test.
+    at_end, largest : float or None
+        Relative difference of the force, 3D over axisymmetric, at the end and over the second
+        half of the depth; None where a solution failed.
+    message : str
+        Why it failed.
     """
-    row: dict[str, Any] = {
-        "levels": dict(pair.levels),
-        "unknowns": [int(result.get("dofs", 0)) for result in results],
-        "depth_mm": float(pair.tasks[0]["config"]["test"]["displacement_mm"]),
-        "at_end": None,
-        "largest": None,
-        "message": "",
-    }
-    failed = [str(r.get("message")) for r in results if r.get("status") != "converged"]
+
+    levels: Mapping[str, str]
+    unknowns: tuple[int, int]
+    depth_mm: float
+    at_end: float | None = None
+    largest: float | None = None
+    message: str = ""
+
+
+def compared(pair: Pair, flat: SolveResult, solid: SolveResult) -> SpaceComparison:
+    """Compare the forces of the two spaces."""
+    row = SpaceComparison(
+        pair.levels,
+        (flat.dofs, solid.dofs),
+        float(pair.tasks[0].tables["test"]["displacement_mm"]),
+    )
+    failed = [result.message for result in (flat, solid) if not result.converged]
     if failed:
-        return row | {"message": failed[0]}
-    flat, solid = (Curve.from_dict(result["curve"]) for result in results)
+        return replace(row, message=failed[0])
     # each may have load steps of its own, where its curve bends
-    apart = solid.force_N / flat.force_at(solid.displacement_mm) - 1
-    deep = solid.displacement_mm >= solid.displacement_mm.max() / 2
+    d = solid.curve.displacement_mm
+    apart = solid.curve.force_N / flat.curve.force_at(d) - 1
+    deep = d >= d.max() / 2
     largest = apart[deep][abs(apart[deep]).argmax()]
-    return row | {"at_end": float(apart[-1]), "largest": float(largest)}
+    return replace(row, at_end=float(apart[-1]), largest=float(largest))

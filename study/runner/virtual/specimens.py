@@ -26,7 +26,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -36,18 +35,23 @@ from study.design.cases import treatments
 from study.design.spec import Design
 from study.errors import Fault, InputError
 from study.execution.loky import Loky
-from study.execution.task import Task
+from study.execution.task import Received, Task
 from study.forward import finite_element
 from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
 from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
+from study.runner.numerical.solve_task import SolveResult
+from study.runner.tables import CalibrationTable, Tables
 from study.runner.virtual.truth import TRUTHS, truth
 from study.setup.setup import Setup, problem_of
 from study.units import parse
 
 #: steps of a reference curve; between them it is interpolated with its tangent
 _STEPS = 12
+
+#: plates of a reference curve for a design of a single test
+_BONDED = {"interface": "bonded", "base": "bonded"}
 
 #: constants of the usual truth, MPa
 ECOFLEX_00_10 = TRUTHS["yeoh"].constants
@@ -162,11 +166,11 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     return written
 
 
-def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
+def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
-    found: dict[str, tuple[MeasurementSpec, Mapping[str, Any]]] = {}
+    found: dict[str, tuple[MeasurementSpec, Tables]] = {}
     for treatment in treatments(design):
-        own = (treatment.config.get("calibration") or {}).get("problem") or {}
+        own = CalibrationTable.of(treatment.config).problem or {}
         for config in (treatment.config, own):
             spec = config.get("measurements")
             if spec is None:
@@ -181,84 +185,109 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Mapping[str, Any]]]:
     return list(found.values())
 
 
-def _coarseness(model: Mapping[str, Any]) -> tuple[float, int]:
+def _coarseness(model: Tables) -> tuple[float, int]:
     """Order of meshes: a given size, else the named level."""
     size = model.get("mesh_size_mm")
     named = ("fine", "medium", "coarse").index(model.get("mesh") or "medium")
     return (np.inf if size is None else float(size), named)
 
 
-def _depth(config: Mapping[str, Any]) -> float:
+def _depth(config: Tables) -> float:
     return float(config["test"]["displacement_mm"])
 
 
-def reference_curve(
-    config: Mapping[str, Any], generator: Generator, *, as_designed: bool = False
-) -> Curve:
+def reference_curve(tables: Tables, generator: Generator, *, as_designed: bool = False) -> Curve:
     """Solve for the reference force and its gradient, in a worker of one thread.
 
     Parameters
     ----------
     as_designed : bool
-        Whether the test is the configuration's; otherwise the plates are bonded.
+        Whether the test is the tablesuration's; otherwise the plates are bonded.
 
     Raises
     ------
     InputError
         If the solver stops.
     """
-    plain = {k: config[k] for k in ("specimen", "test")}
+    test = {**tables["test"], **({} if as_designed else _BONDED), "steps": _STEPS}
     # the grid runs a little past the range, as a real test does
-    depth = 1.03 * float(config["test"]["displacement_mm"])
-    plates = {} if as_designed else {"interface": "bonded", "base": "bonded"}
+    test["displacement_mm"] = 1.03 * float(tables["test"]["displacement_mm"])
     material = truth(generator.truth)
-    task = {
-        "kind": "reference",
-        "config": {
-            **plain,
-            "test": {**plain["test"], **plates, "displacement_mm": depth, "steps": _STEPS},
+    task = ReferenceTask(
+        {
+            "specimen": tables["specimen"],
+            "test": test,
             "material": {"model": material.model, "constants": dict(material.constants),
                          "poisson_ratio": generator.poisson_ratio},
-            "model": _reference_model(config, as_designed),
+            "model": _reference_model(tables, as_designed),
         },
-        "finer": as_designed and not Setup.of(config).is_homogeneous,
-    }  # fmt: skip
-    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
-    if outcome.result["status"] != "converged":
-        message = outcome.result.get("message", "")
-        raise InputError(Fault("virtual specimens", f"the reference curve failed: {message}"))
-    return Curve.from_dict(outcome.result["curve"])
+        as_designed and not Setup.of(tables).is_homogeneous,
+    )  # fmt: skip
+    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
+    found = SolveResult.from_json(outcome.result)
+    if not found.converged:
+        rule = f"the reference curve failed: {found.message}"
+        raise InputError(Fault("virtual specimens", rule))
+    return found.curve
 
 
-def _reference_model(config: Mapping[str, Any], as_designed: bool) -> dict[str, Any]:
+def _reference_model(tables: Tables, as_designed: bool) -> dict[str, object]:
     """Quadratic elements; 3D where the specimen is no body of revolution and that matters.
 
     Where every test is as the design has it, the mesh is the finest that the design uses,
     to be made finer still.
     """
-    shape = config["specimen"]["shape"]
-    solid = shape == "surface" or (shape == "block" and config["test"]["kind"] == "indentation")
+    shape = tables["specimen"]["shape"]
+    solid = shape == "surface" or (shape == "block" and tables["test"]["kind"] == "indentation")
     found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
     if not as_designed:
         return {**found, "mesh": "fine"}
-    return found | {k: config["model"].get(k) for k in ("mesh", "mesh_size_mm", "mesh_ratio")}
+    return found | {k: tables["model"].get(k) for k in ("mesh", "mesh_size_mm", "mesh_ratio")}
 
 
-def perform(task: Mapping[str, Any]) -> dict[str, Any]:
-    """Solve the reference problem (in a worker)."""
-    problem = problem_of(task["config"])
-    if task.get("finer"):
-        # no cell of the design generates its own data
+@dataclass(frozen=True)
+class ReferenceTask:
+    """The reference problem as it goes to a worker.
+
+    Parameters
+    ----------
+    tables : mapping
+        The problem.
+    finer : bool
+        Whether its mesh is made finer by one step, so that no cell of the design generates its
+        own data.
+    """
+
+    tables: Tables
+    finer: bool
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {"kind": "reference", "tables": dict(self.tables), "finer": self.finer}
+
+    @classmethod
+    def from_json(cls, document: Received) -> ReferenceTask:
+        """Inverse of :meth:`to_json`."""
+        return cls(document["tables"], document["finer"])
+
+
+def perform(document: Received) -> dict[str, object]:
+    """Solve the reference problem: a task for a worker.
+
+    Returns
+    -------
+    dict
+        Of :meth:`study.runner.numerical.solve_task.SolveResult.to_json`.
+    """
+    task = ReferenceTask.from_json(document)
+    problem = problem_of(task.tables)
+    if task.finer:
         from study.fem.mesh.mesher import mesh_size
 
         size = mesh_size(problem.setup) / problem.model.mesh_ratio
         problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
     solution = finite_element.solve(problem, gradients=True)
-    return {
-        "status": solution.status,
-        "message": solution.message,
-        "curve": solution.curve.as_dict(),
-    }
+    return SolveResult(solution.status, solution.message, solution.curve).to_json()
 
 
 def generate(

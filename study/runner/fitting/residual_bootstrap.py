@@ -11,17 +11,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.fit import Fit
 from study.canonical import digest
 from study.curve import Curve
+from study.execution.task import Received
+from study.record.document import FitDocument
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_task import FitTask
 from study.runner.fitting.staged_fit import Checkpoint, Part, Predict, single_stage
+from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 
 #: points below which residuals say nothing of their correlation
@@ -93,57 +98,67 @@ def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
     return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
 
 
-def perform(task: Mapping[str, Any]) -> dict[str, Any]:
+def perform(document: Received) -> dict[str, object]:
     """Fit the constants again to resampled curves: a task for a worker.
 
     Returns
     -------
     dict
-        As of :func:`study.runner.fitting.fit_task.perform`, with ``resampling``: block length
-        and lag-1 correlation of every curve.
+        Of :meth:`study.runner.fitting.fit_summary.FitResult.to_json`, with ``resampling``: block
+        length and lag-1 correlation of every curve.
+    """
+    return refitted(FitTask.from_json(document)).to_json()
+
+
+def refitted(task: FitTask) -> FitResult:
+    """Fit the constants again to resampled curves.
+
+    Raises
+    ------
+    ValueError
+        If the task has no fit whose residuals it could draw from.
     """
     began = time.perf_counter()
-    base, (seed, number) = task["start"], task["noise"]
-    if base.get("status") != "converged":
-        why = f"the fit to the measured curve did not converge: {base.get('message', '')}"
-        return {"status": str(base.get("status", "failed")), "message": why}
-    names = tuple(base["names"])
-    start = np.array([float(base["values"][name]) for name in names])
-    measured, parts = fit_task.parts_of(task)
-    models = [_Remembering(fit_task.model(p.method, p.config, _curves(p), names)) for p in parts]
+    if task.start is None or task.noise is None:
+        raise ValueError("a refit needs a fit, a seed and a number")
+    base, (seed, number) = task.start, task.noise
+    if not base.converged:
+        why = f"the fit to the measured curve did not converge: {base.message}"
+        return FitResult.without_answer(base.status, why)
+    names = tuple(base.fit["names"])
+    start = np.array([base.constants[name] for name in names])
+    parts = fit_task.parts_of(task)
+    models = [_Remembering(fit_task.model(p.method, p.tables, _curves(p), names)) for p in parts]
     predicted = [curve for model in models for curve in model(start)]
-    points = sum(len(curve) for curve in measured)
+    points = sum(len(curve) for curve in task.measured)
     share = points / max(1, points - len(names))
     found = [
         residuals_of(curve, own.force_at(curve.displacement_mm), share)
-        for curve, own in zip(measured, predicted, strict=True)
+        for curve, own in zip(task.measured, predicted, strict=True)
     ]
     drawn = [
         Curve(curve.displacement_mm, resampled(own, _random(seed, curve, number)))
-        for curve, own in zip(measured, found, strict=True)
+        for curve, own in zip(task.measured, found, strict=True)
     ]
     again, made = _with_forces(parts, drawn), iter(models)
     done = single_stage(
         "resampled", again, names, start, lambda *_: next(made), None, None, Checkpoint()
     )
-    seconds = time.perf_counter() - began
-    return _described(done.fit, parts[0].config["material"], found) | {
-        "method": task["method"],
-        "seconds": seconds,
-    }
+    document = _described(done.fit, parts[0].tables, found)
+    document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
+    return FitResult("converged" if done.fit.status.usable else "not-converged", document)
 
 
-def _described(fit: Any, material: Mapping[str, Any], found: Sequence[Residuals]) -> dict[str, Any]:
-    """Plain description of a refit; unstable constants stay, for they are part of the scatter."""
-    constants = dict(zip(fit.names, fit.values.tolist(), strict=True))
+def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocument:
+    """Describe a refit; unstable constants stay, for they are part of the scatter."""
+    constants = fit.constants()
     return {
-        "status": "converged" if fit.status.usable else "not-converged",
-        "message": str(fit.message),
+        "message": fit.message,
         "names": list(fit.names),
         "values": constants,
-        "mu0": float(MaterialSection.of(material).material(constants).mu0),
-        "identifiable": bool(fit.status.converged),
-        "reason": "" if fit.status.converged else str(fit.status.sentence),
+        "mu0": float(MaterialSection.of(tables["material"]).material(constants).mu0),
+        "identifiable": fit.converged,
+        "reason": "" if fit.converged else fit.status.sentence,
         "evaluations": int(fit.evaluations),
         "resampling": [{"block": own.block, "lag1": own.lag1} for own in found],
     }

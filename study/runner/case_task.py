@@ -1,0 +1,174 @@
+"""A case as it goes to a worker: what is known of its record, its problem, its fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+from study.curve import Curve
+from study.execution.task import Received
+from study.forward.finite_element import Anchor
+from study.record.record import Record
+from study.runner.fitting.fit_summary import FitResult
+from study.runner.job import Forward, Origin
+from study.runner.provenance import versions
+from study.runner.response import Scored
+from study.runner.tables import Tables
+from study.setup.material_section import MaterialSection
+
+
+@dataclass(frozen=True)
+class CaseFrame:
+    """Everything of a record that is known before the case is computed.
+
+    Parameters
+    ----------
+    case_id, study, input_hash : str
+        As in the record.
+    levels : mapping of str to str
+        Level of every factor.
+    block : str or None
+        Label of the block.
+    units : mapping of str to str
+        Unit of every response that the record holds.
+    origin : Origin
+        Why it is computed besides the cells of the design.
+    """
+
+    case_id: str
+    study: str
+    levels: Mapping[str, str]
+    block: str | None
+    units: Mapping[str, str]
+    input_hash: str
+    origin: Origin
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Received) -> CaseFrame:
+        """Inverse of :meth:`to_json`."""
+        return cls(**{**document, "origin": Origin(**document["origin"])})
+
+    def record(
+        self,
+        status: str,
+        message: str,
+        *,
+        seconds: float | None = None,
+        traceback: str = "",
+    ) -> Record:
+        """Record of a case without an answer: every response is missing."""
+        return Record(
+            case_id=self.case_id,
+            study=self.study,
+            levels=self.levels,
+            block=self.block,
+            status=status,
+            message=message,
+            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
+            timings={} if seconds is None else {"total": seconds},
+            versions=versions(),
+            input_hash=self.input_hash,
+            extra=self.origin.to_json() | ({"traceback": traceback} if traceback else {}),
+        )
+
+
+@dataclass(frozen=True)
+class ScoreTask:
+    """One direction of a case: the scored curve, and the fit that gives the constants.
+
+    Parameters
+    ----------
+    label, role, fit_label, measured, scatter_N
+        As of :class:`study.runner.job.ScorePair`.
+    fit_key : str or None
+        Name of the fit.
+    fit : FitResult or None
+        What it found; None where the constants are given.
+    """
+
+    label: str
+    measured: Curve
+    role: str
+    fit_label: str
+    scatter_N: tuple[float, ...] | None  # noqa: N815
+    fit_key: str | None
+    fit: FitResult | None
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            **vars(self),
+            "measured": self.measured.as_dict(),
+            "fit": None if self.fit is None else self.fit.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, document: Received) -> ScoreTask:
+        """Inverse of :meth:`to_json`."""
+        fit = document["fit"]
+        scatter = document["scatter_N"]
+        return cls(**{
+            **document,
+            "measured": Curve.from_dict(document["measured"]),
+            "scatter_N": None if scatter is None else tuple(scatter),
+            "fit": None if fit is None else FitResult.from_json(fit),
+        })  # fmt: skip
+
+    def scored(self, tables: Tables, predicted: Curve | None = None) -> Scored:
+        """Collect what responses are computed from; given constants stand in the tables."""
+        if self.fit is not None:
+            return Scored(self.measured, predicted, self.fit.constants, self.fit.fit.get("mu0"))
+        material = MaterialSection.of(tables["material"]).material()
+        return Scored(self.measured, predicted, material.constants, material.mu0)
+
+
+@dataclass(frozen=True)
+class CaseTask:
+    """A case as it goes to a worker, complete in itself.
+
+    Parameters
+    ----------
+    frame : CaseFrame
+        What is known of its record.
+    tables : mapping
+        The problem that predicts.
+    forward : str
+        Where the predicted curves come from.
+    directions : tuple of ScoreTask
+        What is scored.
+    anchor : Anchor or None
+        The solution that the cases of a cell start from.
+    """
+
+    frame: CaseFrame
+    tables: Tables
+    forward: Forward
+    directions: tuple[ScoreTask, ...]
+    anchor: Anchor | None = None
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            "kind": "case",
+            "frame": self.frame.to_json(),
+            "tables": dict(self.tables),
+            "forward": self.forward,
+            "directions": [one.to_json() for one in self.directions],
+            "anchor": None if self.anchor is None else asdict(self.anchor),
+        }
+
+    @classmethod
+    def from_json(cls, document: Received) -> CaseTask:
+        """Inverse of :meth:`to_json`."""
+        anchor = document["anchor"]
+        return cls(
+            CaseFrame.from_json(document["frame"]),
+            document["tables"],
+            document["forward"],
+            tuple(ScoreTask.from_json(one) for one in document["directions"]),
+            None if anchor is None else Anchor(**anchor),
+        )

@@ -1,0 +1,73 @@
+"""A predicted curve, and how it was found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+from study.curve import Curve
+from study.record.document import MeshDocument, SolverDocument
+
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A predicted curve.
+
+    Parameters
+    ----------
+    curve : Curve
+        Its forces.
+    mesh, solver : MeshDocument, SolverDocument
+        How it was found; a closed form has no mesh.
+    seconds : float
+        What it cost beside the fit that gave the constants.
+    """
+
+    curve: Curve
+    mesh: MeshDocument = field(default_factory=MeshDocument)
+    solver: SolverDocument = field(default_factory=SolverDocument)
+    seconds: float = 0.0
+
+    @classmethod
+    def of(cls, solution: Solution, seconds: float = 0.0) -> Predicted:
+        """Prediction of a solution, without the gradients that nobody reads from the store."""
+        curve = solution.curve.without_gradients()
+        return cls(curve, mesh_document(solution), solver_document(solution), seconds)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for the store and for workers."""
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> Predicted:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
+            cast(MeshDocument, document.get("mesh", {})),
+            cast(SolverDocument, document["solver"]),
+        )
+
+
+def mesh_document(solution: Solution) -> MeshDocument:
+    """Describe the mesh of a solution for the record."""
+    return {
+        "dofs": int(solution.dofs),
+        "elements": int(solution.elements),
+        "hash": str(solution.mesh_hash),
+        "mesh_size_mm": float(solution.mesh_size_mm),
+    }
+
+
+def solver_document(solution: Solution) -> SolverDocument:
+    """Describe how a solution was found, and its energy balance, for the record."""
+    return {
+        "name": str(solution.solver),
+        "min_j": float(solution.min_j),
+        "energy_mismatch": float(solution.energy.largest_mismatch),
+        "stabilization_share": float(solution.energy.stabilization_share),
+        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+    }

@@ -1,0 +1,286 @@
+"""Cases of one cell that differ in their mesh alone: what the series says of a study's numbers.
+
+Either the cell was refined beside the study, whose own mesh is then the coarsest, or the meshes
+are a factor of the study, and the finest of them is what the others are compared with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from study.analysis.convergence.grid_convergence import (
+    ConvergenceResult,
+    Numerical,
+    grid_convergence,
+)
+from study.arrays import Array
+from study.curve import Curve
+from study.design.study_file import Converge
+from study.record.record import Record
+from study.runner.job import CaseJob
+from study.runner.numerical.curve_quantities import QUANTITIES
+from study.runner.numerical.formal_order import FormalOrder, base_size_mm, formal_of_case
+from study.runner.numerical.judgement import (
+    SeriesJudgement,
+    Values,
+    combined,
+    inconclusive,
+    judged,
+    series_sizes,
+)
+from study.runner.numerical.refinement import FEWEST
+from study.runner.numerical.series_uncertainty import (
+    fine_uncertainty,
+    ratio_of,
+    series_uncertainty,
+    two_mesh_uncertainty,
+)
+
+#: Relative error of a fitted constant or a score at the tolerances of fit and solver.
+TOLERANCE = 1e-6
+
+#: Places along a curve where it is compared, from its first measured point to its last.
+PLACES = np.linspace(0.0, 1.0, 21)
+
+
+@dataclass
+class CaseSeries:
+    """Cases of one cell on several meshes, from coarse to fine, and their records.
+
+    Parameters
+    ----------
+    jobs : tuple of CaseJob
+        The cases.
+    ratio : float
+        Ratio of the element sizes that was asked for.
+    own : {"coarsest", "finest"}
+        Which mesh is the study's.
+    records : dict of str to Record or None
+        What is computed of them, by case id; None where that failed to give a record.
+    """
+
+    jobs: tuple[CaseJob, ...]
+    ratio: float
+    own: Literal["coarsest", "finest"] = "coarsest"
+    records: dict[str, Record | None] = field(default_factory=dict)
+
+    @property
+    def base(self) -> CaseJob:
+        """The case on the coarsest mesh."""
+        return self.jobs[0]
+
+    @property
+    def levels(self) -> dict[str, str]:
+        """Levels that all cases share."""
+        first, last = self.jobs[0].case.levels, self.jobs[-1].case.levels
+        return {name: level for name, level in first.items() if last[name] == level}
+
+    @property
+    def formal(self) -> FormalOrder:
+        """Order that the elements of the study's mesh promise."""
+        return formal_of_case(self.base if self.own == "coarsest" else self.jobs[-1])
+
+    @property
+    def good(self) -> list[tuple[CaseJob, Record]]:
+        """Cases with an answer."""
+        found = [(job, self.records.get(job.case.case_id)) for job in self.jobs]
+        return [(job, record) for job, record in found if record is not None and record.converged]
+
+    def due(self) -> list[CaseJob]:
+        """Cases that were not computed yet: all of them, for none depends on another."""
+        return [job for job in self.jobs if job.case.case_id not in self.records]
+
+    def add(self, step: CaseJob, found: Record | None) -> None:
+        """Take the record of a case."""
+        self.records[step.case.case_id] = found
+
+    def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
+        """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
+        sizes = [float(record.mesh.get("mesh_size_mm", 0.0)) for record in records]
+        elements = [int(record.mesh.get("elements", 0)) for record in records]
+        return tuple(series_sizes(sizes, elements, self.base.case.config, anchor=0))
+
+    def half_width(
+        self, values: Sequence[float], sizes: Sequence[float], formal: float
+    ) -> tuple[str, float]:
+        """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
+        if self.own == "finest":
+            return fine_uncertainty(values, sizes, formal)
+        if len(values) == 2:
+            real = ratio_of(sizes, self.ratio)
+            return "two meshes", two_mesh_uncertainty(values[0], values[1], real)
+        return series_uncertainty(values, self.ratio, sizes, formal)
+
+    def uncertainty(self, response: str, unit: str) -> Numerical:
+        """Numerical uncertainty of a response on the study's mesh."""
+        known = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
+        values = tuple(value for _, _, value in known)
+        lacking = self._lacking([job for job, _, _ in known])
+        if lacking:
+            first = bool(known) and known[0][0] is self.base and self.own == "coarsest"
+            value = values[0] if first else None
+            return Numerical(self.levels, response, value, None, unit, "not available", lacking)
+        sizes, formal = self.sizes([record for _, record, _ in known]), self.formal
+        behaviour, u = self.half_width(values, sizes, formal.order)
+        value = values[0] if self.own == "coarsest" else values[-1]
+        return Numerical(
+            self.levels, response, value, u, unit, behaviour, self._note(len(known)),
+            sizes, values, formal.order, formal.why,
+        )  # fmt: skip
+
+    def _lacking(self, known: Sequence[CaseJob]) -> str:
+        """Why the meshes with an answer are too few; empty if they are enough."""
+        if self.own == "finest":
+            few = len(known) < len(self.jobs)
+            return f"{len(known)} of {len(self.jobs)} meshes gave an answer" if few else ""
+        few = len(known) < 2 or known[0] is not self.base
+        return f"no second mesh gave an answer ({self.base.case.label})" if few else ""
+
+    def _note(self, meshes: int) -> str:
+        """Which meshes an uncertainty rests on."""
+        ends = (self.good[0][1], self.good[-1][1])
+        unknowns = " to ".join(str(int(record.mesh.get("dofs", 0))) for record in ends)
+        if self.own == "finest":
+            return f"the study's own {meshes} meshes, {unknowns} unknowns; on the finest"
+        label = self.base.case.label
+        return f"{label}; {meshes} meshes of ratio {self.ratio:g}, {unknowns} unknowns"
+
+    def shares(self) -> dict[str, Array]:
+        """Relative numerical uncertainty of the force at :data:`PLACES`, by case id.
+
+        Of a refined cell that of its own mesh. Where the meshes are a factor a coarser one is
+        off by its distance to the finest, and the finest by its own uncertainty: the sum is on
+        the safe side. Empty where too few meshes gave an answer.
+        """
+        good = self.good
+        if len(good) < (len(self.jobs) if self.own == "finest" else 2):
+            return {}
+        forces = np.array([force_at_places(record) for _, record in good])
+        sizes, formal = self.sizes([record for _, record in good]), self.formal.order
+        u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
+        if self.own == "coarsest":
+            return {self.base.case.case_id: u / np.abs(forces[0])}
+        return {
+            job.case.case_id: (np.abs(force - forces[-1]) + u) / np.abs(force)
+            for (job, _), force in zip(good, forces, strict=True)
+        }
+
+    def judge(self, spec: Converge, units: Mapping[str, str]) -> SeriesJudgement:
+        """Judge curves, responses and constants of the series.
+
+        Parameters
+        ----------
+        units : mapping of str to str
+            Unit of every response that a record holds.
+        """
+        records, formal = [record for _, record in self.good], self.formal
+        said = list(self._unanswered())
+        values = quantities(records, units)
+        known = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
+        verdict = f"an order needs three meshes with an answer, there are {len(records)}"
+        facts = SeriesJudgement(
+            inconclusive(
+                spec.qoi, QUANTITIES[known][1], [], [], formal_order=formal.order, verdict=verdict
+            ),
+            {},
+            formal,
+            levels=self.base.case.levels,
+            block=self.base.case.block,
+        )
+        if len(records) < FEWEST or not values:
+            return facts.warned(*said)
+        qoi = spec.qoi if spec.qoi in values else next(iter(values))
+        elements = [int(record.mesh.get("elements", 0)) for record in records]
+        asked = [base_size_mm(job.case) for job, _ in self.good]
+        sizes = series_sizes(asked, elements, self.base.case.config)
+        results = judged(sizes, values, formal.order, TOLERANCE)
+        return combined(facts, qoi, results, spec.tolerance, said)
+
+    def _unanswered(self) -> Iterable[str]:
+        """Say which meshes gave no answer, and why."""
+        for job in self.jobs:
+            record = self.records.get(job.case.case_id)
+            if record is None or not record.converged:
+                why = "it was not computed" if record is None else record.message
+                yield f"the mesh of {base_size_mm(job.case):.4g} mm gave no answer: {why}"
+
+
+def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
+    """Values of the predicted curve, of responses and of constants that every record has.
+
+    Parameters
+    ----------
+    units : mapping of str to str
+        Unit of every response that a record holds.
+    """
+    columns: dict[str, tuple[list[float], str]] = {}
+
+    def add(name: str, numbers: Iterable[float | None], unit: str) -> None:
+        known = [float(v) for v in numbers if v is not None]
+        if known and len(known) == len(records):
+            columns.setdefault(name, (known, unit))
+
+    pairs = [record.first_pair() for record in records]
+    for name, (function, unit) in QUANTITIES.items():
+        add(name, (None if pair is None else function(pair[1]) for pair in pairs), unit)
+    for name, unit in units.items():
+        if name != "seconds":
+            add(name, (record.value(name) for record in records), unit)
+    for name, entry in (records[0].parameters if records else {}).items():
+        known = [record.parameters.get(name) for record in records]
+        add(name, (None if p is None else p["value"] for p in known), entry["unit"])
+    return columns
+
+
+def places_of(measured: Curve) -> Array:
+    """Displacements of :data:`PLACES` on a measured curve, mm."""
+    d = measured.displacement_mm
+    return np.asarray(d[0] + PLACES * (d[-1] - d[0]))
+
+
+def force_at_places(record: Record) -> Array:
+    """Predicted force of the first direction at :data:`PLACES`, N.
+
+    Raises
+    ------
+    ValueError
+        If the record has no predicted curve.
+    """
+    pair = record.first_pair()
+    if pair is None:
+        raise ValueError(f"case {record.case_id} has an answer and no curve")
+    measured, predicted = pair
+    return predicted.force_at(places_of(measured))
+
+
+def stored_convergence(rows: Sequence[Numerical]) -> list[dict[str, object]]:
+    """Judge every stored series of a study.
+
+    Returns
+    -------
+    list of dict
+        The keys of a convergence document, with ``levels`` and ``note``; a series of two
+        meshes has no order and says so.
+    """
+    return [
+        {"levels": dict(row.levels), "note": row.note}
+        | _stored(row).to_json()
+        | ({"formal_reason": row.formal_reason} if len(row.series) >= FEWEST else {})
+        for row in rows
+    ]
+
+
+def _stored(row: Numerical) -> ConvergenceResult:
+    if len(row.series) >= FEWEST:
+        return grid_convergence(
+            row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,
+            unit=row.unit,
+        )  # fmt: skip
+    verdict = f"{len(row.series)} meshes have no order; u_num is that of the study"
+    return inconclusive(
+        row.response, row.unit, row.mesh_size, row.series, u_num=row.u_num, verdict=verdict
+    )

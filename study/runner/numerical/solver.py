@@ -1,0 +1,83 @@
+"""Where solutions of refinement series come from: this process, workers, or the store."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+from study.execution.loky import Loky
+from study.execution.task import Document, Executor, Results, Task
+from study.record.store import Store
+from study.runner.numerical.solve_task import Solver, SolveResult, SolveTask, perform, solved
+
+#: results that the same input gives again; memory and time may be better another day
+_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
+
+def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+    """Solve one after another in this process."""
+    for task in tasks:
+        yield task.key, solved(task)
+
+
+def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
+    """Solve on several worker processes; a worker that dies costs its own solution only.
+
+    Parameters
+    ----------
+    executor : Executor, optional
+        Where the tasks run; by default ``jobs`` processes of this machine.
+    """
+
+    def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+        work = [Task(task.key, partial(_as_is, task.to_json())) for task in tasks]
+        for outcome in (executor or Loky(perform, jobs)).run(work):
+            yield outcome.key, SolveResult.from_json(outcome.result)
+
+    return solve
+
+
+def _as_is(document: Document, results: Results) -> Document:
+    """Payload of a task that needs no other's result."""
+    return document
+
+
+def kept(solve: Solver, store: Store) -> Solver:
+    """Read what is stored, solve the rest, and store each result as it comes."""
+
+    def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+        missing = []
+        for task in tasks:
+            known = store.read_json(_name(task.key))
+            if isinstance(known, dict):
+                yield task.key, SolveResult.from_json(known)
+            else:
+                missing.append(task)
+        for key, result in solve(missing) if missing else ():
+            if result.status in _KEPT:
+                with store.lock():
+                    store.write_json(_name(key), result.to_json())
+            yield key, result
+
+    return looked_up
+
+
+def is_kept(task: SolveTask, store: Store) -> bool:
+    """Whether the solution of a task is stored."""
+    return store.read_json(_name(task.key)) is not None
+
+
+def _name(key: str) -> str:
+    return f"solves/{key}"
+
+
+def store_of(results: Path, name: str) -> Store:
+    """Store of a problem or a design by its name."""
+    return Store(results / slug(name))
+
+
+def slug(name: str) -> str:
+    """Name of a folder from any name."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:80] or "problem"
