@@ -1,0 +1,1 @@
+"""Rigid registration, fitted spheres, distances to a surface, agreement of two methods."""

@@ -1,0 +1,1 @@
+"""A simulated surface against a scan of the real one."""

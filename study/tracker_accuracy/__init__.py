@@ -1,0 +1,1 @@
+"""A tracker against what is known: fixed distances, commanded displacements, a reference."""

@@ -1,0 +1,69 @@
+"""Bodies and scans of them whose truth is known: they are made here."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from study.arrays import Array
+from study.registration.closest_point import TriangleSurface
+
+
+def directions(n: int) -> Array:
+    """Unit vectors spread evenly (a Fibonacci spiral), shape (n, 3)."""
+    k = np.arange(n) + 0.5
+    polar, turn = np.arccos(1 - 2 * k / n), np.pi * (1 + 5**0.5) * k
+    return np.column_stack(
+        [np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)]
+    )
+
+
+def egg(n: int = 500) -> TriangleSurface:
+    """Closed surface of about 80 x 60 x 44 mm without any symmetry."""
+    d = directions(n)
+    triangles = outward(d, ConvexHull(d).simplices)
+    bulge = 1 + 0.15 * d[:, [0]] + 0.12 * d[:, [1]] * d[:, [2]] + 0.08 * d[:, [2]]
+    return TriangleSurface(d * np.array([40.0, 30.0, 22.0]) * bulge, triangles)
+
+
+def ball(radius: float, n: int = 2000) -> TriangleSurface:
+    """Sphere about the origin, its vertices on it."""
+    d = directions(n)
+    return TriangleSurface(radius * d, outward(d, ConvexHull(d).simplices))
+
+
+def outward(points: Array, triangles: Array) -> Array:
+    """Triangles of a body that holds the origin and is seen from there, turned outward."""
+    corners = points[triangles]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = (normal * corners.mean(axis=1)).sum(axis=1) < 0
+    turned = triangles.astype(np.int64)
+    turned[inward] = turned[inward, ::-1]
+    return turned
+
+
+def box(width: float, depth: float, height: float) -> TriangleSurface:
+    """Box with a corner at the origin: twelve triangles."""
+    corners = np.array(
+        [[x, y, z] for z in (0, height) for y in (0, depth) for x in (0, width)], dtype=float
+    )
+    middle = corners.mean(axis=0)
+    triangles = outward(corners - middle, ConvexHull(corners).simplices)
+    return TriangleSurface(corners, triangles)
+
+
+def scan(surface: TriangleSurface, n: int, rng: np.random.Generator, noise: float = 0.0) -> Array:
+    """Points spread evenly over a surface, with normal noise in every direction, mm."""
+    chosen = rng.choice(len(surface.triangles), n, p=surface.areas / surface.areas.sum())
+    places = np.einsum("nk,nkj->nj", rng.dirichlet([1, 1, 1], n), surface.corners[chosen])
+    return np.asarray(places + noise * rng.standard_normal((n, 3)))
+
+
+def cap(
+    center: Array, radius: float, share: float, n: int, noise: float, rng: np.random.Generator
+) -> Array:
+    """Scan of a cap that covers a share of a sphere, noise along the normal, mm."""
+    z = 1 - 2 * share * rng.random(n)
+    turn, s = 2 * np.pi * rng.random(n), np.sqrt(1 - z**2)
+    d = np.column_stack([s * np.cos(turn), s * np.sin(turn), z])
+    return np.asarray(center + d * (radius + noise * rng.standard_normal(n))[:, None])

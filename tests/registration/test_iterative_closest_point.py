@@ -1,0 +1,106 @@
+"""Registered clouds: known motions come back, and the stated uncertainty holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom, t
+
+from study.registration.closest_point import TriangleSurface
+from study.registration.iterative_closest_point import PATCHES, register
+from study.registration.rigid import RigidMotion, rotation_vector, turned_about
+from study.registration.robust import isolated
+from tests.registration.bodies import ball, box, egg, scan
+
+
+def random_motion(rng: np.random.Generator) -> RigidMotion:
+    return turned_about(np.zeros(3), 0.4 * rng.standard_normal(3), 30 * rng.standard_normal(3))
+
+
+@pytest.mark.parametrize("outliers", [0.0, 0.3])
+def test_a_clean_scan_comes_back_to_a_millionth(outliers: float) -> None:
+    rng = np.random.default_rng(1)
+    surface = egg()
+    cloud = scan(surface, 1500, rng)
+    foreign = int(outliers * len(cloud))
+    cloud[:foreign] = rng.uniform(-60, 60, (foreign, 3))
+    truth = random_motion(rng)
+    found = register(surface, truth(cloud))
+    error = found.motion.after(truth)
+    assert found.converged
+    assert np.abs(error(surface.points) - surface.points).max() < 1e-6
+    assert found.sliding == ()
+
+
+def coverage(scans: int, seed: int) -> np.ndarray:
+    """How often each of six parameters lies in its 95 % interval: noise, 30 % outliers."""
+    rng = np.random.default_rng(seed)
+    surface = egg()
+    inside = np.zeros(6)
+    for _ in range(scans):
+        cloud = scan(surface, 1000, rng, noise=0.2)
+        cloud[:300] = rng.uniform(-60, 60, (300, 3))
+        truth = random_motion(rng)
+        seen = truth(cloud)
+        found = register(surface, seen[~isolated(seen)])
+        error = found.motion.after(truth)
+        shift = error(found.center[None])[0] - found.center
+        wrong = np.append(rotation_vector(error.rotation), shift)
+        inside += np.abs(wrong) < t.ppf(0.975, PATCHES - 6) * np.sqrt(np.diag(found.covariance))
+    return inside
+
+
+def test_noisy_clouds_with_outliers_stay_in_the_stated_uncertainty() -> None:
+    inside = coverage(20, 7)
+    # of 120 intervals 114 should hold; by chance fewer than 105 do in 1 of 2000 such tests
+    assert inside.sum() >= binom.ppf(5e-4, 120, 0.95)
+
+
+@pytest.mark.slow
+def test_the_stated_uncertainty_holds_in_95_of_100_clouds() -> None:
+    inside = coverage(200, 8)
+    low, high = binom.ppf([2.5e-4, 1 - 2.5e-4], 200, 0.95)
+    assert (inside >= low).all(), inside
+    assert (inside <= high).all(), inside
+
+
+def test_far_starts_end_at_the_truth() -> None:
+    rng = np.random.default_rng(9)
+    surface = egg()
+    truth = turned_about(np.zeros(3), np.array([0.0, 2.8, 0.6]), np.array([500.0, -300, 80]))
+    found = register(surface, truth(scan(surface, 1500, rng, noise=0.05)))
+    error = found.motion.after(truth)
+    assert np.abs(error(surface.points) - surface.points).max() < 0.05
+
+
+def test_a_sphere_can_turn_and_that_is_said() -> None:
+    rng = np.random.default_rng(10)
+    surface = ball(20.0)
+    found = register(surface, scan(surface, 1500, rng, noise=0.02) + [0.5, 0, 0])
+    assert [str(one).split()[0] for one in found.sliding] == ["rotation"] * 3
+    assert np.abs(found.motion(np.array([[0.5, 0, 0]]))).max() < 0.01
+
+
+def test_one_face_of_a_box_slides_three_ways() -> None:
+    rng = np.random.default_rng(11)
+    whole = box(60.0, 60.0, 5.0)
+    top = TriangleSurface(
+        whole.points, whole.triangles[(whole.corners[:, :, 2] == 5.0).all(axis=1)]
+    )
+    cloud = scan(top, 400, rng, noise=0.01) * [0.5, 0.5, 1.0] + [15.0, 15.0, 0.3]
+    found = register(top, cloud)
+    names = sorted(str(one) for one in found.sliding)
+    assert len(names) == 3
+    assert "rotation about (0.00, 0.00, 1.00)" in names
+    assert found.motion(cloud)[:, 2].mean() == pytest.approx(5.0, abs=0.01)
+
+
+def test_points_alone_in_space_are_outliers_and_a_grid_has_none() -> None:
+    rng = np.random.default_rng(12)
+    cloud = scan(egg(), 2000, rng)
+    strewn = rng.uniform(-200, 200, (100, 3))
+    flagged = isolated(np.vstack([cloud, strewn]))
+    assert flagged[:2000].sum() <= 2
+    assert flagged[2000:].mean() > 0.9
+    grid = np.stack(np.meshgrid(*[np.arange(20.0)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    assert not isolated(grid).any()
