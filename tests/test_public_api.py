@@ -17,6 +17,7 @@ PUBLIC = {
     "solve",
     "calibrate",
     "analyze",
+    "contrasts",
     "converge",
     "report",
     "power",

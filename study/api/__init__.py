@@ -21,6 +21,7 @@ _HOME = {
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
     "analyze": "study.api.analysis",
+    "contrasts": "study.api.analysis",
     "anova": "study.analysis.anova",
     "ryan_joiner": "study.analysis.assumption.normality",
     "bartlett": "study.analysis.assumption.variance",

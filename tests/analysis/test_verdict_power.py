@@ -10,7 +10,7 @@ from scipy.stats import nct
 from scipy.stats import t as student
 
 from study.analysis.effects.verdict import CANNOT_TELL, judge
-from study.analysis.effects.verdict_power import (
+from study.analysis.power.verdict_power import (
     contrast_sd,
     fewest_blocks,
     planned_verdicts,

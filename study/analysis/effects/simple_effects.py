@@ -211,13 +211,24 @@ def _effects(
             None if found.error is None else (float(ci[0]), float(ci[1])),
             None if found.error is None else (float(wide[0]), float(wide[1])),
             None if np.isnan(u) else float(u),
-            _verdict(ci, wide, u, practical),
+            verdict_of(ci, wide, u, practical),
         )
 
 
-def _verdict(
+def verdict_of(
     ci: tuple[float, float], wide: tuple[float, float], u: float, practical: float | None
 ) -> str:
+    """Judge one difference by its own interval and by the simultaneous one.
+
+    Parameters
+    ----------
+    ci, wide : tuple of float
+        Of this difference alone, and of all together.
+    u : float
+        Bound of its numerical error; NaN where nothing bounds it.
+    practical : float or None
+        Smallest difference that matters.
+    """
     if practical is None or not np.isfinite(ci).all():
         return CANNOT_TELL
     # nothing bounds the numerical error of a quantity that diverges, so nothing is claimed of it

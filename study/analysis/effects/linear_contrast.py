@@ -1,0 +1,237 @@
+"""Contrasts that the analyst names: one set of cells against another.
+
+``"material=ogden-1, range=60 % - material=neo-hookean, range=60 %"`` is the mean over all cells
+of the first kind less that of the second; a factor that a side leaves out is averaged over.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import stdtr
+
+from study.analysis.effects.estimates import t_quantile
+from study.analysis.effects.scale import Scale
+from study.analysis.effects.simple_effects import verdict_of
+from study.analysis.effects.simultaneous import block_multiplier, bonferroni
+from study.analysis.effects.verdict import CANNOT_TELL
+from study.arrays import Array
+from study.errors import Fault, InputError, nearest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Setting = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A named difference with its intervals and its verdict.
+
+    Parameters
+    ----------
+    name : str
+        As it was asked for.
+    difference : float
+        In the unit of the response, or a ratio where its log was analyzed; as the intervals.
+    ci, ci_simultaneous : tuple of float or None
+        Of this contrast alone, and of all that were asked for together; None without scatter.
+    df : float or None
+        Degrees of freedom.
+    p : float or None
+        Of no difference.
+    u : float or None
+        Bound of the numerical error; None where it is not known.
+    verdict, why : str
+        Against the smallest difference that matters.
+    """
+
+    name: str
+    difference: float
+    ci: tuple[float, float] | None
+    ci_simultaneous: tuple[float, float] | None
+    df: float | None
+    p: float | None
+    u: float | None
+    verdict: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A difference on the scale of the analysis; ``by_block`` where it is made within blocks."""
+
+    value: float
+    error: float | None
+    df: float | None
+    by_block: Array | None = None
+
+
+@dataclass(frozen=True)
+class Cells:
+    """The rows of an analysis, as contrasts need them.
+
+    Parameters
+    ----------
+    rows : DataFrame
+        One row a run: ``cell``, ``y`` on the scale of the analysis, every factor, and ``block``
+        where there are blocks.
+    levels : mapping of str to tuple of str
+        Of every factor.
+    scale : Scale
+        What matters and what bounds the numerical error.
+    alpha : float
+        One minus the level of the intervals.
+    seed : int
+        Of the simulated multiplier.
+    """
+
+    rows: pd.DataFrame
+    levels: Mapping[str, tuple[str, ...]]
+    scale: Scale
+    alpha: float
+    seed: int
+
+
+def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
+    """Estimate differences of sets of cells.
+
+    Parameters
+    ----------
+    cells : Cells
+        Their means count: those of each block where there are blocks.
+    asked : sequence of str
+        Two settings with " - " between them; a setting is ``factor=level`` with commas, or a
+        level alone where only one factor has it.
+
+    Returns
+    -------
+    tuple of Contrast
+        In the order asked. Within blocks the error is the scatter of the difference over them;
+        where no block holds both sides, Welch's; without blocks, that within the cells.
+
+    Raises
+    ------
+    InputError
+        For a factor or level that does not exist, or a setting without a row.
+    """
+    sides = [_sides(text, cells.levels) for text in asked]
+    estimates = [_estimate(cells.rows, *p, text) for p, text in zip(sides, asked, strict=True)]
+    wide = _multipliers(estimates, cells.alpha, cells.seed)
+    return tuple(
+        _judged(text, pair, one, factor, cells)
+        for text, pair, one, factor in zip(asked, sides, estimates, wide, strict=True)
+    )
+
+
+def _sides(text: str, levels: Mapping[str, Sequence[str]]) -> tuple[Setting, Setting]:
+    parts = re.split(r"\s+[-\N{MINUS SIGN}]\s+", text.strip())
+    if len(parts) != 2:
+        mend = 'for example "material=stiff - material=soft"'
+        raise InputError(Fault(f"contrast {text!r}", "needs two settings with ' - ' between", mend))
+    first, second = (_setting(part, levels, text) for part in parts)
+    return first, second
+
+
+def _setting(part: str, levels: Mapping[str, Sequence[str]], text: str) -> Setting:
+    chosen: dict[str, str] = {}
+    for item in part.split(","):
+        named, _, level = (word.strip() for word in item.rpartition("="))
+        holding = [f for f, own in levels.items() if level in own and named in ("", f)]
+        if len(holding) != 1:
+            rule = f"{level!r} is a level of several factors" if holding else f"no level {level!r}"
+            every = [f"{f}={one}" for f, own in levels.items() for one in own]
+            mend = nearest(f"{named}={level}" if named else level, every)
+            raise InputError(Fault(f"contrast {text!r}", rule, mend))
+        chosen[holding[0]] = level
+    return chosen
+
+
+def _estimate(rows: pd.DataFrame, first: Setting, second: Setting, text: str) -> _Estimate:
+    sides = [rows[_holds(rows, setting)] for setting in (first, second)]
+    for side, setting in zip(sides, (first, second), strict=True):
+        if side.empty:
+            said = ", ".join(f"{name}={level}" for name, level in setting.items())
+            raise InputError(Fault(f"contrast {text!r}", f"no row has {said}"))
+    if "block" not in rows:
+        return _of_cells(rows, *sides)
+    # every cell counts once, whatever its repeats
+    means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
+    both = means[0].index.intersection(means[1].index)
+    if len(both):
+        return _within((means[0][both] - means[1][both]).to_numpy())
+    return _between(*(mean.to_numpy() for mean in means))
+
+
+def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
+    kept = np.ones(len(rows), dtype=bool)
+    for name, level in setting.items():
+        kept &= (rows[name].astype(str) == level).to_numpy()
+    return kept
+
+
+def _within(differences: Array) -> _Estimate:
+    b = differences.size
+    if b < 2:
+        return _Estimate(float(differences.mean()), None, None, differences)
+    error = float(differences.std(ddof=1) / np.sqrt(b))
+    return _Estimate(float(differences.mean()), error, b - 1.0, differences)
+
+
+def _between(first: Array, second: Array) -> _Estimate:
+    """Welch's difference of two sets of blocks."""
+    value = float(first.mean() - second.mean())
+    if min(first.size, second.size) < 2:
+        return _Estimate(value, None, None)
+    parts = np.array([side.var(ddof=1) / side.size for side in (first, second)])
+    below = float(np.sum(parts**2 / (np.array([first.size, second.size]) - 1)))
+    total = float(parts.sum())
+    return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
+
+
+def _of_cells(rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame) -> _Estimate:
+    """Difference of means of cells, with the variance pooled within all cells."""
+    by_cell = rows.groupby("cell")["y"]
+    df = float(len(rows) - by_cell.ngroups)
+    means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
+    value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
+    if df < 1:
+        return _Estimate(value, None, None)
+    squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
+    share = sum(float((1 / m["size"]).sum()) / len(m) ** 2 for m in means)
+    return _Estimate(value, float(np.sqrt(squares / df * share)), df)
+
+
+def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
+    """Multipliers of the standard errors for intervals of all contrasts together."""
+    blocks = [one.by_block for one in found if one.by_block is not None and one.error]
+    if len(blocks) == len(found) > 1 and len({b.size for b in blocks}) == 1:
+        return [block_multiplier(np.array(blocks), alpha, seed)] * len(found)
+    return [0.0 if one.df is None else bonferroni(len(found), one.df, alpha) for one in found]
+
+
+def _judged(
+    text: str, sides: tuple[Setting, Setting], one: _Estimate, multiplier: float, cells: Cells
+) -> Contrast:
+    scale, back = cells.scale, cells.scale.back
+    u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
+    shown = None if u is None or scale.bound is None else u / scale.unit
+    if one.error is None or one.df is None:
+        why = "nothing scatters, so there is no interval"
+        return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
+    own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
+    ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
+    verdict = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    why = "" if scale.practical is not None else "no practical threshold was given"
+    p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
+    return Contrast(
+        text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why
+    )
+
+
+def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:
+    return back(ends[0]), back(ends[1])

@@ -1,0 +1,1 @@
+"""What a planned number of blocks or runs can show."""

@@ -1,0 +1,101 @@
+"""Contrasts that the analyst names, against the t-tests of scipy."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+import study
+from study.analysis.effects.linear_contrast import Contrast
+from study.errors import InputError
+from tests.analysis.test_block_groups import two_mixes
+
+
+def blocked(log: bool = False) -> pd.DataFrame:
+    random = np.random.default_rng(2)
+    rows = []
+    for material, span, block in product("xyz", ("20 %", "60 %"), range(7)):
+        y = 10 + block + "xyz".index(material) * (span == "60 %") + random.normal(0, 0.3)
+        rows.append((material, span, block, np.exp(y / 10) if log else y))
+    return pd.DataFrame(rows, columns=["material", "range", "specimen", "y"])
+
+
+def ask(table: pd.DataFrame, *asked: str, **options: object) -> tuple[Contrast, ...]:
+    given = {"block": "specimen", "practical": 0.5, "exact": False} | options
+    found = study.anova(table, "y", ["material", "range"], **given)
+    return study.contrasts(found, list(asked))
+
+
+def test_a_contrast_within_blocks_is_the_paired_t() -> None:
+    table = blocked()
+    (one,) = ask(table, "z, range=60 % - x, range=60 %")
+    here = table[table["range"] == "60 %"]
+    sides = [here[here["material"] == m]["y"].to_numpy() for m in "zx"]
+    paired = stats.ttest_rel(*sides)
+    limits = paired.confidence_interval()
+    assert one.ci == pytest.approx((limits.low, limits.high))
+    assert (one.difference, one.p, one.df) == pytest.approx(
+        (np.mean(sides[0] - sides[1]), paired.pvalue, 6)
+    )
+    assert one.verdict == "matters"
+
+
+def test_a_factor_left_out_is_averaged_over() -> None:
+    table = blocked()
+    (one,) = ask(table, "material=z - material=x")
+    means = table.groupby(["specimen", "material"])["y"].mean()
+    paired = stats.ttest_rel(means[:, "z"], means[:, "x"])
+    assert one.p == pytest.approx(paired.pvalue)
+
+
+def test_a_ratio_is_reported_where_the_log_was_analyzed() -> None:
+    table = blocked(log=True)
+    (one,) = ask(table, "z,60 % - x,60 %", transform="log", practical="5 % of mean")
+    here = table[table["range"] == "60 %"]
+    logs = [np.log(here[here["material"] == m]["y"].to_numpy()) for m in "zx"]
+    limits = stats.ttest_rel(*logs).confidence_interval()
+    assert one.ci == pytest.approx(tuple(np.exp([limits.low, limits.high])))
+
+
+def test_sides_in_different_blocks_are_compared_by_welch() -> None:
+    table = two_mixes((4, 6)).rename(columns={"mix": "range", "model": "material"})
+    (one,) = ask(table, "range=mix 0 - range=mix 1")
+    means = table.groupby(["range", "specimen"])["y"].mean()
+    welch = stats.ttest_ind(means["mix 0"], means["mix 1"], equal_var=False)
+    assert (one.p, one.df) == pytest.approx((welch.pvalue, welch.df))
+
+
+def test_without_blocks_the_scatter_within_cells_is_the_error() -> None:
+    table = blocked().drop(columns="specimen")
+    (one,) = ask(table, "material=z - material=x", block=None)
+    cells = table.groupby(["material", "range"])["y"]
+    s2 = float((cells.var() * 6).sum() / 36)
+    error = np.sqrt(s2 * 4 / 7 / 4)
+    half = stats.t.ppf(0.975, 36) * error
+    assert one.ci is not None
+    assert one.ci[1] - one.ci[0] == pytest.approx(2 * half)
+
+
+def test_several_contrasts_have_wider_intervals_together() -> None:
+    found = ask(blocked(), "z,60 % - x,60 %", "y,60 % - x,60 %", "z,20 % - x,20 %")
+    for one in found:
+        assert one.ci is not None
+        assert one.ci_simultaneous is not None
+        assert one.ci_simultaneous[0] < one.ci[0] < one.ci[1] < one.ci_simultaneous[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("z", "needs two settings"),
+        ("z - w", "no level 'w'"),
+        ("material=60 % - x", "no level '60 %'"),
+    ],
+)
+def test_a_wrong_contrast_is_named(text: str, rule: str) -> None:
+    with pytest.raises(InputError, match=rule):
+        ask(blocked(), text)
