@@ -2,7 +2,7 @@
 
 Two-level designs are coded -1 and 1, response-surface designs -1 to 1 with the outermost
 runs at the ends of the ranges, space-filling designs 0 to 1. pyDOE3 is not used: its
-fractional designs are wrong; those of pydoe are verified by :mod:`study.design.overview`.
+fractional designs are wrong; those of pydoe are verified by :mod:`study.design.layout.aliases`.
 """
 
 from __future__ import annotations

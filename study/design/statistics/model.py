@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from study.design import overview
 from study.design.diagnostics import Faults, noted
+from study.design.layout.aliases import clear_order
 from study.design.spec import Analysis, Factor, Scheme
 from study.design.study_file import AnalysisTable
 from study.errors import nearest
@@ -63,7 +63,7 @@ def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
         terms = terms_of(scheme, factors)
         return "full" if terms is None else terms
     if scheme.kind == "fractional":
-        order = overview.clear_order(scheme.resolution)
+        order = clear_order(scheme.resolution)
         return "full" if order is None else min(order, len(factors))
     return 1
 
