@@ -307,9 +307,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         responses=responses,
         measurements=measurements_of(file.measurements, Faults()) if file.measurements else None,
         calibration=calibration_of(tables, _gives_constants(tables), Faults()),
-        analysis=analysis_of(
-            file.analysis, _has(tables, "analysis", "model"), factors, declared, scheme, faults
-        ),
+        analysis=analysis_of(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,
         expected=expected_of(file.expected, factors, responses, faults),
@@ -322,11 +320,6 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     if factors:
         check_cells(design, presets, faults)
     return design
-
-
-def _has(tables: Table, table: str, key: str) -> bool:
-    written = tables.get(table)
-    return isinstance(written, Mapping) and key in written
 
 
 def _gives_constants(tables: Table) -> bool:

@@ -10,11 +10,10 @@ from study.arrays import Array
 from study.design.diagnostics import noted
 from study.design.layout import aliases, generators
 from study.design.layout.request import Made, Request
-from study.design.sections.calibration import AsWritten
 from study.design.spec import Scheme
 from study.errors import nearest
 from study.setup.quantity import integer, shown
-from study.setup.section import Bad, Reads, section
+from study.setup.section import AsWritten, Bad, Reads, section
 
 #: factors of a two-level design: every product of its columns is formed
 MAX_FRACTION = 12

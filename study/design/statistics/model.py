@@ -23,7 +23,6 @@ Model = str | int | tuple[str, ...]
 
 def analysis_of(
     table: AnalysisTable,
-    asked: bool,
     factors: Sequence[Factor],
     declared: Sequence[str],
     scheme: Scheme,
@@ -35,8 +34,6 @@ def analysis_of(
     ----------
     table : AnalysisTable
         As read.
-    asked : bool
-        Whether the file says which terms it wants.
     factors : sequence of Factor
         Of the design.
     declared : sequence of str
@@ -46,11 +43,12 @@ def analysis_of(
     faults : Faults
         Where faults go.
     """
-    model = noted(partial(_model, declared), table.model, "analysis.model", faults) or "full"
-    if not asked:
-        model = default_model(scheme, factors)
-    elif not faults:
-        _check_told_apart(model, factors, scheme, faults)
+    model = default_model(scheme, factors)
+    if table.model is not None:
+        read = partial(_model, declared)
+        model = noted(read, table.model, "analysis.model", faults) or model
+        if not faults:
+            _check_told_apart(model, factors, scheme, faults)
     for name, _ in table.roles or ():
         if name not in declared:
             faults.add("analysis.roles", f"no factor {shown(name)}", nearest(name[:80], declared))
