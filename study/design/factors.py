@@ -25,7 +25,7 @@ MAX_LEVELS = 100
 Presets = Mapping[str, Mapping[str, Table]]
 
 
-def presets_of(table: object, faults: Faults) -> Presets:
+def presets_from(table: object, faults: Faults) -> Presets:
     """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
 
     A set named like a table of the file is laid over that table.
@@ -67,7 +67,7 @@ def _readable(value: str, where: str, faults: Faults) -> bool:
     return True
 
 
-def factors_of(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
+def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
     """Read ``[factors]`` (dotted keys already joined) with the levels of every factor."""
     written = entries(table, "factors", faults)
     if not written:
@@ -164,7 +164,7 @@ def _slot(key: str) -> str:
     return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
-def exclusions_of(
+def exclusions_from(
     tables: Sequence[ExclusionTable],
     factors: Sequence[Factor],
     declared: Collection[str],

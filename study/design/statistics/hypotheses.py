@@ -77,7 +77,7 @@ KINDS: Mapping[str, type[Expectation]] = {
 _MEND = 'for example matters = "material", or larger = "material" with than = "model.space"'
 
 
-def expected_of(
+def expected_from(
     value: object, factors: Sequence[Factor], responses: Sequence[Response], faults: Faults
 ) -> tuple[Expected, ...]:
     """Read every ``[[expected]]``: one kind of :data:`KINDS` each, ``source`` and ``response``."""

@@ -21,7 +21,7 @@ MAX_TERMS = 1000
 Model = str | int | tuple[str, ...]
 
 
-def analysis_of(
+def analysis_from(
     table: AnalysisTable,
     factors: Sequence[Factor],
     declared: Sequence[str],
