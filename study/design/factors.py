@@ -75,6 +75,9 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
     if len(written) > MAX_FACTORS:
         faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
         return ()
+    for key in sorted(set(written) & {key.rpartition(".")[0] for key in written if _is_end(key)}):
+        rule = "stands twice, with levels and with an end of a range"
+        faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
     found = [factor for factor in read if factor is not None]
     _check_overlap(found, faults)
@@ -250,12 +253,18 @@ def grouped(table: Table) -> dict[str, object]:
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
-        if name and end in ENDS:
+        if _is_end(key):
             found[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:
             found[key] = value
     return found
+
+
+def _is_end(key: str) -> bool:
+    """Whether a joined key is that of an end of a range."""
+    name, _, end = key.rpartition(".")
+    return bool(name) and end in ENDS
 
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:

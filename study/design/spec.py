@@ -269,10 +269,9 @@ class Design:
         return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
 
     def _usual_role(self, factor: Factor) -> str:
-        covered = all(
-            any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in factor.keys
-        )
-        return "unknown" if covered else "choice"
+        assumed = tuple(f"{key}." for key in self.assumed)
+        covered = all(f"{key}.".startswith(assumed) for key in factor.keys)
+        return "unknown" if factor.keys and covered else "choice"
 
 
 @dataclass(frozen=True)
