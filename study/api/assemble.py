@@ -10,7 +10,6 @@ from study.api.depth_effects import effects_by_depth
 from study.api.uncertainty.credibility import checks_of_spaces
 from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
-from study.design.cases import excluded, treatments
 from study.design.overview import calibration_factors, equivalent_groups
 from study.material.registry import is_dimensionless
 from study.reporting.numbers import name_of
@@ -57,7 +56,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         inputs=_inputs(design),
         assumed=_assumed(design),
         citation="" if spec is None else spec.citation,
-        exclusions=tuple((cell.label, why) for cell, why in excluded(design)),
+        exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
         failures=tuple(_failures(study.records)),
@@ -77,7 +76,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         warnings=study.warnings,
         design_text=manifest["text"] or manifest["design"],
         scheme=design.scheme.summary,
-        cells=None if design.scheme.rows is None else len(treatments(design)),
+        cells=None if design.scheme.rows is None else len(design.treatments),
         roles=design.roles,
         expected=design.expected,
         beside=study.beside,

@@ -11,7 +11,6 @@ from study.analysis.error.seed_blocks import SeedRole, seed_design
 from study.analysis.linear_model.design_matrix import Model, terms_of
 from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, threshold
 from study.api.uncertainty.numerical import numerical_bound
-from study.design.cases import treatments
 from study.design.checks import is_constant
 from study.errors import InputError
 from study.record.table import answered_often, table
@@ -238,7 +237,7 @@ def without_gaps(
 
 
 def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
-    found = (tuple(str(t.levels[name]) for name in factors) for t in treatments(design))
+    found = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
     return list(dict.fromkeys(found))
 
 

@@ -13,6 +13,8 @@ from study.cli.output import Document
 
 if TYPE_CHECKING:
     from study.api.planning.plan import Plan
+    from study.design.overview import Overview
+    from study.design.spec import Scheme
     from study.study_result.comparison import Beside
     from study.study_result.study_result import StudyResult
 
@@ -244,44 +246,46 @@ def _print_diff(beside: Beside) -> None:
             output.paragraph(note)
 
 
-def _print_scheme(scheme: Document) -> None:
+def _print_scheme(scheme: Scheme) -> None:
     """Say what the choice of cells can and cannot tell."""
-    if not scheme["summary"]:
+    if not scheme.summary:
         return
-    print(scheme["summary"])
-    if scheme["defining_relation"]:
-        print(f"defining relation: {scheme['defining_relation']}")
-    for sentence in scheme["aliases"]:
+    print(scheme.summary)
+    if scheme.defining_relation:
+        print(f"defining relation: {scheme.defining_relation}")
+    for sentence in scheme.aliases:
         print(f"  {sentence}")
     print()
 
 
-def _print_plan(found: Plan) -> None:
-    described = found.description
-    print(f"{described['study']}: {described['question']}\n")
+def _print_overview(told: Overview) -> None:
+    print(f"{told.design.name}: {told.design.question}\n")
     rows = [["cell", "computation", "calibration"]]
     rows += [
-        [row["label"], str(row["group"]), "-" if row["calibration"] is None
-         else str(row["calibration"])]
-        for row in described["matrix"]
-    ]  # fmt: skip
-    output.table(rows, f"{described['cells']} cells, {described['distinct']} distinct computations")
-    if described["distinct"] < described["cells"]:
+        [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
+        for row in told.matrix
+    ]
+    output.table(rows, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
+    if told.distinct < len(told.matrix):
         print("cells with the same number of a computation must agree: they are controls")
-    for row in described["excluded"]:
-        print(f"excluded: {row['label']}: {row['why']}")
+    for one, why in told.excluded:
+        print(f"excluded: {one.label}: {why}")
     print()
-    _print_scheme(described["scheme"])
-    for factor in described["factors"]:
-        levels = factor["levels"]
+    _print_scheme(told.design.scheme)
+    for factor in told.factors:
+        levels = factor.levels
         if len(levels) > MANY:
-            levels = [levels[0], f"{len(levels) - 2} more", levels[-1]]
-        print(f"{factor['name']} ({', '.join(levels)}): {factor['note'] or 'varies'}")
+            levels = (levels[0], f"{len(levels) - 2} more", levels[-1])
+        print(f"{factor.name} ({', '.join(levels)}): {factor.note or 'varies'}")
+
+
+def _print_plan(found: Plan) -> None:
+    _print_overview(found.overview)
     print()
     if found.blocks:
         print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
-    if described["replicates"] is not None:
-        print(f"replicates: {described['replicates']['sentence']}")
+    if found.overview.replicates is not None:
+        print(f"replicates: {found.overview.replicates.sentence}")
     cases = found.to_json()["cases"]
     print(output.counts(cases))
     if found.missing and found.fits:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from study.design.cases import combinations, excluded, resolve_cell
 from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
 from study.design.sections.cell import Cell
@@ -17,24 +16,22 @@ MAX_FAULTS = 100
 
 def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     """Check every cell that is not left out; a fault of a level is told where it is written."""
-    out = {tuple(cell.levels.values()) for cell, _ in excluded(design)}
     count, cells = 0, []
     found: dict[Fault, list[str]] = {}
-    for labels, levels in combinations(design):
-        if tuple(labels.values()) in out or len(found) > MAX_FAULTS:
+    for one, levels in design.combinations():
+        if design.why_excluded(one.levels) is not None or len(found) > MAX_FAULTS:
             continue
         count += 1
         own = Faults()
-        cells.append(resolve_cell(design, levels, own))
+        cells.append(design.resolved(levels, own))
         places = _places(design, levels, presets)
         for fault in own:
-            moved = _moved(fault, places)
-            found.setdefault(moved, []).append(" / ".join(labels.values()))
+            found.setdefault(_moved(fault, places), []).append(one.label)
     for fault, labelled in found.items():
         told = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
         where = "" if told else f" (in {_listed(labelled)})"
         faults.add(fault.where, fault.rule + where, fault.mend)
-    _check_left(design, out, faults)
+    _check_left(design, faults)
     if not found and cells:
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
@@ -63,13 +60,14 @@ def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
     return fault
 
 
-def _check_left(design: Design, out: set[tuple[str, ...]], faults: Faults) -> None:
+def _check_left(design: Design, faults: Faults) -> None:
     """Check that the exclusions leave every factor two levels."""
-    left = [labels for labels, _ in combinations(design) if tuple(labels.values()) not in out]
+    every = [one.levels for one, _ in design.combinations()]
+    left = [levels for levels in every if design.why_excluded(levels) is None]
     for factor in design.factors:
-        levels = {labels[factor.name] for labels in left}
-        if len(levels) < 2 <= len(factor.levels):
-            rule = f"leaves {len(levels)} of the {len(factor.levels)} levels of {factor.name!r}"
+        count = len({levels[factor.name] for levels in left})
+        if count < 2 <= len(factor.levels):
+            rule = f"leaves {count} of the {len(factor.levels)} levels of {factor.name!r}"
             faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
 
 

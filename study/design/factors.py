@@ -25,7 +25,7 @@ MAX_LEVELS = 100
 Presets = Mapping[str, Mapping[str, Table]]
 
 
-def presets_of(table: object, faults: Faults) -> Presets:
+def presets_from(table: object, faults: Faults) -> Presets:
     """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
 
     A set named like a table of the file is laid over that table.
@@ -67,7 +67,7 @@ def _readable(value: str, where: str, faults: Faults) -> bool:
     return True
 
 
-def factors_of(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
+def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
     """Read ``[factors]`` (dotted keys already joined) with the levels of every factor."""
     written = entries(table, "factors", faults)
     if not written:
@@ -75,6 +75,9 @@ def factors_of(table: object, presets: Presets, faults: Faults) -> tuple[Factor,
     if len(written) > MAX_FACTORS:
         faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
         return ()
+    for key in sorted(set(written) & {key.rpartition(".")[0] for key in written if _is_end(key)}):
+        rule = "stands twice, with levels and with an end of a range"
+        faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
     found = [factor for factor in read if factor is not None]
     _check_overlap(found, faults)
@@ -164,7 +167,7 @@ def _slot(key: str) -> str:
     return f"{table}.{alternatives[0]}" if last in alternatives else key
 
 
-def exclusions_of(
+def exclusions_from(
     tables: Sequence[ExclusionTable],
     factors: Sequence[Factor],
     declared: Collection[str],
@@ -250,12 +253,18 @@ def grouped(table: Table) -> dict[str, object]:
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
-        if name and end in ENDS:
+        if _is_end(key):
             found[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:
             found[key] = value
     return found
+
+
+def _is_end(key: str) -> bool:
+    """Whether a joined key is that of an end of a range."""
+    name, _, end = key.rpartition(".")
+    return bool(name) and end in ENDS
 
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:

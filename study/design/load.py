@@ -15,16 +15,16 @@ from typing import TypeVar
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
 from study.design.diagnostics import Faults, Table, entries, noted, read_table
-from study.design.factors import exclusions_of, factors_of, grouped, presets_of
-from study.design.layout.schemes import scheme_of
-from study.design.resolve import calibration_of, resolve_problem
+from study.design.factors import exclusions_from, factors_from, grouped, presets_from
+from study.design.layout.schemes import scheme_from
+from study.design.resolve import calibration_from, resolve_problem
 from study.design.sections.calibration import bounds_of
 from study.design.sections.cell import CellProblem, Config
-from study.design.sections.measurements import measurements_of
+from study.design.sections.measurements import measurements_from
 from study.design.spec import Design
-from study.design.statistics.hypotheses import expected_of
-from study.design.statistics.model import analysis_of
-from study.design.statistics.response import responses_of
+from study.design.statistics.hypotheses import expected_from
+from study.design.statistics.model import analysis_from
+from study.design.statistics.response import responses_from
 from study.design.study_file import (
     RESPONSES_MEND,
     CalibrationFile,
@@ -263,7 +263,7 @@ def _check_override(tables: Table, path: Sequence[str]) -> None:
     if key in factors:
         mend = f"change the levels: -s 'factors.{key}=[...]'"
         raise InputError(Fault(f"-s {key}", "is a factor: its levels would hide this", mend))
-    presets = presets_of(tables.get("presets"), Faults())
+    presets = presets_from(tables.get("presets"), Faults())
     hiding = [
         f"presets.{name}.{label}"
         for name in factors
@@ -289,12 +289,12 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     study = tables.setdefault("study", {})
     if isinstance(study, dict):
         study.setdefault("name", name)
-    presets = presets_of(file.presets, faults)
-    factors = factors_of(file.factors, presets, faults)
+    presets = presets_from(file.presets, faults)
+    factors = factors_from(file.factors, presets, faults)
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables
-    factors, scheme = scheme_of(file.design, factors, file.study.seed, excluding, faults)
-    responses = responses_of(file.response, faults)
+    factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
+    responses = responses_from(file.response, faults)
     _check_asked(tables, faults)
     design = Design(
         name=name,
@@ -303,16 +303,14 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         assumed=file.study.assumed,
         config=tables,
         factors=factors,
-        exclusions=exclusions_of(file.exclude, factors, declared, faults),
+        exclusions=exclusions_from(file.exclude, factors, declared, faults),
         responses=responses,
-        measurements=measurements_of(file.measurements, Faults()) if file.measurements else None,
-        calibration=calibration_of(tables, _gives_constants(tables), Faults()),
-        analysis=analysis_of(
-            file.analysis, _has(tables, "analysis", "model"), factors, declared, scheme, faults
-        ),
+        measurements=measurements_from(file.measurements, Faults()) if file.measurements else None,
+        calibration=calibration_from(tables, _gives_constants(tables), Faults()),
+        analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,
-        expected=expected_of(file.expected, factors, responses, faults),
+        expected=expected_from(file.expected, factors, responses, faults),
         converge=file.converge,
         uncertainty=_uncertainty(file.uncertainty, faults),
         report=file.report,
@@ -322,11 +320,6 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     if factors:
         check_cells(design, presets, faults)
     return design
-
-
-def _has(tables: Table, table: str, key: str) -> bool:
-    written = tables.get(table)
-    return isinstance(written, Mapping) and key in written
 
 
 def _gives_constants(tables: Table) -> bool:

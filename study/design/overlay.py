@@ -51,8 +51,14 @@ class Place:
 
 _COMPRESSIBILITY = written_keys(Compressibility)
 _MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign")
-#: constants that an energy declares, for suggestions
-_CONSTANTS = ("C10", "C01", "C20", "youngs_modulus", "mu", "alpha")
+#: keys of the constants that the energies declare, those of two terms where there is a choice
+_CONSTANTS = tuple(
+    dict.fromkeys(
+        key
+        for energy in ENERGIES.values()
+        for key in energy.list_keys or energy.constant_names(2 if energy.has_order else 1)
+    )
+)
 _SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indenter": INDENTERS}
 
 #: every such table by its dotted name
@@ -80,7 +86,7 @@ _REPLACED = r"calibration\.problem\."
 _DIMENSIONS = {
     key.written: key.reads.dimension
     for name, place in PLACES.items()
-    if name != "measurements"  # what a file holds has an uncertainty of its own, see below
+    if name != "measurements"  # how a file is read is no input with an uncertainty
     for table in place.sections
     for key in keys_of(table)
     if key.reads is not None and key.reads.dimension

@@ -9,9 +9,9 @@ from study.design import plausibility
 from study.design.diagnostics import Faults, Table, is_known, read_table, with_values
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, CellProblem
-from study.design.sections.material import material_of
-from study.design.sections.measurements import measurements_of
-from study.design.sections.problem import loading_of, model_of, specimen_of
+from study.design.sections.material import material_from
+from study.design.sections.measurements import measurements_from
+from study.design.sections.problem import loading_from, model_from, specimen_from
 from study.errors import InputError
 from study.setup.section import values_of
 
@@ -36,7 +36,7 @@ def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
         Of no use where it brought a fault; see :func:`study.design.diagnostics.read_table`.
     """
     problem = resolve_problem(tables, faults, ratio)
-    asked = calibration_of(tables, bool(problem.material.constants), faults)
+    asked = calibration_from(tables, bool(problem.material.constants), faults)
     other = None
     if asked.problem is not None:
         own = {k: v for k, v in values_of(asked.problem).items() if v is not None}
@@ -59,13 +59,13 @@ def resolve_problem(
     ``places`` says where tables stand that are not at the top of the file.
     """
     at = {name: name for name in TABLES} | dict(places or {})
-    specimen = specimen_of(tables.get("specimen", {}), faults, at["specimen"])
-    test = loading_of(tables.get("test", {}), faults, at["test"])
-    material = material_of(tables.get("material", {}), faults, at["material"])
-    model = model_of(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
+    specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
+    test = loading_from(tables.get("test", {}), faults, at["test"])
+    material = material_from(tables.get("material", {}), faults, at["material"])
+    model = model_from(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
     spec = None
     if "measurements" in tables:
-        spec = measurements_of(tables["measurements"], faults, at["measurements"])
+        spec = measurements_from(tables["measurements"], faults, at["measurements"])
     problem = CellProblem(specimen, test, material, model, spec)
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
@@ -113,7 +113,7 @@ def _range_end(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> f
         return None
 
 
-def calibration_of(tables: Table, given: bool, faults: Faults) -> Calibration:
+def calibration_from(tables: Table, given: bool, faults: Faults) -> Calibration:
     """Read ``[calibration]``; the method is ``auto`` unless the constants are given.
 
     Parameters

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from study.design.diagnostics import Table
+from study.design import overlay
+from study.design.diagnostics import Faults, Table
+from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.study_file import Converge, Replicates, Report
+from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Setup
@@ -215,16 +219,59 @@ class Design:
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 
+    def combinations(self) -> Iterator[tuple[Combination, tuple[Level, ...]]]:
+        """Labels and levels of every cell, left out or not; the last factor varies fastest."""
+        names = [factor.name for factor in self.factors]
+        every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
+        for row in self.scheme.rows or every:
+            levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
+            labels = (level.label for level in levels)
+            yield Combination(dict(zip(names, labels, strict=True))), levels
+
+    def why_excluded(self, levels: Mapping[str, str]) -> str | None:
+        """Reason why a cell is left out; None if it is not."""
+        return next((e.why for e in self.exclusions if e.matches(levels)), None)
+
+    @property
+    def excluded(self) -> tuple[tuple[Combination, str], ...]:
+        """Cells left out and why; they are not resolved, for they may be impossible."""
+        reasons = ((one, self.why_excluded(one.levels)) for one, _ in self.combinations())
+        return tuple((one, why) for one, why in reasons if why is not None)
+
+    def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
+        """Resolve one cell; faults name the keys of the merged file."""
+        settings = {k: v for level in levels for k, v in level.settings.items()}
+        tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
+        return resolve(overlay.lay(tables, settings), faults, self.converge.ratio)
+
+    @cached_property
+    def treatments(self) -> tuple[Treatment, ...]:
+        """Cells of the design without those left out.
+
+        Raises
+        ------
+        InputError
+            If a cell is impossible, which :func:`study.design.load.load` has checked.
+        """
+        faults = Faults()
+        cells = tuple(
+            Treatment(one.levels, self.resolved(levels, faults))
+            for one, levels in self.combinations()
+            if self.why_excluded(one.levels) is None
+        )
+        if faults:
+            raise InputError(faults)
+        return cells
+
     @property
     def roles(self) -> dict[str, str]:
         """Role of every factor: as declared, else unknown where all its keys are assumed."""
         return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
 
     def _usual_role(self, factor: Factor) -> str:
-        covered = all(
-            any(f"{key}.".startswith(f"{a}.") for a in self.assumed) for key in factor.keys
-        )
-        return "unknown" if covered else "choice"
+        assumed = tuple(f"{key}." for key in self.assumed)
+        covered = all(f"{key}.".startswith(assumed) for key in factor.keys)
+        return "unknown" if factor.keys and covered else "choice"
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from pydantic import Field
 
 from study import units
 from study.design import overlay
-from study.design.sections.calibration import AsWritten, Fitting
+from study.design.sections.calibration import Fitting
 from study.design.toml_document import flatten
 from study.errors import nearest
 from study.material.registry import is_constant, is_dimensionless
 from study.setup.quantity import Duration, integer, number, shown
-from study.setup.section import Bad, Reads, Rows, section
+from study.setup.section import AsWritten, Bad, Reads, Rows, as_written, section
 from study.setup.text import choice, slug, text
 
 SCHEMA = 1
@@ -169,9 +169,9 @@ class Report:
 
 @section
 class AnalysisTable:
-    """How the table of cases is analyzed; ``model`` and ``roles`` name factors."""
+    """How the table of cases is analyzed; ``model`` is by default what the design can tell."""
 
-    model: AsWritten = "full"
+    model: AsWritten = None
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
@@ -192,7 +192,7 @@ class ExclusionTable:
     """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
 
     why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
-    when: Annotated[object, Reads(lambda v: v, mend='when = { material = "ogden-1" }')]
+    when: Annotated[object, as_written('when = { material = "ogden-1" }')]
 
 
 @section
@@ -201,8 +201,8 @@ class TestTable:
 
     __test__ = False  # not a pytest class
 
-    test: Annotated[object, Reads(lambda v: v, mend="write test = { ... }")]
-    measurements: Annotated[object, Reads(lambda v: v, mend="write measurements = { ... }")]
+    test: Annotated[object, as_written("write test = { ... }")]
+    measurements: Annotated[object, as_written("write measurements = { ... }")]
     role: Annotated[str, Reads(choice("fit", "held-out"))] = "fit"
     weight: Annotated[str | float, Reads(_weight)] = "equal"
     specimen: AsWritten = None

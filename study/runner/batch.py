@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from study.design.cases import plain
+from study.design.sections.content import plain
 from study.execution.task import Document, Executor, Outcome, Results, Task
 from study.forward.finite_element import Anchor
 from study.record.record import Record

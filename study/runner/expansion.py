@@ -13,7 +13,8 @@ from pathlib import Path
 
 from study.canonical import digest
 from study.curve import Curve
-from study.design.cases import cases, plain, treatments
+from study.design.cases import cases
+from study.design.sections.content import plain
 from study.design.spec import Case, Design, Treatment
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements, Selection
@@ -35,7 +36,7 @@ def expand(design: Design, data_root: Path) -> Work:
     InputError
         If data are missing or malformed, or the blocks differ between treatments.
     """
-    cells = treatments(design)
+    cells = design.treatments
     data = DataCache(data_root, distinct_tests([cell.config for cell in cells]))
     blocks = common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)

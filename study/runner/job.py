@@ -9,7 +9,7 @@ from typing import Literal
 
 from study.canonical import digest
 from study.curve import Curve
-from study.design.cases import case_id
+from study.design.sections.content import case_id
 from study.design.spec import Case, Design
 from study.measurement.conditioning import SORTED
 from study.measurement.measured_test import Measurements

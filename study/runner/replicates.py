@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from study.canonical import digest
-from study.design.cases import MAX_CASES, plain
+from study.design.cases import MAX_CASES
+from study.design.sections.content import plain
 from study.design.spec import Case, Design
 from study.errors import Fault, InputError
 from study.runner.job import CaseJob, Origin, ScorePair, repeated

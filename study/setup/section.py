@@ -10,7 +10,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator, ValidationInfo
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -95,6 +95,24 @@ class Reads:
         """Have pydantic read a value of this kind so."""
         return PlainValidator(self.validated).__get_pydantic_core_schema__(source, handler)
 
+
+def as_written(mend: str = "") -> Reads:
+    """Declare a value that is read where what its rule depends on is known.
+
+    Parameters
+    ----------
+    mend : str
+        What to write where the key is missing; a key that has it must stand in a file.
+    """
+    return Reads(_itself, mend=mend)
+
+
+def _itself(value: object) -> object:
+    return value
+
+
+#: A value that is read later, and may be left out.
+AsWritten = Annotated[object, as_written()]
 
 #: Mark of a field that no file may set: what other tables say decides it.
 DERIVED = "derived"

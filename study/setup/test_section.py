@@ -11,7 +11,7 @@ from study.setup.compression import COMPRESSION
 from study.setup.geometry import Indenter
 from study.setup.indentation import INDENTATION
 from study.setup.quantity import Length, integer
-from study.setup.section import Reads, section
+from study.setup.section import Reads, as_written, section
 from study.setup.test_kind import Interface, Test, TestKind
 from study.setup.text import word
 
@@ -51,7 +51,7 @@ class TestSection:
     base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
     displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
     steps: Annotated[int, Reads(integer(1, 10_000))] = 10
-    indenter: Annotated[Indenter | None, Reads(lambda table: table)] = None
+    indenter: Annotated[Indenter | None, as_written()] = None
 
     @property
     def held_below(self) -> Interface:

@@ -10,7 +10,6 @@ import pytest
 from study import api
 from study.api.opened_study import open_study
 from study.api.planning.plan import plan
-from study.design.cases import treatments
 from study.design.load import loads
 from study.errors import InputError
 from study.fem.solver.solve import solve
@@ -273,7 +272,7 @@ def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) ->
     text += '[[response]]\nname = "C10"\n'
     folder = tmp_path / "data"
     folder.mkdir()
-    config = treatments(loads(text))[1].config
+    config = loads(text).treatments[1].config
     assert config["model"]["element_order"] == "quadratic"
     d = np.linspace(0.3, 3.0, 60)
     curve = solve(problem_of(config, {"C10": 8e-3})).curve

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from study.design import cases, load
+from study.design import load
 from study.errors import InputError
 from study.measurement.section import Range
 
@@ -88,12 +88,12 @@ def test_no_calibration_where_constants_are_given() -> None:
     start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
     text = CONICAL[:start] + CONICAL[end:]
     fixed = text.replace('model = "neo-hookean"\n', 'model = "neo-hookean"\nC10 = "5 kPa"\n')
-    cells = cases.treatments(load.loads(fixed))
-    assert cases.calibration_config(cells[0]) is None  # neo-Hookean: constants given
-    assert cases.calibration_config(cells[-1]) is not None
+    cells = load.loads(fixed).treatments
+    assert not cells[0].cell.is_calibrated  # neo-Hookean: constants given
+    assert cells[-1].cell.is_calibrated
 
 
 def test_cross_validation() -> None:
     study = load.loads(CONICAL.replace('method = "auto"', 'method="auto"\nleave_out="specimen"'))
     assert study.calibration.leave_out == "specimen"
-    assert cases.treatments(study)[0].config["calibration"]["leave_out"] == "specimen"
+    assert study.treatments[0].config["calibration"]["leave_out"] == "specimen"

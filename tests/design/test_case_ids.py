@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from study.design.cases import calibration_key, cases, physical_key
+from study.design.cases import cases
 from study.design.load import file_kind, load
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -26,8 +26,8 @@ def names_of(design: str) -> list[list[str]]:
             design,
             case.label,
             case.case_id,
-            calibration_key(case.treatment) or "",
-            physical_key(case.treatment),
+            case.treatment.cell.calibration_key or "",
+            case.treatment.cell.physical_key,
         ]
         for case in cases(load(DESIGNS / f"{design}.toml"))
     ]

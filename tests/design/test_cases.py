@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from study.design import cases, load, overview
 from study.design.overlay import lay
+from study.design.sections import content
 from study.errors import InputError
 
 BASE = """
@@ -57,17 +58,17 @@ def test_ids_ignore_names_and_see_values() -> None:
 
 def test_ids_are_pinned() -> None:
     # regression: a change of this name sends every stored result back to work
-    assert cases.case_id({"a": 1, "b": [1.5, None, True], "c": {"x": "y"}}) == "4e50917437034b0c"
+    assert content.case_id({"a": 1, "b": [1.5, None, True], "c": {"x": "y"}}) == "4e50917437034b0c"
 
 
 @given(st.integers(-(2**52), 2**52))
 def test_whole_numbers_have_one_name(value: int) -> None:
-    assert cases.case_id({"a": value}) == cases.case_id({"a": float(value)})
+    assert content.case_id({"a": value}) == content.case_id({"a": float(value)})
 
 
 def test_nan_has_no_name() -> None:
     with pytest.raises(InputError):
-        cases.case_id({"a": float("nan")})
+        content.case_id({"a": float("nan")})
 
 
 def test_cases_are_cells_in_blocks() -> None:
@@ -89,13 +90,13 @@ def test_exclusions_say_why() -> None:
         'why = "too large"\n'
     )
     study = load.loads(text)
-    assert [cell.label for cell in cases.treatments(study)] == [
+    assert [cell.label for cell in study.treatments] == [
         "axisymmetric / coarse",
         "axisymmetric / medium",
         "axisymmetric / fine",
         "3d / coarse",
     ]
-    assert [(cell.label, why) for cell, why in cases.excluded(study)] == [
+    assert [(cell.label, why) for cell, why in study.excluded] == [
         ("3d / medium", "too large"),
         ("3d / fine", "too large"),
     ]
@@ -112,7 +113,7 @@ def test_an_impossible_cell_may_be_excluded() -> None:
         load.loads(text)
     left_out = '[[exclude]]\nwhen = { bulk = "exact", model.formulation = "displacement" }\n'
     study = load.loads(text + left_out + 'why = "locks"\n')
-    assert len(cases.treatments(study)) == 3
+    assert len(study.treatments) == 3
 
 
 def test_duplicates_are_reported() -> None:
@@ -129,7 +130,7 @@ def test_a_preset_of_a_table_is_laid_over_it() -> None:
         '[presets.material.ogden]\nmodel = "ogden"\nmu = ["5 kPa"]\nalpha = [3]\n'
         '[factors]\nmaterial = ["soft", "ogden"]\n'
     )
-    soft, ogden = cases.treatments(load.loads(text))
+    soft, ogden = load.loads(text).treatments
     assert soft.config["material"]["constants"] == {"C10": 0.001}
     assert soft.config["material"]["poisson_ratio"] == 0.4995
     assert ogden.config["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
@@ -151,7 +152,7 @@ def test_indenters_as_presets() -> None:
     )
     base = text.replace("[material]", 'indenter = { shape = "flat", radius = "5 mm" }\n[material]')
     for source in (text, base):
-        cone, ball = cases.treatments(load.loads(source))
+        cone, ball = load.loads(source).treatments
         assert cone.config["test"]["indenter"] == {
             "shape": "cone",
             "half_angle_deg": 30.0,
@@ -163,7 +164,7 @@ def test_indenters_as_presets() -> None:
 
 def test_numeric_and_list_levels() -> None:
     text = BASE + "[factors]\ntest.steps = [5, 10]\nmaterial.poisson_ratio = [0.45, 0.499]\n"
-    labels = [cell.label for cell in cases.treatments(load.loads(text))]
+    labels = [cell.label for cell in load.loads(text).treatments]
     assert labels == ["5 / 0.45", "5 / 0.499", "10 / 0.45", "10 / 0.499"]
 
 
@@ -186,13 +187,13 @@ def test_indentation_is_one_computation_a_cell() -> None:
 def test_overrides(override: str, section: str, key: str, value: object) -> None:
     text = BASE.replace("[model]\nmesh", "[model]\nelement_order = 'linear'\n# mesh") + SPACES
     study = load.loads(text, overrides=[override])
-    for cell in cases.treatments(study):
+    for cell in study.treatments:
         assert cell.config[section][key] == value
 
 
 def test_an_override_takes_away_what_cannot_stand_beside_it() -> None:
     study = load.loads(BASE + SPACES, overrides=["model.mesh_size=2 mm"])
-    model = cases.treatments(study)[0].config["model"]
+    model = study.treatments[0].config["model"]
     assert model["mesh_size_mm"] == 2.0
     assert "mesh" not in model
 
@@ -238,4 +239,4 @@ def test_any_matrix_survives_a_round_trip(data: st.DataObject) -> None:
     study = load.loads(text)
     assert load.loads(load.dump(study)) == study
     expected = [" / ".join(map(str, c)) for c in itertools.product(*rows.values())]
-    assert [cell.label for cell in cases.treatments(study)] == expected
+    assert [cell.label for cell in study.treatments] == expected

@@ -28,7 +28,7 @@ def conical() -> Design:
 
 
 def test_the_ecoflex_matrix(ecoflex: Design) -> None:
-    cells = cases.treatments(ecoflex)
+    cells = ecoflex.treatments
     assert len(cells) == 4 * 2 * 2 * 2
     assert cells[0].label == "neo-hookean / frictionless / axisymmetric / linear"
     assert cells[-1].label == "reduced-polynomial-3 / bonded / 3d / quadratic"
@@ -46,7 +46,7 @@ def test_the_ecoflex_matrix(ecoflex: Design) -> None:
 
 
 def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: Design) -> None:
-    config = cases.treatments(ecoflex)[-1].config
+    config = ecoflex.treatments[-1].config
     assert config["specimen"] == {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
     assert config["test"] == {
         "kind": "compression",
@@ -106,9 +106,9 @@ def test_frictionless_plates_are_four_answers_in_sixteen_cells(ecoflex: Design) 
 
 
 def test_conical_calibration_is_compression(conical: Design) -> None:
-    cells = cases.treatments(conical)
+    cells = conical.treatments
     assert len(cells) == 4 * 2 * 2 * 3
-    fitted = cases.calibration_config(cells[0])
+    fitted = cells[0].cell.fitted.document()
     assert fitted is not None
     assert fitted["test"]["kind"] == "compression"
     assert fitted["test"]["base"] == "frictionless"
@@ -122,7 +122,7 @@ def test_conical_calibration_is_compression(conical: Design) -> None:
 
 
 def test_conical_indenter_and_mesh_ratio(conical: Design) -> None:
-    config = cases.treatments(conical)[0].config
+    config = conical.treatments[0].config
     assert config["test"]["indenter"] == {
         "shape": "cone",
         "half_angle_deg": 30.0,
@@ -136,7 +136,7 @@ def test_conical_indenter_and_mesh_ratio(conical: Design) -> None:
 
 def test_range_design_needs_no_mesh() -> None:
     study = load.load(DESIGNS / "ecoflex-range.toml")
-    cells = cases.treatments(study)
+    cells = study.treatments
     assert len(cells) == 16
     ends = {cell.levels["range"]: cell.config["test"]["displacement_mm"] for cell in cells}
     assert ends == {"14 %": 4.2, "20 %": 6.0, "40 %": 12.0, "60 %": 18.0}
@@ -146,7 +146,7 @@ def test_range_design_needs_no_mesh() -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> None:
     study = load.load(DESIGNS / f"{name}.toml")
-    told = overview.describe(study)
+    told = overview.overview(study).to_json()
     assert told["warnings"] == []
     assert told["duplicates"] == []
     assert len(told["matrix"]) == told["cells"]
@@ -155,7 +155,7 @@ def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> 
 
 def test_the_template_loads_as_it_stands() -> None:
     study = load.loads(load.template())
-    assert len(cases.treatments(study)) == 8
+    assert len(study.treatments) == 8
     assert not overview.warnings(study)
 
 
@@ -168,7 +168,7 @@ def test_the_commented_lines_of_the_template_are_valid_too() -> None:
     end = text.index("[[response]]")
     block = "\n".join(line.removeprefix("# ") for line in text[start:end].splitlines())
     study = load.loads(text[:start] + block + "\n\n" + text[end:])
-    assert len(cases.excluded(study)) == 2
+    assert len(study.excluded) == 2
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, "template"])
@@ -198,4 +198,4 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
     if load.file_kind(path) == "calibration":
         assert load.load_calibration(path)["tests"]
         return
-    assert cases.treatments(load.load(path))
+    assert load.load(path).treatments

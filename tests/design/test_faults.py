@@ -369,6 +369,13 @@ def test_sizes_are_capped(text: str) -> None:
     faults(loads, text)
 
 
+def test_a_factor_is_a_list_or_a_range() -> None:
+    twice = '[factors]\n"specimen.height" = ["28 mm", "30 mm"]\nspecimen.height.low = "25 mm"\n'
+    twice += 'specimen.height.high = "35 mm"\n'
+    found = faults(loads, DESIGN.replace("[factors]", twice, 1))
+    assert "stands twice" in found["factors.specimen.height"]
+
+
 def test_cells_and_levels_are_capped() -> None:
     steps = list(range(1, 102))
     found = faults(loads, DESIGN.replace("[factors]", f"[factors]\ntest.steps = {steps}"))

@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from study.design import overview
-from study.design.layout import generators
+from study.design.layout import aliases, generators
 
 NAMES = list("ABCDEFGHJKLM")
 
@@ -42,22 +41,22 @@ def test_published_fractions(count: int, given: dict[str, str], runs: int, resol
     for name, parts in given.items():
         product = np.prod([found[:, names.index(p)] for p in parts], axis=0)
         assert found[:, names.index(name)].tolist() == product.tolist()
-    assert overview.resolution(found) == resolution
+    assert aliases.resolution(found) == resolution
 
 
 def test_a_negative_generator_is_the_other_fraction() -> None:
     plus = generators.fractional(["A", "B", "C"], {"C": (1, ["A", "B"])})
     minus = generators.fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])})
     assert len({tuple(run) for run in np.vstack([plus, minus])}) == 8
-    assert overview.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
+    assert aliases.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
 
 
 def test_words_of_a_quarter_fraction() -> None:
     # 2^(5-2), D = AB, E = AC: I = ABD = ACE = BCDE (Box, Hunter and Hunter 1978, chapter 12)
     runs = generators.fractional(NAMES[:5], {"D": (1, ["A", "B"]), "E": (1, ["A", "C"])})
-    words = {overview.term_name(w, NAMES) for w in overview.defining_words(runs)}
+    words = {aliases.term_name(w, NAMES) for w in aliases.defining_words(runs)}
     assert words == {"A:B:D", "A:C:E", "B:C:D:E"}
-    told = overview.sentences(runs, NAMES[:5])
+    told = aliases.sentences(runs, NAMES[:5])
     assert (
         "the effect of A cannot be told from the interaction of B and D or "
         "the interaction of C and E" in told
@@ -67,17 +66,17 @@ def test_words_of_a_quarter_fraction() -> None:
 
 def test_a_full_factorial_aliases_nothing() -> None:
     runs = np.array(list(itertools.product([-1.0, 1.0], repeat=4)))
-    assert overview.resolution(runs) is None
-    assert overview.aliases(runs) == ()
-    assert overview.sentences(runs, NAMES[:4]) == []
-    assert overview.defining_relation(runs, NAMES[:4]) == ""
+    assert aliases.resolution(runs) is None
+    assert aliases.aliases(runs) == ()
+    assert aliases.sentences(runs, NAMES[:4]) == []
+    assert aliases.defining_relation(runs, NAMES[:4]) == ""
 
 
 def test_a_wrong_fraction_is_found_out() -> None:
     # column C repeats column A: whatever a generator promised, that is resolution 2
     runs = np.array([[-1, -1, -1], [-1, 1, -1], [1, -1, 1], [1, 1, 1]], dtype=float)
-    assert overview.resolution(runs) == 2
-    assert "the effect of A cannot be told from the effect of C" in overview.sentences(runs, "ABC")
+    assert aliases.resolution(runs) == 2
+    assert "the effect of A cannot be told from the effect of C" in aliases.sentences(runs, "ABC")
 
 
 @pytest.mark.parametrize("resolution", [3, 4, 5])
@@ -87,7 +86,7 @@ def test_fractions_by_resolution_keep_their_word(count: int, resolution: int) ->
         runs = generators.by_resolution(count, resolution)
     except ValueError:
         pytest.skip("the library has no such fraction")
-    found = overview.resolution(runs)
+    found = aliases.resolution(runs)
     assert found is None or found >= resolution
     assert gram(runs).tolist() == (len(runs) * np.eye(count)).tolist()
 
@@ -106,10 +105,10 @@ def test_plackett_burman_of_twelve_mixes_by_thirds() -> None:
     # Draper 1992, Technometrics 34, 423)
     runs = generators.plackett_burman(11)
     assert len(runs) == 12
-    mixed = [a for a in overview.aliases(runs) if len(a.term) == 1]
+    mixed = [a for a in aliases.aliases(runs) if len(a.term) == 1]
     assert {round(abs(a.r), 12) for a in mixed} == {round(1 / 3, 12)}
     assert len(mixed) == 11 * 45
-    told = overview.sentences(runs, NAMES[:11])
+    told = aliases.sentences(runs, NAMES[:11])
     assert told[0] == (
         "the effect of A is mixed with a part (up to 0.333) of 45 interactions of two other factors"
     )

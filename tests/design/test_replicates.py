@@ -25,12 +25,12 @@ def test_both_kinds_are_read_and_described() -> None:
     meshes, noise = load.loads(DESIGN + MESHES), load.loads(DESIGN + NOISE)
     assert meshes.replicates == Replicates(mesh_seeds=5)
     assert noise.replicates == Replicates(noise=200)
-    assert overview.describe(load.loads(DESIGN))["replicates"] is None
-    told = overview.describe(meshes)["replicates"]
+    assert overview.replication(load.loads(DESIGN)) is None
+    told = overview.overview(meshes).to_json()["replicates"]
     assert (told["kind"], told["count"]) == ("mesh-seeds", 5)
     assert "5 meshes" in told["sentence"]
     assert "(E3)" in told["sentence"]
-    told = overview.describe(noise)["replicates"]
+    told = overview.overview(noise).to_json()["replicates"]
     assert (told["kind"], told["count"]) == ("noise", 200)
     assert "200 times" in told["sentence"]
     assert "(E2)" in told["sentence"]

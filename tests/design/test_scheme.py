@@ -56,23 +56,23 @@ def faults(factors: str, table: str, more: str = "") -> dict[str, str]:
 
 def test_a_range_has_two_levels_in_a_factorial() -> None:
     study = load(TWO)
-    assert len(cases.treatments(study)) == 16
+    assert len(study.treatments) == 16
     assert study.factors[-1].labels == ("28 mm", "32 mm")
-    heights = {cell.config["specimen"]["height_mm"] for cell in cases.treatments(study)}
+    heights = {cell.config["specimen"]["height_mm"] for cell in study.treatments}
     assert heights == {28.0, 32.0}
     assert study.scheme.rows is None
 
 
 def test_a_fraction_says_what_it_cannot_tell() -> None:
     study = load(TWO, HALF)
-    cells = cases.treatments(study)
+    cells = study.treatments
     assert len(cells) == 8
     sign = {"axisymmetric": -1, "3d": 1, "frictionless": -1, "bonded": 1, "28 mm": -1, "32 mm": 1}
     for cell in cells:
         level = {name: sign.get(label, 0) for name, label in cell.levels.items()}
         product = level["model.space"] * level["test.interface"]
         assert level["specimen.height"] == -product
-    found = overview.describe(study)["scheme"]
+    found = overview.overview(study).to_json()["scheme"]
     assert found["resolution"] == 3
     assert found["defining_relation"] == "I = -model.space:test.interface:specimen.height"
     assert "8 of 16 cells, resolution III, verified over all 15 products" in found["summary"]
@@ -130,7 +130,7 @@ def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
 )
 def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: int) -> None:
     study = load(factors, table)
-    assert len(cases.treatments(study)) == cells
+    assert len(study.treatments) == cells
     again = loads(dump(study))
     assert again == study
     assert [c.case_id for c in cases.cases(again)] == [c.case_id for c in cases.cases(study)]
@@ -139,19 +139,19 @@ def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: i
 
 def test_response_surfaces_stay_in_their_ranges() -> None:
     for kind in ("central-composite", "box-behnken"):
-        for cell in cases.treatments(load(RANGES, f'kind = "{kind}"')):
+        for cell in load(RANGES, f'kind = "{kind}"').treatments:
             assert 28 <= cell.config["specimen"]["height_mm"] <= 32
             assert 24 <= cell.config["specimen"]["radius_mm"] <= 26
             assert 0.49 <= cell.config["material"]["poisson_ratio"] <= 0.499
     center = load(RANGES, 'kind = "box-behnken"')
-    labels = [cell.label for cell in cases.treatments(center)]
+    labels = [cell.label for cell in center.treatments]
     assert labels.count("30 mm / 2.5 cm / 0.4945") == 1
 
 
 def test_draws_follow_the_seed() -> None:
     def cells(table: str, more: str = "") -> list[str]:
         study = load(RANGES, f'kind = "latin-hypercube"\nruns = 8\n{table}', more)
-        return [cell.label for cell in cases.treatments(study)]
+        return [cell.label for cell in study.treatments]
 
     assert cells("") == cells("", "[study]\nseed = 2011\n")
     assert cells("") != cells("", "[study]\nseed = 7\n")
@@ -160,7 +160,7 @@ def test_draws_follow_the_seed() -> None:
 
 def test_zipped_factors_change_together() -> None:
     study = load(TWO, 'zip = ["model.space", "test.interface"]')
-    pairs = {(c.levels["model.space"], c.levels["test.interface"]) for c in cases.treatments(study)}
+    pairs = {(c.levels["model.space"], c.levels["test.interface"]) for c in study.treatments}
     assert pairs == {("axisymmetric", "frictionless"), ("3d", "bonded")}
     terms = study.analysis.model
     assert isinstance(terms, tuple)
@@ -184,13 +184,11 @@ levels = { axisymmetric = ["4 mm", "5 mm"], 3d = ["6 mm", "7 mm"] }
 def test_nested_levels_exist_in_one_level_of_their_parent() -> None:
     text = BASE.replace('mesh = "coarse"\n', "") + NESTED
     study = loads(text)
-    cells = {
-        (c.levels["model.space"], c.levels["model.mesh_size"]) for c in cases.treatments(study)
-    }
+    cells = {(c.levels["model.space"], c.levels["model.mesh_size"]) for c in study.treatments}
     assert cells == {
         ("axisymmetric", "4 mm"), ("axisymmetric", "5 mm"), ("3d", "6 mm"), ("3d", "7 mm"),
     }  # fmt: skip
-    assert len(cases.treatments(study)) == 8
+    assert len(study.treatments) == 8
     # a nested factor stands only beside its parent (Montgomery, chapter 14)
     assert study.analysis.model == (
         "model.space", "test.interface", "model.space:model.mesh_size",
@@ -207,7 +205,7 @@ treatments = [
 ]
 """
     factors = "\n".join(TWO.splitlines()[:4]) + "\n"
-    labels = [cell.label for cell in cases.treatments(load(factors, rows))]
+    labels = [cell.label for cell in load(factors, rows).treatments]
     assert labels == ["3d / bonded", "axisymmetric / bonded", "axisymmetric / frictionless"]
 
 

@@ -18,8 +18,8 @@ from study.api.convergence.result import CostFront, DesignConvergence, FrontPoin
 from study.api.folders import data_root
 from study.api.uncertainty.credibility import uncertainties
 from study.canonical import digest
-from study.design.cases import case_id, treatments
 from study.design.load import load
+from study.design.sections.content import case_id
 from study.execution.task import Executor
 from study.record.store import Store
 from study.runner import provenance
@@ -83,11 +83,11 @@ def problem_cells(
     curve_quantities.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
     budget = budget_of(spec.budget_s, memory_MB)
-    tables = [provenance.located(t.config, places) for t in treatments(design)]
+    tables = [provenance.located(t.config, places) for t in design.treatments]
     formal = [formal_order(problem_of(one)) for one in tables]
     cells = [
         series_of(one, spec, order, budget, dict(treatment.levels))
-        for one, order, treatment in zip(tables, formal, treatments(design), strict=True)
+        for one, order, treatment in zip(tables, formal, design.treatments, strict=True)
     ]
     solver = solve or kept(by_workers(jobs), store_of(results, design.name))
     refine(cells, solving(solver, progress))

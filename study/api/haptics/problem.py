@@ -14,7 +14,6 @@ from study.api.folders import data_root, results_folder
 from study.api.planning.plan import why
 from study.arrays import Array
 from study.design import load
-from study.design.cases import treatments
 from study.errors import Fault, InputError
 from study.material.registry import is_dimensionless
 from study.record.store import Store
@@ -173,7 +172,7 @@ def _recorded(path: Path, case: str) -> Source:
         rule = f"the case ended as {record.status}: {record.message}"
         raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
     design = load.loads(manifest["design"], manifest["source"])
-    config = next(t.config for t in treatments(design) if t.levels == dict(record.levels))
+    config = next(t.config for t in design.treatments if t.levels == dict(record.levels))
     values, errors = _constants(record.parameters)
     fitted = {n: v for n, v in values.items() if n != "mu0"}
     config = provenance.located(config, provenance.folders(design.source, folder))

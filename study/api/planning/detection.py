@@ -13,7 +13,6 @@ from study.analysis.request import threshold
 from study.api.analysis import analyze
 from study.api.folders import RESULTS, data_root
 from study.canonical import plain
-from study.design.cases import treatments
 from study.design.load import load
 from study.design.spec import Design, Response
 from study.errors import Fault, InputError, MissingDataError, StudyError
@@ -166,7 +165,7 @@ def _detections(
     choices = [(sd, "as given")] if sd else [] if known is None else [(known[0], "of the results")]
     choices = choices or [(share * practical, f"assumed: {share:g} of what matters")
                           for share in ASSUMED]  # fmt: skip
-    cells = len(treatments(design))
+    cells = len(design.treatments)
     wanted = (0.8, 0.9)
     return [
         Detection(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from study.api.planning.remaining_time import (
     seconds_left,
 )
 from study.design.load import load
-from study.design.overview import describe
+from study.design.overview import Overview, overview
 from study.design.spec import Design
 from study.errors import Fault, InputError, MissingDataError, nearest
 from study.record.record import Record
@@ -35,8 +35,8 @@ class Plan:
     Parameters
     ----------
     design : Design
-    description : mapping
-        Of :func:`study.design.overview`: matrix, exclusions, what each factor can tell.
+    overview : Overview
+        Matrix, exclusions, what each factor can tell.
     blocks : tuple of str
         Empty without blocks, or where the data cannot be read.
     total, done, failed, missing : int
@@ -52,7 +52,7 @@ class Plan:
     """
 
     design: Design
-    description: Mapping[str, Any]
+    overview: Overview
     blocks: tuple[str, ...]
     total: int
     done: int
@@ -83,7 +83,7 @@ class Plan:
             "fits": self.fits,
             "controls": self.controls,
             "memory_MB": self.memory_MB,
-            "design": dict(self.description),
+            "design": self.overview.to_json(),
         }
 
 
@@ -105,24 +105,24 @@ def plan(
         For a faulty design or faulty data.
     """
     loaded = design if isinstance(design, Design) else load(design, overrides)
-    description = describe(loaded)
-    warnings = list(description["warnings"])
+    described = overview(loaded)
+    warnings = list(described.warnings)
     workers = jobs or default_jobs()
     root = data_root(loaded.source, data)
     try:
         work = expand(loaded, root)
     except MissingDataError as error:
         warnings.append(f"no blocks and no time, for the measurements are missing: {error}")
-        total = int(description["cells"])
+        total = len(described.matrix)
         return Plan(
-            loaded, description, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
+            loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
         )
-    return _counted(work, description, Store(results / loaded.name, warn=warnings.append),
+    return _counted(work, described, Store(results / loaded.name, warn=warnings.append),
                     workers, warnings)  # fmt: skip
 
 
 def _counted(
-    work: Work, description: Mapping[str, Any], store: Store, workers: int, warnings: list[str]
+    work: Work, described: Overview, store: Store, workers: int, warnings: list[str]
 ) -> Plan:
     warnings += [*work.cautions, *_idle_replicates(work)]
     found = store.survey(work.input_hashes)
@@ -137,7 +137,7 @@ def _counted(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )
     return Plan(
-        work.design, description, work.blocks, len(work.jobs), len(found.done),
+        work.design, described, work.blocks, len(work.jobs), len(found.done),
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
         len(controls),
     )  # fmt: skip

@@ -13,7 +13,6 @@ from study.analysis.convergence.grid_convergence import Numerical
 from study.analysis.effects.contrast_uncertainty import CellSeries
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
-from study.design.cases import treatments
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,7 +104,7 @@ def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
     """Levels of every treatment, and the name of its discretization; none where it is exact."""
     return [
         (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
-        for one in treatments(design)
+        for one in design.treatments
     ]
 
 

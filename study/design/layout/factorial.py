@@ -11,22 +11,19 @@ from typing import Annotated, Literal
 from study.design.diagnostics import is_known, noted
 from study.design.factors import known_level
 from study.design.layout.request import MAX_CELLS, Made, Request
-from study.design.sections.calibration import AsWritten
 from study.design.spec import Factor, Scheme
 from study.design.toml_document import flatten
 from study.errors import nearest
 from study.setup.quantity import shown
-from study.setup.section import Bad, Reads, Rows, section
+from study.setup.section import AsWritten, Bad, Rows, as_written, section
 from study.setup.text import name
 
 #: parent of a nested factor, and the labels that exist within each of its levels
 Nests = Mapping[str, tuple[str, Mapping[str, tuple[str, ...]]]]
 
-_Name = Annotated[object, Reads(lambda value: value, mend="name a factor")]
-_Within = Annotated[object, Reads(lambda v: v, mend="{ LEVEL = [..], LEVEL = [..] }")]
-_Cells = Annotated[
-    object, Reads(lambda v: v, mend="list the cells: treatments = [{ A = .., B = .. }]")
-]
+_Name = Annotated[object, as_written("name a factor")]
+_Within = Annotated[object, as_written("{ LEVEL = [..], LEVEL = [..] }")]
+_Cells = Annotated[object, as_written("list the cells: treatments = [{ A = .., B = .. }]")]
 
 
 @section

@@ -7,15 +7,13 @@ from functools import partial
 from typing import Annotated, Literal
 
 from study.arrays import Array
-from study.design import overview
 from study.design.diagnostics import noted
-from study.design.layout import generators
+from study.design.layout import aliases, generators
 from study.design.layout.request import Made, Request
-from study.design.sections.calibration import AsWritten
 from study.design.spec import Scheme
 from study.errors import nearest
 from study.setup.quantity import integer, shown
-from study.setup.section import Bad, Reads, section
+from study.setup.section import AsWritten, Bad, Reads, section
 
 #: factors of a two-level design: every product of its columns is formed
 MAX_FRACTION = 12
@@ -77,20 +75,20 @@ def _smallest(request: Request, resolution: int) -> Made:
 def _verified(request: Request, runs: Array, wanted: int | None) -> Made:
     """Scheme of a fraction whose resolution was found by brute force, not believed."""
     factors, labels = request.factors, [factor.name for factor in request.factors]
-    found = overview.resolution(runs)
+    found = aliases.resolution(runs)
     if found is not None and found < (wanted or 3):
-        rule = f"give resolution {found}: {overview.defining_relation(runs, labels)}"
+        rule = f"give resolution {found}: {aliases.defining_relation(runs, labels)}"
         mend = "main effects would be one another; generate with more factors"
         request.fault("generators", rule, mend)
     count = 2 ** len(factors)
-    word = "full" if found is None else overview.ROMAN[found]
+    word = "full" if found is None else aliases.ROMAN[found]
     summary = (
         f"two-level fractional factorial: {len(runs)} of {count} cells, resolution {word}, "
         f"verified over all {count - 1} products of columns"
     )
     scheme = Scheme(
-        "fractional", _rows(runs), summary, tuple(overview.sentences(runs, labels)), found,
-        overview.defining_relation(runs, labels),
+        "fractional", _rows(runs), summary, tuple(aliases.sentences(runs, labels)), found,
+        aliases.defining_relation(runs, labels),
     )  # fmt: skip
     return factors, scheme
 
@@ -141,14 +139,14 @@ class PlackettBurman:
             return request.nothing
         labels = [factor.name for factor in request.factors]
         runs = generators.plackett_burman(len(labels))
-        found = overview.resolution(runs)
+        found = aliases.resolution(runs)
         if found is not None and found < 3:
             request.fault("kind", f"the design of {len(labels)} factors has aliased effects")
         summary = (
             f"Plackett-Burman: {len(runs)} of {2 ** len(labels)} cells; main effects are free of "
             "one another (verified), and each is mixed with interactions"
         )
-        told = tuple(overview.sentences(runs, labels))
+        told = tuple(aliases.sentences(runs, labels))
         return request.factors, Scheme(self.kind, _rows(runs), summary, told, found)
 
 

@@ -2,7 +2,7 @@
 
 Two-level designs are coded -1 and 1, response-surface designs -1 to 1 with the outermost
 runs at the ends of the ranges, space-filling designs 0 to 1. pyDOE3 is not used: its
-fractional designs are wrong; those of pydoe are verified by :mod:`study.design.overview`.
+fractional designs are wrong; those of pydoe are verified by :mod:`study.design.layout.aliases`.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def central_composite(count: int, star: str = "inscribed") -> Array:
     return np.asarray(runs, dtype=float)
 
 
-#: blocks of factors that vary together (Box and Behnken 1960, table 4); the paper's design of nine
+#: blocks of factors that vary together (Box and Behnken 1960); the paper's design of nine
 #: factors has three of its blocks twice, and a simulation repeated is the same simulation
 _BLOCKS: Mapping[int, Sequence[tuple[int, ...]]] = {
     6: ((1, 2, 4), (2, 3, 5), (3, 4, 6), (1, 4, 5), (2, 5, 6), (1, 3, 6)),

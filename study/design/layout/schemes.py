@@ -45,7 +45,7 @@ LAYOUTS: Mapping[str, type[Layout]] = {
 }
 
 
-def scheme_of(
+def scheme_from(
     table: object, factors: tuple[Factor, ...], seed: int, excluding: bool, faults: Faults
 ) -> Made:
     """Read ``[design]`` and give every factor the levels that it needs.

@@ -9,16 +9,13 @@ from study import units
 from study.errors import nearest
 from study.material.registry import is_dimensionless
 from study.setup.quantity import shown
-from study.setup.section import Bad, Reads, section
+from study.setup.section import AsWritten, Bad, Reads, section
 from study.setup.text import choice
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 
 #: name of a constant -> its least and largest value, in MPa, exponents plain
 Bounds = Mapping[str, tuple[float, float]]
-
-#: a value that is read where what its rule depends on is known
-AsWritten = Annotated[object, Reads(lambda value: value)]
 
 _LeaveOut = Annotated[str | None, Reads(choice("specimen", "test"))]
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from study.design.sections.content import case_id
 from study.measurement.section import MeasurementSpec
 from study.setup import setup
 from study.setup.geometry import Specimen, Surface
@@ -65,6 +67,20 @@ class CellProblem:
             "model": _model(self.model),
             "measurements": self.measurements,
         }
+
+    def physical(self) -> Config:
+        """Part of the document that can change a curve.
+
+        In homogeneous compression the closed form is exact: of the specimen its area and
+        height count, and nothing of the discretisation.
+        """
+        kept, specimen = self.document(), self.specimen
+        if isinstance(specimen, Surface) or not self.is_homogeneous:
+            return kept
+        test = {k: v for k, v in kept["test"].items() if k != "steps"}
+        area = float(f"{specimen.area_mm2:.12g}")
+        reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
+        return {**kept, "specimen": reduced, "test": test, "model": None}
 
 
 def _material(section: MaterialSection) -> Config:
@@ -128,3 +144,31 @@ class Cell:
             "leave_out": self.leave_out,
         }
         return {**self.problem.document(), "calibration": calibration}
+
+    @cached_property
+    def calibration_key(self) -> str | None:
+        """Name of its calibration problem: cells with one name share one fit a block."""
+        if not self.is_calibrated:
+            return None
+        return case_id({**self.fitted.physical(), "method": self._distinct_method})
+
+    @cached_property
+    def physical_key(self) -> str:
+        """Name of what it computes: cells with one name must agree physically."""
+        other = self.fitted_elsewhere
+        calibration = {
+            "method": self._distinct_method,
+            "problem": None if other is None else other.physical(),
+            "leave_out": self.leave_out,
+        }
+        return case_id({**self.problem.physical(), "calibration": calibration})
+
+    @cached_property
+    def content_key(self) -> str:
+        """Name of its document: cells with one name are one computation."""
+        return case_id(self.document())
+
+    @property
+    def _distinct_method(self) -> str:
+        """Method, where the closed form makes all methods one."""
+        return "exact" if self.is_calibrated and self.fitted.is_homogeneous else self.method

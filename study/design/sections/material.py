@@ -41,7 +41,7 @@ class MaterialTable:
     order: Annotated[int | None, Reads(integer(1, 9))] = None
 
 
-def material_of(table: object, faults: Faults, path: str = "material") -> MaterialSection:
+def material_from(table: object, faults: Faults, path: str = "material") -> MaterialSection:
     """Read a material in MPa, exponents plain.
 
     Parameters

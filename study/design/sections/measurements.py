@@ -9,7 +9,7 @@ from study.measurement.section import MeasurementSpec, groups_of
 from study.setup.quantity import shown
 
 
-def measurements_of(
+def measurements_from(
     table: object, faults: Faults, path: str = "measurements"
 ) -> MeasurementSpec | None:
     """Read where measured curves are; None where a fault was found.

@@ -13,12 +13,12 @@ from study.setup.setup import Model
 from study.setup.test_section import TEST_KINDS, TestSection
 
 
-def specimen_of(table: object, faults: Faults, path: str = "specimen") -> Specimen:
+def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Specimen:
     """Read a specimen: its shape says which keys it has."""
     return read_variant(SPECIMENS, "shape", table, path, faults)
 
 
-def loading_of(table: object, faults: Faults, path: str = "test") -> TestSection:
+def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
     """Read how the specimen is loaded; the measured range may give the displacement later."""
     found = read_table(TestSection, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
@@ -33,7 +33,9 @@ def loading_of(table: object, faults: Faults, path: str = "test") -> TestSection
     return with_values(found, base=base, indenter=indenter)
 
 
-def model_of(table: object, faults: Faults, shape: str, ratio: float, path: str = "model") -> Model:
+def model_from(
+    table: object, faults: Faults, shape: str, ratio: float, path: str = "model"
+) -> Model:
     """Read the discretization.
 
     Parameters

@@ -7,19 +7,18 @@ from functools import partial
 from typing import Annotated
 
 from study.design.diagnostics import Faults, noted, read_table
-from study.design.sections.calibration import AsWritten
 from study.design.spec import Expected, Factor, Response
 from study.design.toml_document import flatten
 from study.errors import nearest
 from study.setup.quantity import shown
-from study.setup.section import Bad, Reads, section, written_keys
+from study.setup.section import AsWritten, Bad, Reads, as_written, section, written_keys
 from study.setup.text import text
 
 MAX_EXPECTED = 50
 
-_Factor = Annotated[object, Reads(lambda v: v, mend='name a factor, such as "material"')]
-_Factors = Annotated[object, Reads(lambda v: v, mend='two factors, such as ["material", "plates"]')]
-_Cell = Annotated[object, Reads(lambda v: v, mend='{ material = "neo-hookean" }')]
+_Factor = Annotated[object, as_written('name a factor, such as "material"')]
+_Factors = Annotated[object, as_written('two factors, such as ["material", "plates"]')]
+_Cell = Annotated[object, as_written('{ material = "neo-hookean" }')]
 
 
 @section
@@ -78,7 +77,7 @@ KINDS: Mapping[str, type[Expectation]] = {
 _MEND = 'for example matters = "material", or larger = "material" with than = "model.space"'
 
 
-def expected_of(
+def expected_from(
     value: object, factors: Sequence[Factor], responses: Sequence[Response], faults: Faults
 ) -> tuple[Expected, ...]:
     """Read every ``[[expected]]``: one kind of :data:`KINDS` each, ``source`` and ``response``."""

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from study.design import overview
 from study.design.diagnostics import Faults, noted
+from study.design.layout.aliases import clear_order
 from study.design.spec import Analysis, Factor, Scheme
 from study.design.study_file import AnalysisTable
 from study.errors import nearest
@@ -21,9 +21,8 @@ MAX_TERMS = 1000
 Model = str | int | tuple[str, ...]
 
 
-def analysis_of(
+def analysis_from(
     table: AnalysisTable,
-    asked: bool,
     factors: Sequence[Factor],
     declared: Sequence[str],
     scheme: Scheme,
@@ -35,8 +34,6 @@ def analysis_of(
     ----------
     table : AnalysisTable
         As read.
-    asked : bool
-        Whether the file says which terms it wants.
     factors : sequence of Factor
         Of the design.
     declared : sequence of str
@@ -46,11 +43,12 @@ def analysis_of(
     faults : Faults
         Where faults go.
     """
-    model = noted(partial(_model, declared), table.model, "analysis.model", faults) or "full"
-    if not asked:
-        model = default_model(scheme, factors)
-    elif not faults:
-        _check_told_apart(model, factors, scheme, faults)
+    model = default_model(scheme, factors)
+    if table.model is not None:
+        read = partial(_model, declared)
+        model = noted(read, table.model, "analysis.model", faults) or model
+        if not faults:
+            _check_told_apart(model, factors, scheme, faults)
     for name, _ in table.roles or ():
         if name not in declared:
             faults.add("analysis.roles", f"no factor {shown(name)}", nearest(name[:80], declared))
@@ -63,7 +61,7 @@ def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
         terms = terms_of(scheme, factors)
         return "full" if terms is None else terms
     if scheme.kind == "fractional":
-        order = overview.clear_order(scheme.resolution)
+        order = clear_order(scheme.resolution)
         return "full" if order is None else min(order, len(factors))
     return 1
 

@@ -15,7 +15,7 @@ from study.setup.section import Bad
 _DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
 
 
-def responses_of(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Response, ...]:
+def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Response, ...]:
     """Responses with their units; a faulty one has no name.
 
     Parameters

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from study.canonical import digest
-from study.design.cases import case_id, plain
+from study.design.sections.content import case_id, plain
 from study.design.spec import Case
 from study.record.record import Record
 from study.runner.cost import Costs

@@ -31,7 +31,6 @@ import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
-from study.design.cases import treatments
 from study.design.spec import Design
 from study.errors import Fault, InputError
 from study.execution.loky import Loky
@@ -169,7 +168,7 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
 def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
     found: dict[str, tuple[MeasurementSpec, Tables]] = {}
-    for treatment in treatments(design):
+    for treatment in design.treatments:
         own = CalibrationTable.of(treatment.config).problem or {}
         for config in (treatment.config, own):
             spec = config.get("measurements")

@@ -1,0 +1,94 @@
+"""Names made of content: the hash of plain values with one spelling."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from typing import overload
+
+import numpy as np
+
+from study.canonical import Json
+from study.errors import Fault, InputError
+from study.measurement.section import MeasurementSpec
+
+ID_LENGTH = 16
+
+
+def case_id(content: object) -> str:
+    """Name made of content: 16 hex digits of the sha256 of canonical JSON.
+
+    Numbers are coerced first (``1`` and ``1.0`` are one), keys sorted. Labels, names and
+    citations are no content.
+
+    Examples
+    --------
+    >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
+    True
+    """
+    text = canonical_json(content)
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+
+
+def canonical_json(content: object) -> str:
+    """One spelling of JSON for equal content.
+
+    Raises
+    ------
+    InputError
+        For what has no such spelling: nan, infinity, an unknown type.
+
+    Examples
+    --------
+    >>> canonical_json({"b": (1.0, 2), "a": None})
+    '{"a":null,"b":[1,2]}'
+    """
+    named = without_places(plain(content))
+    return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def without_places(value: Json) -> Json:
+    """Content without ``path``: where a file lies on this machine names nothing."""
+    if isinstance(value, dict):
+        return {k: without_places(v) for k, v in value.items() if k != "path"}
+    return [without_places(v) for v in value] if isinstance(value, list) else value
+
+
+@overload
+def plain(value: Mapping[str, object]) -> dict[str, Json]: ...
+
+
+@overload
+def plain(value: object) -> Json: ...
+
+
+def plain(value: object) -> Json:
+    """Plain JSON values of a configuration, numbers coerced.
+
+    Raises
+    ------
+    InputError
+        For nan, infinity or an unknown type.
+    """
+    return _plain(value)
+
+
+def _plain(value: object) -> Json:
+    if isinstance(value, MeasurementSpec):
+        return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(vars(value))
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return int(value) if value.is_integer() and abs(value) < 2**53 else value
+    raise InputError(Fault("case", f"cannot name the content {value!r}"))
