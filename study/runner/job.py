@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -252,7 +253,7 @@ class Work:
     blocks: tuple[str, ...]
     data: DataCache
 
-    @property
+    @cached_property
     def fits(self) -> dict[str, FitJob]:
         """Every fit by its key, those that give start values included."""
         return fits_of(self.jobs)
