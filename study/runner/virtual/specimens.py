@@ -1,7 +1,7 @@
 """Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 
 The generator, in full. A batch of silicone has the constants of one of the energies of
-:mod:`study.runner.virtual_truth` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
+:mod:`study.runner.virtual.truth` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
 times a stiffness factor, and a shape of response that scatters besides; each specimen of a
 batch has a further stiffness factor; each repeat on a specimen has load-cell noise, a
 load-cell zero and position noise. The reference curve comes from finite elements with bonded
@@ -70,7 +70,7 @@ class Generator:
     position_mm : float
         Standard deviation of the position.
     truth : str
-        Name of the material, see :mod:`study.runner.virtual_truth`.
+        Name of the material, see :mod:`study.runner.virtual.truth`.
     spacing_mm : float
         Distance between samples.
     """
