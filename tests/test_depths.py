@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import study
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.result import AnalysisResult
 from study.api.depth_effects import effects_by_depth
 from study.api.statistics import analyze_records
@@ -80,7 +80,7 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
     outcome: StudyResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (response,) = outcome.design.responses
-    rough = Numerical({}, response.name, 10.0, 50.0, "%", "two meshes", "a rough mesh",
+    rough = NumericalUncertainty({}, response.name, 10.0, 50.0, "%", "two meshes", "a rough mesh",
                       mesh_size=(2.0, 1.0), series=(10.0, 60.0))  # fmt: skip
     monkeypatch.setattr("study.api.uncertainty.numerical.is_homogeneous", lambda config: False)
     found: list[float | dict[str, float] | None] = []

@@ -13,13 +13,13 @@ from study.analysis.anova_table import (
 from study.analysis.assumption.diagnostics import diagnose, is_representative
 from study.analysis.assumption.normality import anderson_darling, shapiro_wilk
 from study.analysis.effects.numerical_bound import OneBound
+from study.analysis.effects.power.detection import PowerRow, planned
 from study.analysis.effects.sizes import holm
-from study.analysis.error.unreplicated import functional_shares, non_additivity
 from study.analysis.linear_model.design_matrix import terms_of
 from study.analysis.linear_model.influence import influence, influential
 from study.analysis.outcome import _NO_ERROR, Outcome
-from study.analysis.power.detection import PowerRow, planned
 from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
+from study.analysis.unreplicated import functional_shares, non_additivity
 
 if TYPE_CHECKING:
     import pandas as pd

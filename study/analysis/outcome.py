@@ -19,12 +19,12 @@ from study.analysis.data import Crossed, Data
 from study.analysis.effects.numerical_bound import SeriesBounds
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.sizes import MOST_LEVELS
-from study.analysis.error.unreplicated import LenthResult
 from study.analysis.linear_model.design_matrix import Term, term_name
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
 from study.analysis.sphericity import SphericityResult
+from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 
 _NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")

@@ -13,7 +13,7 @@ from study.analysis.anova_table import (
     Influential,
     ModelSummary,
 )
-from study.analysis.power.detection import PowerRow
+from study.analysis.effects.power.detection import PowerRow
 from study.canonical import plain
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
     from study.analysis.assumption.row_normality import RowTest
     from study.analysis.assumption.variance import BartlettResult, LeveneResult
-    from study.analysis.error.unreplicated import LenthResult, NonAdditivityResult
     from study.analysis.request import AnalysisRequest
     from study.analysis.sphericity import SphericityResult
+    from study.analysis.unreplicated import LenthResult, NonAdditivityResult
     from study.arrays import Array
 
 

@@ -20,7 +20,6 @@ from study.study_result.report_data import (
     CurvePair,
     Failure,
     FittedConstant,
-    NumericalRow,
     ReportData,
 )
 
@@ -61,7 +60,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         fits=tuple(_fits(design, study.plain)),
         failures=tuple(_failures(study.records)),
         checks=tuple(_checks(study)),
-        numerical=tuple(_numerical(study)),
+        numerical=study.numerical,
         convergence=_convergence(study),
         depths=effects_by_depth(study),
         validation=tuple(study.validation),
@@ -92,13 +91,6 @@ def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
 def _named(row: dict[str, Any]) -> dict[str, Any]:
     """Name a series by its levels and its response."""
     return row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}}
-
-
-def _numerical(study: StudyResult) -> Iterator[NumericalRow]:
-    for row in study.numerical:
-        yield NumericalRow(
-            row.levels, row.response, row.value, row.u_num, row.unit, row.behaviour, row.note
-        )
 
 
 def _inputs(design: Design) -> dict[str, str]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
 from study.api.scoring import scored_on
@@ -22,7 +22,7 @@ from study.study_result.report_data import ResponseAnalysis
 from study.study_result.study_result import StudyResult
 
 if TYPE_CHECKING:
-    from study.analysis.convergence.grid_convergence import Numerical
+    from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.study_result.report_data import ResponseAnalysis
 
 
@@ -57,7 +57,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
 
 
 def _analyses(
-    design: Design, records: Sequence[Record], numerical: Sequence[Numerical]
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     found = []

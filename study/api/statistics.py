@@ -19,7 +19,7 @@ from study.tidy_csv import names_of
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.convergence.grid_convergence import Numerical
+    from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Design, Response
     from study.record.record import Record
@@ -29,7 +29,7 @@ def analyze_records(
     design: Design,
     records: Sequence[Record],
     response: Response,
-    numerical: Sequence[Numerical] = (),
+    numerical: Sequence[NumericalUncertainty] = (),
 ) -> AnalysisResult:
     """Analyze one response of a study as its design says.
 

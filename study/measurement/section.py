@@ -64,7 +64,7 @@ class Range:
         return self.low * height_mm / 100, self.high * height_mm / 100
 
 
-def csv_path(value: Any) -> str:
+def csv_path(value: object) -> str:
     """Read the path of a table."""
     path = relative_path(value)
     if not path.lower().endswith((".csv", ".csv.gz")):
@@ -74,7 +74,7 @@ def csv_path(value: Any) -> str:
     return path
 
 
-def csv_pattern(value: Any) -> str:
+def csv_pattern(value: object) -> str:
     """Read a pattern such as ``"indentation-{specimen}.csv"``."""
     pattern = relative_path(value)
     if not pattern.lower().endswith((".csv", ".csv.gz")):
@@ -88,19 +88,20 @@ def csv_pattern(value: Any) -> str:
     return pattern
 
 
-def read_range(value: Any) -> Range:
+def read_range(value: object) -> Range:
     """Read ``["1 %", "20 %"]`` or ``["0.3 mm", "6 mm"]``."""
     mend = 'write, for example, ["1 %", "20 %"] or ["0.3 mm", "6 mm"]'
     if not isinstance(value, list) or len(value) != 2:
         raise Bad(f"must be two values, got {shown(value)}", mend)
-    if not all(isinstance(v, str) for v in value):
+    ends = [v for v in value if isinstance(v, str)]
+    if len(ends) < len(value):
         raise Bad(f"needs units, got {shown(value)}", mend)
-    percent = [v.rstrip().endswith("%") for v in value]
+    percent = [v.rstrip().endswith("%") for v in ends]
     if percent[0] != percent[1]:
         raise Bad(f"mixes percent and length, got {shown(value)}", mend)
     try:
         low, high = (
-            units.parse_percent(v) if percent[0] else units.parse(v, "length") for v in value
+            units.parse_percent(v) if percent[0] else units.parse(v, "length") for v in ends
         )
     except UnitError as error:
         raise Bad(error.faults[0].rule, mend) from error
@@ -111,14 +112,14 @@ def read_range(value: Any) -> Range:
     return Range("percent" if percent[0] else "mm", low, high)
 
 
-def rows(value: Any) -> dict[str, Labels]:
+def rows(value: object) -> dict[str, Labels]:
     """Read a choice of rows: column -> label, or labels."""
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
     return {name(column): _labels(wanted) for column, wanted in value.items()}
 
 
-def _labels(value: Any) -> Labels:
+def _labels(value: object) -> Labels:
     if isinstance(value, list):
         if not value:
             raise Bad("chooses no label at all")
@@ -126,7 +127,7 @@ def _labels(value: Any) -> Labels:
     return _label(value)
 
 
-def _label(value: Any) -> str:
+def _label(value: object) -> str:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     if isinstance(value, bool) or not isinstance(value, (str, int, float)):
@@ -135,7 +136,7 @@ def _label(value: Any) -> str:
 
 
 def _unit(dimension: str) -> Read:
-    def read(value: Any) -> str:
+    def read(value: object) -> str:
         unit = text(value)
         units.unit_factor(unit, dimension)
         return unit
@@ -213,7 +214,7 @@ class MeasurementSpec:
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     citation: Annotated[str, Reads(text)] = ""
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON."""
         return asdict(self)
 

@@ -20,7 +20,7 @@ from study.study_result.report_data import ReportData, ResponseAnalysis
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.error.unreplicated import LenthResult
+    from study.analysis.unreplicated import LenthResult
 
 _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 

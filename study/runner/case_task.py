@@ -4,17 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 from study.curve import Curve
 from study.execution.task import Received
 from study.forward.finite_element import Anchor
 from study.record.record import Record
 from study.runner.fitting.fit_summary import FitResult
-from study.runner.job import Forward, Origin
 from study.runner.provenance import versions
 from study.runner.response import Scored
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
+
+#: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
+#: or a solution of its own.
+Forward = Literal["fit", "closed-form", "simulation"]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Why a case is computed besides the cells of the design; its record says so.
+
+    Parameters
+    ----------
+    mesh_seed, noise_seed : int, optional
+        Number among the cases that repeat a cell on other meshes, or with resampled residuals.
+    purpose : {"refinement", "input"}, optional
+        What it serves beside the study's own answer.
+    of : str, optional
+        Id of the case that it is compared with.
+    level : int, optional
+        How often the mesh was refined.
+    input : str, optional
+        Key of the input that was moved.
+    """
+
+    mesh_seed: int | None = None
+    noise_seed: int | None = None
+    purpose: Literal["refinement", "input"] | None = None
+    of: str | None = None
+    level: int | None = None
+    input: str | None = None
+
+    @property
+    def predicts(self) -> bool:
+        """Whether its curve is wanted: a fit to resampled residuals has constants alone."""
+        return not self.noise_seed
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data without what does not apply."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)

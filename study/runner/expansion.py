@@ -20,8 +20,9 @@ from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.runner import provenance
 from study.runner.calibration.model_selection import distinct_tests, left_out
+from study.runner.case_task import Forward, Origin
 from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
-from study.runner.job import CaseJob, DataCache, FitJob, Forward, Origin, ScorePair, Work, repeated
+from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeated
 from study.runner.provenance import code_version
 from study.runner.replicates import mesh_seeded, resampled
 from study.runner.response import units_of

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 from study.canonical import digest
 from study.curve import Curve
@@ -17,16 +17,13 @@ from study.measurement.reading import read_measurements
 from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
 from study.runner import provenance
+from study.runner.case_task import Forward, Origin
 from study.runner.fitting.fit_task import FitProblem, fit_key
 from study.runner.tables import CalibrationTable, Tables
 from study.setup.setup import known_height_mm
 
 #: ends in the name of the file that says how virtual measurements were made
 TRUTH_SUFFIX = ".virtual.json"
-
-#: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
-#: or a solution of its own.
-Forward = Literal["fit", "closed-form", "simulation"]
 
 
 class DataCache:
@@ -73,41 +70,6 @@ class DataCache:
         if key not in self._read:
             self._read[key] = read_measurements(made, self.root, height, depth)
         return self._read[key]
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Why a case is computed besides the cells of the design; its record says so.
-
-    Parameters
-    ----------
-    mesh_seed, noise_seed : int, optional
-        Number among the cases that repeat a cell on other meshes, or with resampled residuals.
-    purpose : {"refinement", "input"}, optional
-        What it serves beside the study's own answer.
-    of : str, optional
-        Id of the case that it is compared with.
-    level : int, optional
-        How often the mesh was refined.
-    input : str, optional
-        Key of the input that was moved.
-    """
-
-    mesh_seed: int | None = None
-    noise_seed: int | None = None
-    purpose: Literal["refinement", "input"] | None = None
-    of: str | None = None
-    level: int | None = None
-    input: str | None = None
-
-    @property
-    def predicts(self) -> bool:
-        """Whether its curve is wanted: a fit to resampled residuals has constants alone."""
-        return not self.noise_seed
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data without what does not apply."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -252,7 +214,7 @@ class Work:
     blocks: tuple[str, ...]
     data: DataCache
 
-    @property
+    @cached_property
     def fits(self) -> dict[str, FitJob]:
         """Every fit by its key, those that give start values included."""
         return fits_of(self.jobs)

@@ -10,7 +10,8 @@ from study.design.cases import MAX_CASES
 from study.design.sections.content import plain
 from study.design.spec import Case, Design
 from study.errors import Fault, InputError
-from study.runner.job import CaseJob, Origin, ScorePair, repeated
+from study.runner.case_task import Origin
+from study.runner.job import CaseJob, ScorePair, repeated
 from study.runner.tables import on_mesh
 
 

@@ -7,13 +7,13 @@ from study.execution.task import Document, Executor, Perform
 from study.runner import case
 from study.runner.fitting import fit_task, residual_bootstrap
 from study.runner.numerical import solve_task
-from study.runner.virtual import specimens
+from study.runner.virtual import reference
 
 KINDS: dict[str, Perform] = {
     "case": case.perform,
     "fit": fit_task.perform,
     "noise": residual_bootstrap.perform,
-    "reference": specimens.perform,
+    "reference": reference.perform,
     "solve": solve_task.perform,
     "ping": lambda task: {"status": "converged"},
 }

@@ -21,6 +21,7 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
     from study.study_result.comparison import Beside
@@ -217,35 +218,6 @@ class DepthEffect:
 
 
 @dataclass(frozen=True)
-class NumericalRow:
-    """Numerical standard uncertainty of one response for one kind of discretization.
-
-    Parameters
-    ----------
-    levels : mapping of str to str
-        Usually space and element order.
-    response : str
-        Name of the response.
-    value, u_num : float or None
-        Response on the mesh of the study, and its numerical uncertainty, in ``unit``.
-    unit : str
-        Unit of both.
-    behaviour : str
-        ``"monotone"``, ``"two meshes"``, ...
-    note : str
-        How it was found (which block was refined, ratio of the sizes, unknowns).
-    """
-
-    levels: Mapping[str, str]
-    response: str
-    value: float | None
-    u_num: float | None
-    unit: str
-    behaviour: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True)
 class ReportData:
     """Everything a report shows.
 
@@ -279,7 +251,7 @@ class ReportData:
     checks : sequence of Check
         Checks that the runner made (store, stability, ...); those of the analysis are
         added by the report.
-    numerical : sequence of NumericalRow
+    numerical : sequence of NumericalUncertainty
     convergence : sequence of mapping
         Series of three meshes or more, as ``study converge --json`` gives them.
     depths : sequence of DepthEffect
@@ -333,7 +305,7 @@ class ReportData:
     fits: tuple[FittedConstant, ...] = ()
     failures: tuple[Failure, ...] = ()
     checks: tuple[Check, ...] = ()
-    numerical: tuple[NumericalRow, ...] = ()
+    numerical: tuple[NumericalUncertainty, ...] = ()
     convergence: tuple[Mapping[str, Any], ...] = ()
     depths: tuple[DepthEffect, ...] = ()
     validation: tuple[Mapping[str, Any], ...] = ()

@@ -16,7 +16,7 @@ from study.study_result.report_data import ResponseAnalysis
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.convergence.grid_convergence import Numerical
+    from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.study_result.comparison import Beside
 
 
@@ -53,7 +53,7 @@ class StudyResult:
     records: tuple[Record, ...]
     total: int
     analyses: tuple[ResponseAnalysis, ...]
-    numerical: tuple[Numerical, ...]
+    numerical: tuple[NumericalUncertainty, ...]
     manifest: Mapping[str, Any]
     warnings: tuple[str, ...] = ()
     report: Path | None = None

@@ -193,7 +193,7 @@ def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
 
 
 def test_detectable_differences_come_from_the_error_found() -> None:
-    from study.analysis.power.detection import detectable
+    from study.analysis.effects.power.detection import detectable
 
     table = pd.read_csv(DESIGNS / "repeated.csv")
     one = anova(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)

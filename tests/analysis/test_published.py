@@ -23,10 +23,10 @@ from study.analysis.assumption.normality import (
 from study.analysis.assumption.variance import bartlett, levene
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.analysis.data import prepare
-from study.analysis.error.unreplicated import two_level_effects
 from study.analysis.linear_model.design_matrix import model_matrix, terms_of
 from study.analysis.linear_model.influence import influence
 from study.analysis.linear_model.sums_of_squares import factor
+from study.analysis.unreplicated import two_level_effects
 
 pytestmark = pytest.mark.verify
 

@@ -12,10 +12,10 @@ from study.analysis.anova import anova
 from study.analysis.assumption.robustness import box_cox, hc3, sensitivity, welch_factorial
 from study.analysis.data import prepare
 from study.analysis.effects.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
+from study.analysis.effects.power.detection import detectable, power_of
 from study.analysis.linear_model.design_matrix import model_matrix, terms_of
 from study.analysis.linear_model.influence import influence
 from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.power.detection import detectable, power_of
 from study.errors import InputError
 
 RNG = np.random.default_rng(4)

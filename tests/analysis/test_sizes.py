@@ -25,9 +25,9 @@ from study.analysis.assumption.normality import (
     simulated_rj,
 )
 from study.analysis.error.blocked import Crossed, cell_fit, own_terms
-from study.analysis.error.unreplicated import lenth, pseudo_standard_error
 from study.analysis.linear_model.design_matrix import Layout, grid, model_matrix, terms_of
 from study.analysis.linear_model.sums_of_squares import span
+from study.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]
 CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"

@@ -9,13 +9,13 @@ import pytest
 from scipy.stats import nct
 from scipy.stats import t as student
 
-from study.analysis.effects.verdict import CANNOT_TELL, judge
-from study.analysis.power.verdict_power import (
+from study.analysis.effects.power.verdict_power import (
     contrast_sd,
     fewest_blocks,
     planned_verdicts,
     verdict_probabilities,
 )
+from study.analysis.effects.verdict import CANNOT_TELL, judge
 from study.errors import InputError
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.analysis.result import AnalysisResult
 from study.api.statistics import analyze_records
@@ -62,7 +62,7 @@ def records_of(
     return found
 
 
-def columns_of(records: Sequence[Record]) -> list[Numerical]:
+def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
     """What refinement stores of the first block: every column with its own uncertainty."""
     found: dict[tuple[tuple[str, str], ...], list[tuple[float, float]]] = {}
     for r in records:
@@ -73,11 +73,13 @@ def columns_of(records: Sequence[Record]) -> list[Numerical]:
     for levels, pairs in found.items():
         sizes, values = zip(*sorted(pairs, reverse=True), strict=True)
         if len(values) < 3:
-            rows.append(Numerical(dict(levels), NAME, None, None, "%", "not available", ""))
+            rows.append(
+                NumericalUncertainty(dict(levels), NAME, None, None, "%", "not available", "")
+            )
             continue
         behaviour, u = fine_uncertainty(values, sizes, ORDER)
         rows.append(
-            Numerical(
+            NumericalUncertainty(
                 dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"
             )
         )
@@ -86,7 +88,7 @@ def columns_of(records: Sequence[Record]) -> list[Numerical]:
 
 def analyzed(
     design: Design, records: Sequence[Record], transform: str = "none"
-) -> tuple[AnalysisResult, list[Numerical]]:
+) -> tuple[AnalysisResult, list[NumericalUncertainty]]:
     response = Response(NAME, "%", None, transform)
     numerical = columns_of(records)
     return analyze_records(design, records, response, numerical), numerical
@@ -229,7 +231,7 @@ def test_a_material_without_the_finest_mesh_is_left_out(design: Design) -> None:
 
 
 def bound_of(
-    design: Design, records: Sequence[Record], numerical: Sequence[Numerical]
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> NumericalBound | None:
     return numerical_bound(design, numerical, records, table(list(records)), NAME, "none")
 

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 
 from study.analysis.anova import anova
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.curve import Curve
 from study.study_result.report_data import (
     Check,
     CurvePair,
     Failure,
     FittedConstant,
-    NumericalRow,
     ReportData,
     ResponseAnalysis,
 )
@@ -245,13 +245,13 @@ def make_fits() -> tuple[FittedConstant, ...]:
     return tuple(rows)
 
 
-def make_numerical() -> tuple[NumericalRow, ...]:
+def make_numerical() -> tuple[NumericalUncertainty, ...]:
     rows = []
     for space, order in product(FACTORS["model.space"], FACTORS["model.element_order"]):
         levels = {"model.space": space, "model.element_order": order}
         u = 0.04 if order == "linear" else 0.004
         rows.append(
-            NumericalRow(
+            NumericalUncertainty(
                 levels,
                 "relative_rms_force_error",
                 5.31,
@@ -262,7 +262,7 @@ def make_numerical() -> tuple[NumericalRow, ...]:
             )
         )
         rows.append(
-            NumericalRow(
+            NumericalUncertainty(
                 levels, "mu0", 20.4, 3 * u, "kPa", "two meshes", "EF10_4, mesh refined by 1.5"
             )
         )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.analysis.error.unreplicated import pseudo_standard_error
+from study.analysis.unreplicated import pseudo_standard_error
 from study.reporting.content.recommendation import cost_front
 from study.reporting.figure import constants, curves, diagnostics, effects, style
 from study.reporting.output.page import build

@@ -13,12 +13,12 @@ from study.design.load import loads
 from study.design.spec import Design
 from study.forward.finite_element import Anchor
 from study.runner.batch import case_frame
-from study.runner.case_task import CaseTask, ScoreTask
+from study.runner.case_task import CaseTask, Origin, ScoreTask
 from study.runner.expansion import expand
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask, fit_problem, fitted
 from study.runner.fitting.solution import Predicted
-from study.runner.job import Origin, fits_of
+from study.runner.job import fits_of
 from study.runner.numerical.solve_task import SolveResult, SolveTask, solutions
 from study.runner.tables import PROBLEM, on_mesh
 

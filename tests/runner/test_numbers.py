@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.api.uncertainty.numerical import largest_u_num
 from study.record.record import Record
 
@@ -13,8 +13,8 @@ def record(name: str, value: float) -> Record:
     return Record(name, "s", responses={"mu0": {"value": value, "unit": "kPa"}})
 
 
-def row(value: float, u_num: float | None) -> Numerical:
-    return Numerical({}, "mu0", value, u_num, "kPa", "monotone", "")
+def row(value: float, u_num: float | None) -> NumericalUncertainty:
+    return NumericalUncertainty({}, "mu0", value, u_num, "kPa", "monotone", "")
 
 
 def test_numerical_uncertainty_of_a_log_response_is_a_share_of_its_own_block():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,30 @@ def test_a_series_without_an_order_takes_three_times_its_range() -> None:
     assert series_uncertainty.series_uncertainty(slow, 1.5)[1] == pytest.approx(
         3 * (slow[-1] - 1.0)
     )
+
+
+class Halved:
+    """A series that asks for so many numbers, each half of the one before."""
+
+    def __init__(self, wanted: int) -> None:
+        self.wanted, self.found = wanted, [1.0]
+
+    def due(self) -> list[float]:
+        return [self.found[-1] / 2] if len(self.found) <= self.wanted else []
+
+    def add(self, step: float, found: float) -> None:
+        assert found == step
+        self.found.append(found)
+
+
+def test_every_round_computes_what_is_due_of_all_series_together() -> None:
+    rounds: list[list[float]] = []
+
+    def compute(steps: Sequence[float]) -> list[float]:
+        rounds.append(list(steps))
+        return list(steps)
+
+    series = [Halved(1), Halved(3), Halved(0)]
+    refine(series, compute)
+    assert rounds == [[0.5, 0.5], [0.25], [0.125]]
+    assert [one.found for one in series] == [[1.0, 0.5], [1.0, 0.5, 0.25, 0.125], [1.0]]

@@ -28,7 +28,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
     from study.curve import Curve
     from study.runner.virtual import specimens
 
-    def line(config: Any, generator: Any, *, as_designed: bool) -> Curve:
+    def line(config: Any, *truth: Any, as_designed: bool) -> Curve:
         assert as_designed
         d = np.linspace(0.3, 6.3, 21)
         stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5

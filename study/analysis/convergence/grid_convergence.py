@@ -368,19 +368,29 @@ def compare(
 
 
 @dataclass(frozen=True)
-class Numerical:
-    """Numerical uncertainty of one response on the mesh of the study.
+class NumericalUncertainty:
+    """Numerical uncertainty of one response on the mesh of the study (ASME V&V 20-2009).
 
     Parameters
     ----------
     levels : mapping of str to str
         Levels of the factors of the discretization.
+    response : str
+        Name of the response.
     value, u_num : float or None
         Response on the study's mesh and its uncertainty, in ``unit``.
+    unit : str
+        Unit of both.
     behaviour : str
         Of the refinement series, or ``"two meshes"``.
     note : str
         Which cell was refined and how far.
+    mesh_size, series : tuple of float
+        Sizes in mm and values of the series, from coarse to fine.
+    formal_order : float or None
+        Order that the elements promise.
+    formal_reason : str
+        What limits it.
     """
 
     levels: Mapping[str, str]

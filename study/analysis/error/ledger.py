@@ -11,7 +11,6 @@ from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.effects.estimates import TermEstimate, pooled_estimate
 from study.analysis.effects.samples import every_simple_effect, with_pooled_error
 from study.analysis.effects.sizes import size
-from study.analysis.error.unreplicated import LenthResult
 from study.analysis.linear_model.design_matrix import (
     Term,
     balanced,
@@ -31,6 +30,7 @@ from study.analysis.linear_model.sums_of_squares import (
     with_shares,
 )
 from study.analysis.outcome import Outcome, kind_of
+from study.analysis.unreplicated import LenthResult
 
 POOLED = "pooled"
 OWN = "own"

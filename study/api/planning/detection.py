@@ -8,7 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.power.verdict_power import PlannedVerdicts, fewest_blocks, planned_verdicts
+from study.analysis.effects.power.verdict_power import (
+    PlannedVerdicts,
+    fewest_blocks,
+    planned_verdicts,
+)
 from study.analysis.request import threshold
 from study.api.analysis import analyze
 from study.api.folders import RESULTS, data_root

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.reporting.numbers import listing, percent
 from study.runner.batch import Progress, computing, default_jobs
 from study.runner.cost import Costs
@@ -41,7 +41,7 @@ def refine(
         store.write_json("numerical", [asdict(row) for row in uncertainties(work, series)])
 
 
-def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[Numerical]:
+def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
     """Numerical uncertainty of every response that a study asks for, by series."""
     names = [one.name for one in work.design.responses if one.name != "seconds"]
     return [one.uncertainty(name, work.responses[name]) for one in series for name in names]

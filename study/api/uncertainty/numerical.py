@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.analysis.convergence.grid_convergence import Numerical
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.effects.contrast_uncertainty import CellSeries
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from study.record.store import Store
 
 
-def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[Numerical, ...]:
+def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalUncertainty, ...]:
     """Numerical uncertainty of a study: as its run found it, and then ``study converge``.
 
     Parameters
@@ -34,7 +34,7 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[Numerical,
     rows = store.read_rows("numerical")
     if isinstance(found, dict) and found.get("of") == digest(cases):
         rows = [*rows, *found["rows"]]
-    return tuple(Numerical(**row) for row in rows)
+    return tuple(NumericalUncertainty(**row) for row in rows)
 
 
 #: factors whose levels are meshes
@@ -49,7 +49,7 @@ Cell = tuple[str, ...]
 
 def numerical_bound(
     design: Design,
-    numerical: Sequence[Numerical],
+    numerical: Sequence[NumericalUncertainty],
     records: Sequence[Record],
     table: pd.DataFrame,
     response: str,
@@ -114,7 +114,7 @@ def _element(treatment: Treatment) -> str:
 
 
 def _own_series(
-    rows: Sequence[Numerical],
+    rows: Sequence[NumericalUncertainty],
     table: pd.DataFrame,
     response: str,
     transform: str,
@@ -145,7 +145,7 @@ def _own_series(
 
 
 def _refined_series(
-    rows: Sequence[Numerical],
+    rows: Sequence[NumericalUncertainty],
     names: Sequence[str],
     transform: str,
     cells: Sequence[Mapping[str, str]],
@@ -210,7 +210,10 @@ def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
 
 
 def largest_u_num(
-    numerical: Sequence[Numerical], records: Sequence[Record], response: str, transform: str
+    numerical: Sequence[NumericalUncertainty],
+    records: Sequence[Record],
+    response: str,
+    transform: str,
 ) -> float | None:
     """Largest numerical uncertainty of a response in any refined column, in its unit.
 

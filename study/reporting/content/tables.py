@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Row
+from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.canonical import plain
 from study.reporting.content import sentences
 from study.reporting.content.table import Table
@@ -28,7 +29,7 @@ from study.reporting.numbers import (
     term_name,
 )
 from study.reporting.report import Facts, cells, is_effect
-from study.study_result.report_data import NumericalRow, ReportData
+from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -206,7 +207,7 @@ def _columns(frame: pd.DataFrame, *names: str) -> list[list[object]]:
     return [frame[name].tolist() for name in names]
 
 
-def numerical(items: Sequence[NumericalRow], data: ReportData) -> Table:
+def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
     """Numerical uncertainty of each kind of discretization."""
     names = list(dict.fromkeys(name for item in items for name in item.levels))
     rows = tuple(

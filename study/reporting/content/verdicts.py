@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from study.analysis.anova_table import Effect, SimpleEffect
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.analysis.error.unreplicated import NonAdditivityResult
+from study.analysis.unreplicated import NonAdditivityResult
 from study.reporting.numbers import (
     MINUS,
     MISSING,

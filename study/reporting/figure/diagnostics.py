@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.analysis.error.unreplicated import pseudo_standard_error
+from study.analysis.unreplicated import pseudo_standard_error
 from study.reporting.figure.style import (
     BAND,
     INK,

@@ -14,7 +14,7 @@ import numpy as np
 
 from study.analysis.convergence.grid_convergence import (
     ConvergenceResult,
-    Numerical,
+    NumericalUncertainty,
     grid_convergence,
 )
 from study.arrays import Array
@@ -115,7 +115,7 @@ class CaseSeries:
             return "two meshes", two_mesh_uncertainty(values[0], values[1], real)
         return series_uncertainty(values, self.ratio, sizes, formal)
 
-    def uncertainty(self, response: str, unit: str) -> Numerical:
+    def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
         """Numerical uncertainty of a response on the study's mesh."""
         known = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
         values = tuple(value for _, _, value in known)
@@ -123,11 +123,13 @@ class CaseSeries:
         if lacking:
             first = bool(known) and known[0][0] is self.base and self.own == "coarsest"
             value = values[0] if first else None
-            return Numerical(self.levels, response, value, None, unit, "not available", lacking)
+            return NumericalUncertainty(
+                self.levels, response, value, None, unit, "not available", lacking
+            )
         sizes, formal = self.sizes([record for _, record, _ in known]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
         value = values[0] if self.own == "coarsest" else values[-1]
-        return Numerical(
+        return NumericalUncertainty(
             self.levels, response, value, u, unit, behaviour, self._note(len(known)),
             sizes, values, formal.order, formal.why,
         )  # fmt: skip
@@ -257,7 +259,7 @@ def force_at_places(record: Record) -> Array:
     return predicted.force_at(places_of(measured))
 
 
-def stored_convergence(rows: Sequence[Numerical]) -> list[dict[str, object]]:
+def stored_convergence(rows: Sequence[NumericalUncertainty]) -> list[dict[str, object]]:
     """Judge every stored series of a study.
 
     Returns
@@ -274,7 +276,7 @@ def stored_convergence(rows: Sequence[Numerical]) -> list[dict[str, object]]:
     ]
 
 
-def _stored(row: Numerical) -> ConvergenceResult:
+def _stored(row: NumericalUncertainty) -> ConvergenceResult:
     if len(row.series) >= FEWEST:
         return grid_convergence(
             row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,

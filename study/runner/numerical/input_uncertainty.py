@@ -18,9 +18,10 @@ from study.design.spec import Case
 from study.errors import Fault, InputError
 from study.measurement.section import MeasurementSpec, Range
 from study.record.record import Record
+from study.runner.case_task import Origin
 from study.runner.cost import Costs
 from study.runner.expansion import case_job
-from study.runner.job import CaseJob, Origin, Work, varied
+from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import force_at_places
 from study.runner.numerical.study_refinement import every_cell
 from study.runner.tables import CalibrationTable, Tables

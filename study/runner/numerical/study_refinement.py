@@ -19,9 +19,10 @@ from study.canonical import digest
 from study.design.sections.content import case_id, plain
 from study.design.spec import Case
 from study.record.record import Record
+from study.runner.case_task import Origin
 from study.runner.cost import Costs
 from study.runner.expansion import case_job
-from study.runner.job import CaseJob, Origin, Work, varied
+from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import CaseSeries
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.refinement import FEWEST

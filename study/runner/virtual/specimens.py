@@ -1,7 +1,7 @@
 """Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 
 The generator, in full. A batch of silicone has the constants of one of the energies of
-:mod:`study.runner.virtual_truth` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
+:mod:`study.runner.virtual.truth` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
 times a stiffness factor, and a shape of response that scatters besides; each specimen of a
 batch has a further stiffness factor; each repeat on a specimen has load-cell noise, a
 load-cell zero and position noise. The reference curve comes from finite elements with bonded
@@ -33,24 +33,14 @@ from study.arrays import Array
 from study.curve import Curve
 from study.design.spec import Design
 from study.errors import Fault, InputError
-from study.execution.loky import Loky
-from study.execution.task import Received, Task
-from study.forward import finite_element
 from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
 from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
-from study.runner.numerical.solve_task import SolveResult
 from study.runner.tables import CalibrationTable, Tables
+from study.runner.virtual.reference import reference_curve
 from study.runner.virtual.truth import TRUTHS, truth
-from study.setup.setup import Setup, problem_of
 from study.units import parse
-
-#: steps of a reference curve; between them it is interpolated with its tangent
-_STEPS = 12
-
-#: plates of a reference curve for a design of a single test
-_BONDED = {"interface": "bonded", "base": "bonded"}
 
 #: constants of the usual truth, MPa
 ECOFLEX_00_10 = TRUTHS["yeoh"].constants
@@ -79,7 +69,7 @@ class Generator:
     position_mm : float
         Standard deviation of the position.
     truth : str
-        Name of the material, see :mod:`study.runner.virtual_truth`.
+        Name of the material, see :mod:`study.runner.virtual.truth`.
     spacing_mm : float
         Distance between samples.
     """
@@ -148,7 +138,9 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     written = []
     for number, (spec, config) in enumerate(sources):
         several = len(sources) > 1
-        reference = reference_curve(config, generator, as_designed=several)
+        reference = reference_curve(
+            config, truth(generator.truth), generator.poisson_ratio, as_designed=several
+        )
         tests = list(generate(reference, generator, spec, noise=number if several else None))
         for name, rows in _files(spec, tests).items():
             path = out / name
@@ -193,100 +185,6 @@ def _coarseness(model: Tables) -> tuple[float, int]:
 
 def _depth(config: Tables) -> float:
     return float(config["test"]["displacement_mm"])
-
-
-def reference_curve(tables: Tables, generator: Generator, *, as_designed: bool = False) -> Curve:
-    """Solve for the reference force and its gradient, in a worker of one thread.
-
-    Parameters
-    ----------
-    as_designed : bool
-        Whether the test is the tablesuration's; otherwise the plates are bonded.
-
-    Raises
-    ------
-    InputError
-        If the solver stops.
-    """
-    test = {**tables["test"], **({} if as_designed else _BONDED), "steps": _STEPS}
-    # the grid runs a little past the range, as a real test does
-    test["displacement_mm"] = 1.03 * float(tables["test"]["displacement_mm"])
-    material = truth(generator.truth)
-    task = ReferenceTask(
-        {
-            "specimen": tables["specimen"],
-            "test": test,
-            "material": {"model": material.model, "constants": dict(material.constants),
-                         "poisson_ratio": generator.poisson_ratio},
-            "model": _reference_model(tables, as_designed),
-        },
-        as_designed and not Setup.of(tables).is_homogeneous,
-    )  # fmt: skip
-    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
-    found = SolveResult.from_json(outcome.result)
-    if not found.converged:
-        rule = f"the reference curve failed: {found.message}"
-        raise InputError(Fault("virtual specimens", rule))
-    return found.curve
-
-
-def _reference_model(tables: Tables, as_designed: bool) -> dict[str, object]:
-    """Quadratic elements; 3D where the specimen is no body of revolution and that matters.
-
-    Where every test is as the design has it, the mesh is the finest that the design uses,
-    to be made finer still.
-    """
-    shape = tables["specimen"]["shape"]
-    solid = shape == "surface" or (shape == "block" and tables["test"]["kind"] == "indentation")
-    found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
-    if not as_designed:
-        return {**found, "mesh": "fine"}
-    return found | {k: tables["model"].get(k) for k in ("mesh", "mesh_size_mm", "mesh_ratio")}
-
-
-@dataclass(frozen=True)
-class ReferenceTask:
-    """The reference problem as it goes to a worker.
-
-    Parameters
-    ----------
-    tables : mapping
-        The problem.
-    finer : bool
-        Whether its mesh is made finer by one step, so that no cell of the design generates its
-        own data.
-    """
-
-    tables: Tables
-    finer: bool
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {"kind": "reference", "tables": dict(self.tables), "finer": self.finer}
-
-    @classmethod
-    def from_json(cls, document: Received) -> ReferenceTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], document["finer"])
-
-
-def perform(document: Received) -> dict[str, object]:
-    """Solve the reference problem: a task for a worker.
-
-    Returns
-    -------
-    dict
-        Of :meth:`study.runner.numerical.solve_task.SolveResult.to_json`.
-    """
-    task = ReferenceTask.from_json(document)
-    problem = problem_of(task.tables)
-    if task.finer:
-        from study.fem.mesh.mesher import mesh_size
-
-        size = mesh_size(problem.setup) / problem.model.mesh_ratio
-        problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
-    solution = finite_element.solve(problem, gradients=True)
-    return SolveResult(solution.status, solution.message, solution.curve).to_json()
 
 
 def generate(
