@@ -17,14 +17,14 @@ from study.material.energy import (
     POSITIVE,
     Bounds,
     Constants,
-    IsochoricEnergy,
     Law,
     PointLaw,
     no_counterpart,
 )
+from study.material.invariant_energy import Curvatures, InvariantEnergy, Slopes
 
 
-class PolynomialEnergy(IsochoricEnergy):
+class PolynomialEnergy(InvariantEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
@@ -55,32 +55,30 @@ class PolynomialEnergy(IsochoricEnergy):
         """Table with 1 in the place of the constant."""
         return Law(PointLaw.POLYNOMIAL, _unit_table(constants, name))
 
-    def principal_stress(self, constants: Constants, bar: Array) -> Array:
-        """2 b_i (W_1 + W_2 (I1 - b_i)) with b_i = bar_i^2."""
-        return _principal_stress(coefficient_table(constants), bar)
+    def value(self, constants: Constants, a: Array, b: Array) -> Array:
+        """Sum C_ij a^i b^j."""
+        return np.asarray(polynomial.polyval2d(a, b, coefficient_table(constants)))
 
-    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
-        """Differentiate by the chain rule through both invariants."""
-        table, v = coefficient_table(constants), direction[:, None]
-        b, i1, x, y = _invariants(bar)
-        w1, w2 = _slopes(table, x, y)
-        w11, w12 = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), x, y)
-        w22 = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), x, y)[1]
-        db = 2 * b * v
-        di1, di2 = db.sum(0), ((i1 - b) * db).sum(0)
-        dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
-        return np.asarray(
-            2 * db * (w1 + w2 * (i1 - b)) + 2 * b * (dw1 + dw2 * (i1 - b) + w2 * (di1 - db))
-        )
+    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+        """Of the table of C_ij."""
+        return _slopes(coefficient_table(constants), a, b)
 
-    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
-        """Stress of each constant by itself: W is linear in them."""
-        return {n: _principal_stress(_unit_table(constants, n), bar) for n in constants}
+    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+        """Slopes of the table's derivatives."""
+        table = coefficient_table(constants)
+        aa, ab = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), a, b)
+        bb = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), a, b).by_b
+        return Curvatures(aa, ab, bb)
 
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """W itself."""
-        _, _, x, y = _invariants(bar)
-        return np.asarray(polynomial.polyval2d(x, y, coefficient_table(constants)))
+    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
+        """Slopes of each constant by itself: W is linear in them."""
+        return {n: _slopes(_unit_table(constants, n), a, b) for n in constants}
+
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """2 (C10 + C01)."""
+        return float(2.0 * constants.get("C10", 0.0) + 2.0 * constants.get("C01", 0.0))
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself.
@@ -227,20 +225,7 @@ def _rank(name: str) -> tuple[int, int]:
     return i + j, j
 
 
-def _principal_stress(table: Array, bar: Array) -> Array:
-    b, i1, x, y = _invariants(bar)
-    w1, w2 = _slopes(table, x, y)
-    return np.asarray(2 * b * (w1 + w2 * (i1 - b)))
-
-
-def _invariants(bar: Array) -> tuple[Array, Array, Array, Array]:
-    b = bar**2
-    i1 = b.sum(0)
-    i2 = b[0] * b[1] + b[1] * b[2] + b[2] * b[0]
-    return b, i1, i1 - 3, i2 - 3
-
-
-def _slopes(table: Array, x: Array, y: Array) -> tuple[Array, Array]:
+def _slopes(table: Array, x: Array, y: Array) -> Slopes:
     d1 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=0))
     d2 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=1))
-    return np.asarray(d1, float), np.asarray(d2, float)
+    return Slopes(np.asarray(d1, float), np.asarray(d2, float))
