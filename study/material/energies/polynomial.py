@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Collection
 
 import numpy as np
@@ -12,6 +13,7 @@ from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.compressibility import Compressibility
 from study.material.convention import Converted, abaqus_hyperelastic, febio_hyperelastic
+from study.material.energies.invariant import Curvatures, InvariantEnergy, Slopes
 from study.material.energy import (
     FREE,
     POSITIVE,
@@ -21,10 +23,48 @@ from study.material.energy import (
     PointLaw,
     no_counterpart,
 )
-from study.material.invariant_energy import Curvatures, InvariantEnergy, Slopes
 
 
-class PolynomialEnergy(InvariantEnergy):
+class TableEnergy(InvariantEnergy):
+    """Polynomial of I1 - 3 and I2 - 3, whose coefficients may be any functions of its constants."""
+
+    @abstractmethod
+    def table(self, constants: Constants) -> Array:
+        """Coefficients in MPa of (I1 - 3)^i (I2 - 3)^j, shape (ni, nj)."""
+
+    @abstractmethod
+    def table_rate(self, constants: Constants, name: str) -> Array:
+        """Differentiate :meth:`table` by a constant."""
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over the table."""
+        return Law(PointLaw.POLYNOMIAL, self.table(constants))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over the derivative of the table."""
+        return Law(PointLaw.POLYNOMIAL, self.table_rate(constants, name))
+
+    def value(self, constants: Constants, a: Array, b: Array) -> Array:
+        """Sum of all terms."""
+        return np.asarray(polynomial.polyval2d(a, b, self.table(constants)))
+
+    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+        """Slopes of the table."""
+        return _slopes(self.table(constants), a, b)
+
+    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+        """Slopes of the table's derivatives."""
+        table = self.table(constants)
+        aa, ab = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), a, b)
+        bb = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), a, b).by_b
+        return Curvatures(aa, ab, bb)
+
+    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
+        """Slopes of the derivatives of the table."""
+        return {n: _slopes(self.table_rate(constants, n), a, b) for n in constants}
+
+
+class PolynomialEnergy(TableEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
@@ -47,32 +87,13 @@ class PolynomialEnergy(InvariantEnergy):
         """Return 2 for C10 and C01, 0 for all others."""
         return {n: 2.0 if n in ("C10", "C01") else 0.0 for n in constants}
 
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
-        """Table of C_ij."""
-        return Law(PointLaw.POLYNOMIAL, coefficient_table(constants))
+    def table(self, constants: Constants) -> Array:
+        """C_ij themselves."""
+        return coefficient_table(constants)
 
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Table with 1 in the place of the constant."""
-        return Law(PointLaw.POLYNOMIAL, _unit_table(constants, name))
-
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """Sum C_ij a^i b^j."""
-        return np.asarray(polynomial.polyval2d(a, b, coefficient_table(constants)))
-
-    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
-        """Of the table of C_ij."""
-        return _slopes(coefficient_table(constants), a, b)
-
-    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
-        """Slopes of the table's derivatives."""
-        table = coefficient_table(constants)
-        aa, ab = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), a, b)
-        bb = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), a, b).by_b
-        return Curvatures(aa, ab, bb)
-
-    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
-        """Slopes of each constant by itself: W is linear in them."""
-        return {n: _slopes(_unit_table(constants, n), a, b) for n in constants}
+    def table_rate(self, constants: Constants, name: str) -> Array:
+        """1 in the place of the constant: W is linear in them."""
+        return _unit_table(constants, name)
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
@@ -172,6 +193,28 @@ class ReducedPolynomial(PolynomialEnergy):
 
     def _abaqus_keyword(self, constants: Constants) -> str:
         return f"reduced polynomial, n={len(constants)}"
+
+
+class Yeoh(ReducedPolynomial):
+    """The reduced polynomial of third order by its own name (Yeoh 1993)."""
+
+    name = "yeoh"
+    has_order = False
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """Three constants."""
+        return ("C10", "C20", "C30")
+
+    def has_constant(self, name: str) -> bool:
+        """One of the three."""
+        return name in self.constant_names()
+
+    def simpler(self, order: int) -> tuple[str, int | None] | None:
+        """Second order of the same polynomial."""
+        return "reduced-polynomial", 2
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return "yeoh"
 
 
 class Polynomial(PolynomialEnergy):
