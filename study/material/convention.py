@@ -44,6 +44,19 @@ def abaqus_hyperelastic(keyword: str, constants: Mapping[str, float], bulk: floa
     return Converted("abaqus", f"*Hyperelastic, {keyword}", {**constants, "D1": 2 / bulk})
 
 
+def abaqus_logarithmic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
+    """Return a material of Abaqus whose volumetric term is not ours.
+
+    Parameters
+    ----------
+    keyword, constants, bulk
+        As for :func:`abaqus_hyperelastic`.
+    """
+    note = "its volumetric term is ((J^2 - 1)/2 - ln J)/D: equal to ours only for J near 1"
+    note = "" if math.isinf(bulk) else note
+    return Converted("abaqus", f"*Hyperelastic, {keyword}", {**constants, "D": 2 / bulk}, note)
+
+
 def febio_hyperelastic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
     """Return an uncoupled hyperelastic material of FEBio, with what differs there in volume."""
     if math.isinf(bulk):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, NamedTuple
 
@@ -38,7 +39,12 @@ class PointLaw(IntEnum):
     SMALL_STRAIN = 0
     OGDEN = 1
     OGDEN_BY_EXPONENT = 2
-    POLYNOMIAL = 3
+    EXTENDED_TUBE = 3
+    POLYNOMIAL = 4
+    EXPONENTIAL = 5
+    FINITE_EXTENSIBILITY = 6
+    VAN_DER_WAALS = 7
+    VAN_DER_WAALS_BY_MIXTURE = 8
 
 
 class Law(NamedTuple):
@@ -226,6 +232,59 @@ class IsochoricEnergy(Energy):
         """Sum of the constants times their share of mu0, where W is linear in its moduli."""
         gradient = self.initial_shear_modulus_gradient(constants, compressibility)
         return float(sum(w * constants[n] for n, w in gradient.items()))
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Declaration of a constant of an energy that has no order.
+
+    Parameters
+    ----------
+    name : str
+        As a study file says it.
+    low, high : float
+        Closed range within which the energy is defined and a fit looks, MPa or plain.
+    is_dimensionless : bool
+        Whether it is a plain number and no modulus.
+    """
+
+    name: str
+    low: float
+    high: float
+    is_dimensionless: bool = False
+
+
+class DeclaredConstants(Energy):
+    """Energy with a fixed list of constants, each declared with its range."""
+
+    declared: ClassVar[tuple[Constant, ...]]
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """Return the declared ones."""
+        return tuple(one.name for one in self.declared)
+
+    def bounds(self, constant: str) -> Bounds:
+        """Return the declared range."""
+        one = self._named(constant)
+        return one.low, one.high
+
+    def is_dimensionless(self, constant: str) -> bool:
+        """Whether it is declared so."""
+        return any(one.name == constant and one.is_dimensionless for one in self.declared)
+
+    def forbidden(self, constants: Constants) -> dict[str, str]:
+        """Constants outside their range, where the energy is not defined or not its own."""
+        broken = {}
+        for name, value in constants.items():
+            one = self._named(name)
+            if not one.low <= value <= one.high:
+                unit = "" if one.is_dimensionless else " MPa"
+                rule = f"{self.name} takes {name} from {one.low:g} to {one.high:g}{unit}"
+                broken[name] = f"{rule}, got {value:g}"
+        return broken
+
+    def _named(self, constant: str) -> Constant:
+        return next(one for one in self.declared if one.name == constant)
 
 
 def no_counterpart(convention: str, constants: Constants) -> InputError:

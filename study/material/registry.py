@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from study.errors import Fault, InputError, nearest
+from study.material.energies.arruda_boyce import ArrudaBoyce
+from study.material.energies.extended_tube import ExtendedTube
+from study.material.energies.fung import Fung
+from study.material.energies.gent import Gent
+from study.material.energies.linear_elastic import LinearElastic
+from study.material.energies.ogden import Ogden
+from study.material.energies.polynomial import (
+    MooneyRivlin,
+    NeoHookean,
+    Polynomial,
+    ReducedPolynomial,
+    Yeoh,
+)
+from study.material.energies.van_der_waals import VanDerWaals
+from study.material.energies.veronda_westmann import VerondaWestmann
 from study.material.energy import Energy
-from study.material.linear_elastic import LinearElastic
-from study.material.ogden import Ogden
-from study.material.polynomial import MooneyRivlin, NeoHookean, Polynomial, ReducedPolynomial
 
 ENERGIES: dict[str, Energy] = {
     energy.name: energy
@@ -17,6 +29,13 @@ ENERGIES: dict[str, Energy] = {
         ReducedPolynomial(),
         Polynomial(),
         Ogden(),
+        Yeoh(),
+        ArrudaBoyce(),
+        Gent(),
+        ExtendedTube(),
+        VanDerWaals(),
+        VerondaWestmann(),
+        Fung(),
     )
 }
 

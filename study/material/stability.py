@@ -85,17 +85,17 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
     low, high = float(given.min()), float(given.max())
     if material.small_strain:
         return StabilityResult(True, "stable: small strain, positive modulus", {})
-    limits = {}
+    limits, parts = {}, []
     for mode in (UNIAXIAL, EQUIBIAXIAL, PLANAR):
         limit = _limit(material, mode, low, high)
         if limit is not None:
             limits[mode.name] = limit
+            parts.append(_failure(material, mode, limit))
     if not limits:
         where = f"from stretch {low:.4g} to {high:.4g}"
         return StabilityResult(
             True, f"stable in uniaxial, equibiaxial and planar loading {where}", {}
         )
-    parts = [_failure(name, limit) for name, limit in limits.items()]
     return StabilityResult(False, "unstable (Drucker) " + ", ".join(parts), limits)
 
 
@@ -170,11 +170,13 @@ def surface_warning(material: Material, mode: str, stretch: float) -> str:
     )
 
 
-def _failure(name: str, limit: float) -> str:
+def _failure(material: Material, mode: Mode, limit: float) -> str:
     if limit == 1:
-        return f"in {name} loading from the start"
+        return f"in {mode.name} loading from the start"
     side = "below" if limit < 1 else "above"
-    return f"in {name} loading {side} stretch {limit:.4f}"
+    ends = np.isnan(tangent(material, mode, limit)).any()
+    why = ", where its chains end" if ends else ""
+    return f"in {mode.name} loading {side} stretch {limit:.4f}{why}"
 
 
 def _limit(material: Material, mode: Mode, low: float, high: float) -> float | None:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from study.arrays import Array
+from study.errors import Fault, InputError
 from study.material.material import Material
 
 
@@ -23,6 +24,11 @@ def strain_energy(material: Material, F: Array) -> Array:
     Returns
     -------
     ndarray, shape (...)
+
+    Raises
+    ------
+    InputError
+        If the energy does not reach this state (its chains end before).
     """
     if material.small_strain:
         strain, trace = _small_strain(F)
@@ -31,19 +37,24 @@ def strain_energy(material: Material, F: Array) -> Array:
         return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
     stretch, _, J = _spectral(F)
     bar = stretch / np.cbrt(J)
-    return (
-        material.isochoric.energy_density(material.constants, bar)
-        + _finite(material.bulk) / 2 * (J - 1) ** 2
-    )
+    energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
+    return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
 
 
 def first_piola(material: Material, F: Array) -> Array:
-    """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
+    """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...).
+
+    Raises
+    ------
+    InputError
+        If the energy does not reach this state (its chains end before).
+    """
     if material.small_strain:
         return _linear_stress(F, material.mu0, _finite(material.bulk))
     stretch, axes, J = _spectral(F)
     bar = stretch / np.cbrt(J)
-    kirchhoff = deviator(material.isochoric.principal_stress(material.constants, bar))
+    stress = _reached(material, material.isochoric.principal_stress(material.constants, bar))
+    kirchhoff = deviator(stress)
     return _assemble(F, stretch, axes, kirchhoff + _finite(material.bulk) * J * (J - 1))
 
 
@@ -59,6 +70,15 @@ def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
         name: _assemble(F, stretch, axes, deviator(value) + dbulk[name] * J * (J - 1))
         for name, value in partial.items()
     }
+
+
+def _reached(material: Material, values: Array) -> Array:
+    """Refuse states that an energy does not reach, where it answers NaN."""
+    if np.isnan(values).any():
+        rule = f"{material.model} has no stress at this state: it lies beyond the end of the chains"
+        mend = "deform less, or give constants whose limit lies further away"
+        raise InputError(Fault("material", rule, mend))
+    return values
 
 
 def deviator(values: Array) -> Array:

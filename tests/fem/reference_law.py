@@ -51,6 +51,39 @@ def exponential_ratio(A: Array) -> Array:
     return ratio
 
 
+def invariant_slopes(
+    model: str, values: dict[str, complex], i1: complex, i2: complex
+) -> tuple[complex, complex]:
+    """dW/dI1 and dW/dI2 as the manuals of FEBio and Abaqus and the papers print them."""
+    if model == "arruda-boyce":
+        f = i1 / values["lambda_m"] ** 2
+        series = (1 / 2, 1 / 10 * f, 11 / 350 * f**2, 19 / 1750 * f**3, 519 / 134750 * f**4)
+        return values["mu"] * sum(series), 0j
+    if model == "gent":
+        return values["mu"] / 2 * values["Jm"] / (values["Jm"] - i1 + 3), 0j
+    if model == "extended-tube":
+        square = values["delta"] ** 2
+        gap = 1 - square * (i1 - 3)
+        return values["Gc"] / 2 * ((1 - square) / gap**2 - square / gap), 0j
+    if model == "van-der-waals":
+        beta = values["beta"]
+        mixed = (1 - beta) * i1 + beta * i2 - 3
+        eta = np.sqrt(mixed / (values["lambda_m"] ** 2 - 3))
+        slope = values["mu"] / 2 * (1 / (1 - eta) - values["a"] * np.sqrt(mixed / 2))
+        return (1 - beta) * slope, beta * slope
+    if model == "veronda-westmann":
+        c1, c2 = values["C1"], values["C2"]
+        return c1 * c2 * np.exp(c2 * (i1 - 3)), -c1 * c2 / 2
+    if model == "fung":
+        return values["mu"] / 2 * np.exp(values["b"] * (i1 - 3)), 0j
+    w1 = w2 = 0j
+    for name, value in values.items():
+        i, j = int(name[1:-1]), int(name[-1])
+        w1 += value * i * (i1 - 3) ** max(i - 1, 0) * (i2 - 3) ** j
+        w2 += value * j * (i1 - 3) ** i * (i2 - 3) ** max(j - 1, 0)
+    return w1, w2
+
+
 def stress(material: Material, F: Array, constants: dict[str, complex] | None = None) -> Array:
     """Isochoric nominal stress, shape (3, 3), complex."""
     values: dict[str, complex] = dict(constants or material.constants)
@@ -71,12 +104,11 @@ def stress(material: Material, F: Array, constants: dict[str, complex] | None = 
     else:
         i1 = np.trace(C)
         i2 = (i1**2 - np.trace(C @ C)) / 2
-        w1 = w2 = 0j
-        for name, value in values.items():
-            i, j = int(name[1:-1]), int(name[-1])
-            w1 += value * i * (i1 - 3) ** max(i - 1, 0) * (i2 - 3) ** j
-            w2 += value * j * (i1 - 3) ** i * (i2 - 3) ** max(j - 1, 0)
+        w1, w2 = invariant_slopes(material.model, values, i1, i2)
         source = 2 * C @ (w1 * eye + w2 * (i1 * eye - C))
+    if material.model == "extended-tube":
+        L = 0.5 * logarithm(C)
+        source = source + 2 * values["Ge"] * L @ exponential_ratio(-values["beta"] * L)
     dev = source - np.trace(source) / 3 * eye
     return np.linalg.inv(F).T @ dev
 

@@ -14,9 +14,9 @@ from study.fem.solver.options import Options
 from study.fem.solver.solve import solve
 from study.fem.solver.state import State
 from study.fem.solver.system import System
+from study.material.energies.polynomial import ReducedPolynomial
 from study.material.homogeneous import uniaxial
 from study.material.material import Material
-from study.material.polynomial import ReducedPolynomial
 from study.material.registry import ENERGIES
 from study.setup.geometry import Cylinder
 from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
@@ -38,6 +38,19 @@ POLY2 = Material(
     bulk_modulus=1e3,
 )
 LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, bulk_modulus=1e3)
+BOYCE = Material(
+    "arruda-boyce", {"mu": 1.0 / 1.0745501271215558, "lambda_m": 3.0}, bulk_modulus=1e3
+)
+GENT = Material("gent", {"mu": 1.0, "Jm": 20.0}, bulk_modulus=1e3)
+TUBE = Material(
+    "extended-tube", {"Gc": 0.5 / 0.98, "Ge": 0.5, "beta": 0.6, "delta": 0.1}, bulk_modulus=1e3
+)
+WAALS = Material(
+    "van-der-waals", {"mu": 1.0, "lambda_m": 6.0, "a": 0.3, "beta": 0.2}, bulk_modulus=1e3
+)
+SKIN = Material("veronda-westmann", {"C1": 1.0, "C2": 1.0}, bulk_modulus=1e3)
+FUNG = Material("fung", {"mu": 1.0, "b": 0.3}, bulk_modulus=1e3)
+OTHERS = [BOYCE, GENT, TUBE, WAALS, SKIN, FUNG]
 HYPERELASTIC = [NH, MR, RP2, YEOH, POLY2, OGDEN1, OGDEN3]
 ALL = [*HYPERELASTIC, LINEAR]
 
@@ -94,7 +107,7 @@ def test_table_b(material: Material, ratio: float, short: Any, long: Any, order:
             assert result.assembly.min_j == pytest.approx(J, abs=1e-9)
 
 
-@pytest.mark.parametrize("material", [POLY2, OGDEN1, OGDEN3], ids=name)
+@pytest.mark.parametrize("material", [POLY2, OGDEN1, OGDEN3, *OTHERS], ids=name)
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
 def test_uniaxial_in_3d(material: Material, formulation: str) -> None:
     """V04 on distorted tetrahedra, against the closed form of the same compressibility."""
@@ -144,7 +157,7 @@ def test_incompressible_linear_elastic(space: str) -> None:
 
 @pytest.mark.parametrize("space", SPACES)
 @pytest.mark.parametrize("formulation", ["mixed", "displacement"])
-@pytest.mark.parametrize("material", [NH, YEOH, POLY2, OGDEN3, LINEAR], ids=name)
+@pytest.mark.parametrize("material", [NH, YEOH, POLY2, OGDEN3, LINEAR, TUBE, WAALS, SKIN], ids=name)
 def test_tangent_of_the_whole_system(material: Material, formulation: str, space: str) -> None:
     """V09: K du against fourth-order differences of the residual, unit by unit in size."""
     material = replace(material, bulk_modulus=20.0)
@@ -189,7 +202,7 @@ def test_3d_patch_with_a_full_gradient(material: Material, order: str) -> None:
 
 
 @pytest.mark.parametrize("space", SPACES)
-@pytest.mark.parametrize("material", [POLY2, OGDEN3], ids=name)
+@pytest.mark.parametrize("material", [POLY2, OGDEN3, *OTHERS], ids=name)
 def test_rigid_motion_has_no_force(material: Material, space: str) -> None:
     """V08: an axial shift, and a large rotation in 3D."""
     system = system_of(material, space=space)
@@ -203,7 +216,7 @@ def test_rigid_motion_has_no_force(material: Material, space: str) -> None:
     assert np.abs(system.assemble(State(0.0, x)).residual).max() < 1e-12
 
 
-@pytest.mark.parametrize("material", HYPERELASTIC, ids=name)
+@pytest.mark.parametrize("material", [*HYPERELASTIC, *OTHERS], ids=name)
 def test_newton_converges_quadratically(material: Material) -> None:
     """V09: order from the last three residuals of one step of 10 %, bonded."""
     system = System.build(
@@ -260,8 +273,8 @@ def test_scaling_of_moduli_and_lengths(material: Material) -> None:
 
 def test_equal_shear_modulus_gives_equal_initial_slope() -> None:
     """V38, P12, P13: of one mu0 and K all energies coincide at small strain, and are linear."""
-    slopes = np.array([curve(m, 1e-5).force_N for m in (*HYPERELASTIC, hooke(NH))])
-    np.testing.assert_allclose(slopes, slopes[:1] * np.ones((8, 1)), rtol=3e-6)
+    slopes = np.array([curve(m, 1e-5).force_N for m in (*HYPERELASTIC, *OTHERS, hooke(NH))])
+    np.testing.assert_allclose(slopes, slopes[:1] * np.ones((14, 1)), rtol=3e-6)
     np.testing.assert_allclose(slopes[:, 1], 2 * slopes[:, 0], rtol=3e-6)
 
 
@@ -325,7 +338,7 @@ def test_displacement_formulation_needs_a_bulk_modulus() -> None:
 class Yeoh(ReducedPolynomial):
     """The reduced polynomial of third order with its own name."""
 
-    name = "yeoh"
+    name = "third-order"
     has_order = False
 
     def constant_names(self, order: int = 1) -> tuple[str, ...]:
@@ -336,6 +349,37 @@ class Yeoh(ReducedPolynomial):
 def test_a_new_energy_takes_ten_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """One class, and the solver, its gradients and the closed forms know it."""
     monkeypatch.setitem(ENERGIES, Yeoh.name, Yeoh())
-    material = Material("yeoh", YEOH.constants, bulk_modulus=1e3)
+    material = Material("third-order", YEOH.constants, bulk_modulus=1e3)
     np.testing.assert_array_equal(curve(material).force_N, curve(YEOH).force_N)
     assert uniaxial(material, 0.7) == uniaxial(YEOH, 0.7)
+
+
+def test_a_load_step_beyond_the_end_of_chains_is_halved() -> None:
+    """A first trial at 40 % would lie beyond Jm; smaller steps pass, and the force is the same."""
+    material = Material("gent", {"mu": 1.0, "Jm": 1.2}, bulk_modulus=1e3)
+    problem = compression(Cylinder(25, 30), 12.0, "frictionless", material=material, steps=1)
+    solution = solve(problem, gradients=False)
+    assert solution.converged, solution.message
+    expected = -float(uniaxial(material, 0.6)) * np.pi * 25**2
+    assert solution.curve.force_N[-1] == pytest.approx(expected, rel=1e-7)
+
+
+def test_a_test_beyond_the_end_of_chains_is_an_honest_failure() -> None:
+    """I1 - 3 is 0.69 at a stretch of 0.6, and Jm 0.5: that is said, and nothing is solved."""
+    material = Material("gent", {"mu": 1.0, "Jm": 0.5}, bulk_modulus=1e3)
+    problem = compression(Cylinder(25, 30), 12.0, "frictionless", material=material, steps=10)
+    solution = solve(problem, gradients=False)
+    assert solution.status == "unstable"
+    # l^2 + 2/l = 3.5 at l = 0.6498
+    assert "below stretch 0.6498, where its chains end" in solution.message
+    assert solution.curve.force_N.size == 0
+
+
+def test_chains_that_end_at_a_bonded_corner_end_the_curve() -> None:
+    """The mean stretch is allowed, that of the rim is not: the curve stops, with no NaN in it."""
+    material = Material("gent", {"mu": 1.0, "Jm": 0.75}, bulk_modulus=1e3)
+    problem = compression(Cylinder(25, 30), 11.0, "bonded", material=material, steps=10)
+    solution = solve(problem, gradients=False)
+    assert solution.status == "not-converged"
+    assert 0 < solution.curve.displacement_mm.max() < 11.0
+    assert np.isfinite(solution.curve.force_N).all()

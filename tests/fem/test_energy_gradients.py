@@ -30,6 +30,16 @@ MATERIALS = {
     "ogden-1-logarithmic": Material("ogden", {"mu1": 1e-2, "alpha1": 1e-9}, **BULK),
     "ogden-3": Material("ogden", OGDEN3, **NU),
     "ogden-3-incompressible": Material("ogden", OGDEN3, incompressible=True),
+    "arruda-boyce": Material("arruda-boyce", {"mu": 1e-2, "lambda_m": 1.5}, **BULK),
+    "gent": Material("gent", {"mu": 1e-2, "Jm": 3.0}, **BULK),
+    "extended-tube": Material(
+        "extended-tube", {"Gc": 5e-3, "Ge": 5e-3, "beta": 2.0, "delta": 0.4}, **NU
+    ),
+    "van-der-waals": Material(
+        "van-der-waals", {"mu": 1e-2, "lambda_m": 3.0, "a": 0.5, "beta": 0.4}, **BULK
+    ),
+    "veronda-westmann": Material("veronda-westmann", {"C1": 1e-2, "C2": 1.0}, **BULK),
+    "fung": Material("fung", {"mu": 1e-2, "b": 1.0}, **BULK),
     "linear-elastic": Material("linear-elastic", {"youngs_modulus": 3e-2}, bulk_modulus=0.05),
 }
 #: the force is linear in these: the gradient is all there is
@@ -68,7 +78,10 @@ def remainders(problem: Problem, base: Solution, name: str, change: float) -> np
 
 def step(material: Material, name: str) -> float:
     """Change of a constant that is small enough for third order not to show."""
-    return 0.5 if name.startswith("alpha") else 0.2 * material.constants[name]
+    if name.startswith("alpha"):
+        return 0.5
+    # W goes with high powers of the inverse locking stretch
+    return (0.08 if name == "lambda_m" else 0.2) * material.constants[name]
 
 
 @pytest.mark.parametrize("space", ["axisymmetric", "3d"])

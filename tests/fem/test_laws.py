@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.fem.element.point_law import full_tangent, isochoric
-from study.fem.element.spectral import WORK_ROWS, exponential_ratio, principal_axes, sinh_ratio
+from study.fem.element.point_law import WORK_ROWS, full_tangent, isochoric
+from study.fem.element.spectral import exponential_ratio, principal_axes, sinh_ratio
 from study.material.energy import Law
 from study.material.homogeneous import confined
 from study.material.material import Material
@@ -33,8 +33,20 @@ POLY3 = Material(
      "C12": 0.003, "C03": 0.002},
     bulk_modulus=100.0,
 )  # fmt: skip
+YEOH = Material("yeoh", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=100.0)
+BOYCE = Material("arruda-boyce", {"mu": 0.8, "lambda_m": 2.5}, bulk_modulus=100.0)
+GENT = Material("gent", {"mu": 0.8, "Jm": 6.0}, bulk_modulus=100.0)
+TUBE = Material(
+    "extended-tube", {"Gc": 0.4, "Ge": 0.5, "beta": 0.6, "delta": 0.3}, bulk_modulus=100.0
+)
+WAALS = Material(
+    "van-der-waals", {"mu": 0.7, "lambda_m": 4.0, "a": 0.3, "beta": 0.2}, bulk_modulus=100.0
+)
+SKIN = Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, bulk_modulus=100.0)
+FUNG = Material("fung", {"mu": 0.6, "b": 1.3}, bulk_modulus=100.0)
+INVARIANTS = [YEOH, BOYCE, GENT, TUBE, WAALS, SKIN, FUNG]
 LINEAR = Material("linear-elastic", {"youngs_modulus": 3.0}, incompressible=True)
-HYPERELASTIC = [O1, O3, ALMOST_ZERO, STEEP, POLY3]
+HYPERELASTIC = [O1, O3, ALMOST_ZERO, STEEP, POLY3, *INVARIANTS]
 ALL = [*HYPERELASTIC, LINEAR]
 
 
@@ -110,7 +122,7 @@ def test_nearly_equal_stretches(stretches: tuple[float, float, float], gap: floa
 
 def test_at_rest() -> None:
     """F = I: no stress, the isotropic tangent 2 mu0 dev(sym), and no derivative by a constant."""
-    for material in (O1, O3, ALMOST_ZERO, STEEP, POLY3):
+    for material in HYPERELASTIC:
         P, A, J = evaluate(material.law(), np.eye(3))
         assert J == 1.0
         assert np.abs(P).max() < 1e-15
@@ -145,7 +157,7 @@ def test_exponent_through_zero() -> None:
 def test_objective_and_isotropic(seed: int) -> None:
     """V08, P03: F -> QF turns P from the left, F -> FQ from the right."""
     F, Q = random_gradient(seed), rotation(seed + 1)
-    for material in (O1, O3, POLY3):
+    for material in (O1, O3, POLY3, TUBE, WAALS, SKIN):
         law = material.law()
         P, _, _ = evaluate(law, F)
         size = np.abs(P).max()
@@ -216,3 +228,21 @@ def test_ratios(z: float) -> None:
 
 def test_inverted_is_told() -> None:
     assert evaluate(O3.law(), np.diag([1.0, 1.0, -0.1]))[2] < 0
+
+
+@pytest.mark.parametrize("material", INVARIANTS, ids=name)
+def test_published_formulas_at_random_states(material: Material) -> None:
+    """Twenty states; the reference writes dW/dI as the manuals of the codes print it."""
+    for seed in range(20):
+        F = random_gradient(100 + seed)
+        P, A, _ = evaluate(material.law(), F)
+        close(P, reference_law.stress(material, F).real, 2e-12)
+        close(A, reference_law.tangent(material, F), 1e-11)
+
+
+@pytest.mark.parametrize("material", [GENT, TUBE, WAALS], ids=name)
+def test_a_state_beyond_the_end_of_chains_is_told(material: Material) -> None:
+    """As an inverted one, so that a load step is halved; just before it there is a stress."""
+    below, beyond = (np.diag([s, s**-0.5, s**-0.5]) for s in (2.2, 9.0))
+    assert np.isfinite(evaluate(material.law(), below)[0]).all()
+    assert evaluate(material.law(), beyond)[2] == -1.0

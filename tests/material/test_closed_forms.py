@@ -18,7 +18,8 @@ from study.material.homogeneous import (
     uniaxial_gradient,
 )
 from study.material.material import Material
-from study.material.stress import first_piola
+from study.material.stability import stability
+from study.material.stress import first_piola, strain_energy
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:
@@ -107,6 +108,17 @@ MATERIALS = [
     Material("polynomial", {"C10": 0.3, "C01": 0.1, "C11": 0.05, "C02": 0.02}, poisson_ratio=0.45),
     Material("ogden", {"mu1": 1, "alpha1": 4}, incompressible=True),
     Material("ogden", {"mu1": 0.6, "alpha1": 1.3, "mu2": 0.3, "alpha2": 0.0}, poisson_ratio=0.49),
+    Material("yeoh", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, poisson_ratio=0.49),
+    Material("arruda-boyce", {"mu": 0.8, "lambda_m": 2.5}, poisson_ratio=0.49),
+    Material("gent", {"mu": 0.8, "Jm": 12.0}, poisson_ratio=0.49),
+    Material(
+        "extended-tube", {"Gc": 0.4, "Ge": 0.5, "beta": 0.6, "delta": 0.2}, poisson_ratio=0.49
+    ),
+    Material(
+        "van-der-waals", {"mu": 0.7, "lambda_m": 5.0, "a": 0.3, "beta": 0.2}, poisson_ratio=0.49
+    ),
+    Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, poisson_ratio=0.49),
+    Material("fung", {"mu": 0.6, "b": 0.4}, incompressible=True),
     Material("linear-elastic", {"youngs_modulus": 3.0}, poisson_ratio=0.4),
     Material("linear-elastic", {"youngs_modulus": 3.0}, bulk_modulus=7.0),
 ]
@@ -179,3 +191,41 @@ def test_bad_stretches_and_tests_are_refused():
         response(material, "uniaxail", 1.1)
     with pytest.raises(InputError, match="rigid box"):
         confined(material, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("model", "constants"),
+    [
+        ("gent", {"mu": 0.8, "Jm": 2.0}),
+        ("extended-tube", {"Gc": 0.4, "Ge": 0.5, "beta": 0.6, "delta": 0.7}),
+        ("van-der-waals", {"mu": 0.7, "lambda_m": 2.2, "a": 0.3, "beta": 0.0}),
+    ],
+)
+def test_a_state_beyond_the_end_of_chains_is_refused(model, constants):
+    """I1 - 3 is at most 2.05 at the limits chosen, and 17.2 at a stretch of 4.5."""
+    material = Material(model, constants, bulk_modulus=1e3)
+    F = np.diag([4.5, 4.5**-0.5, 4.5**-0.5])
+    for ask in (first_piola, strain_energy):
+        with pytest.raises(InputError, match="no stress"):
+            ask(material, F)
+    assert np.isnan(uniaxial(material, 4.5))
+    stable = stability(material, [1.0, 4.5])
+    # uniaxial: l^2 + 2/l - 3 = 2 at l = 2.0; the limit is told where it is
+    assert not stable.stable
+    assert 1.9 < stable.limits["uniaxial"] < 2.2
+
+
+def test_limits_of_energies():
+    """Long chains and little stiffening are neo-Hookean, each with the leading correction."""
+    x = np.array([0.6, 1.5, 2.0])
+    plain = uniaxial(Material("neo-hookean", {"C10": 0.5}, incompressible=True), x)
+    for model, constants in (
+        ("gent", {"mu": 1.0, "Jm": 1e7}),
+        ("arruda-boyce", {"mu": 1.0, "lambda_m": 1e3}),
+        ("van-der-waals", {"mu": 1.0, "lambda_m": 1e3, "a": 0.0, "beta": 0.0}),
+        ("fung", {"mu": 1.0, "b": 1e-6}),
+        ("extended-tube", {"Gc": 1.0, "Ge": 0.0, "beta": 1.0, "delta": 1e-4}),
+    ):
+        found = uniaxial(Material(model, constants, incompressible=True), x)
+        # the largest correction is van der Waals' eta = sqrt(2 / 1e6) = 1.4e-3
+        assert found == pytest.approx(plain, rel=1.6e-3), model

@@ -8,16 +8,17 @@ import pytest
 from study.errors import InputError
 from study.material.compressibility import bulk_from_poisson, poisson_from_bulk
 from study.material.conversions import convert, from_ogden_classical
+from study.material.energies.ogden import ogden_terms
+from study.material.energies.polynomial import coefficient_table
 from study.material.material import Material
-from study.material.ogden import ogden_terms
-from study.material.polynomial import coefficient_table
-from study.material.registry import MODELS, constant_names
+from study.material.registry import MODELS, constant_names, energy_named
 
 
 def test_names_of_every_energy():
     assert set(MODELS) == {
         "linear-elastic", "neo-hookean", "mooney-rivlin", "reduced-polynomial", "polynomial",
-        "ogden",
+        "ogden", "yeoh", "arruda-boyce", "gent", "extended-tube", "van-der-waals",
+        "veronda-westmann", "fung",
     }  # fmt: skip
     for model in MODELS:
         names = constant_names(model)
@@ -120,3 +121,39 @@ def test_febio():
         convert(yeoh, "abacus")
     with pytest.raises(InputError, match="for ogden materials"):
         convert(yeoh, "ogden-classical")
+
+
+def test_new_energies_in_other_conventions():
+    """FEBio counts links N = lambda_m^2 and calls Gent's modulus G; Abaqus has D = 2/K."""
+    chains = Material("arruda-boyce", {"mu": 0.8, "lambda_m": 3.0}, bulk_modulus=50.0)
+    assert convert(chains, "febio").constants == pytest.approx({"mu": 0.8, "N": 9.0, "k": 50.0})
+    assert convert(chains, "abaqus").constants == {"mu": 0.8, "lambda_m": 3.0, "D": 0.04}
+    assert "ln J" in convert(chains, "abaqus").note
+    gent = Material("gent", {"mu": 0.8, "Jm": 30.0}, bulk_modulus=50.0)
+    assert convert(gent, "febio").constants == {"G": 0.8, "Jm": 30.0, "k": 50.0}
+    skin = Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, bulk_modulus=50.0)
+    assert convert(skin, "febio").constants == {"c1": 0.4, "c2": 1.7, "k": 50.0}
+    yeoh = Material("yeoh", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, incompressible=True)
+    assert convert(yeoh, "abaqus").keyword == "*Hyperelastic, yeoh"
+    waals = Material(
+        "van-der-waals", {"mu": 0.7, "lambda_m": 6.0, "a": 0.3, "beta": 0.2}, incompressible=True
+    )
+    assert convert(waals, "abaqus").constants["D"] == 0.0
+    for material in (gent, skin):
+        with pytest.raises(InputError, match="abaqus has no energy"):
+            convert(material, "abaqus")
+    for material in (waals, Material("fung", {"mu": 0.6, "b": 1.3}, incompressible=True)):
+        with pytest.raises(InputError, match="febio has no energy"):
+            convert(material, "febio")
+
+
+@pytest.mark.parametrize("model", ["arruda-boyce", "gent", "extended-tube", "van-der-waals",
+                                   "veronda-westmann", "fung"])  # fmt: skip
+def test_starts_are_inside_bounds_and_have_the_modulus_asked_for(model):
+    energy = energy_named(model)
+    names = energy.constant_names()
+    values = energy.starting_values(names, 0.4225)
+    assert Material(model, values, incompressible=True).mu0 == pytest.approx(0.4225, rel=1e-12)
+    assert energy.forbidden(values) == {}
+    low = {name: energy.bounds(name)[0] - 1 for name in names}
+    assert set(energy.forbidden(low)) == set(names)

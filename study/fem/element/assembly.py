@@ -34,15 +34,15 @@ from study.fem.element.element_forms import (
     place_coupling,
 )
 from study.fem.element.element_stiffness import add_first_invariant_stiffness, add_stiffness
+from study.fem.element.invariant_law import POLYNOMIAL
 from study.fem.element.point_law import (
-    POLYNOMIAL,
     SMALL_STRAIN,
+    WORK_ROWS,
     add_pressure_tangent,
     cofactor,
     full_tangent,
     isochoric,
 )
-from study.fem.element.spectral import WORK_ROWS
 
 
 @part()

@@ -7,24 +7,32 @@ tensor.
 
 from __future__ import annotations
 
-import math
-
 from study.arrays import Array
 from study.compilation import FAST, part
+from study.fem.element.invariant_law import (
+    FINITE_EXTENSIBILITY,
+    POLYNOMIAL,
+    invariant_derivatives,
+)
 from study.fem.element.spectral import BY_EXPONENT, STRESS, ogden_stress, ogden_tangent
+from study.fem.element.spectral import WORK_ROWS as SPECTRAL_ROWS
 from study.material.energy import PointLaw
 
-#: Plain numbers, which kernels take for constants; from POLYNOMIAL on, laws of the invariants.
+#: Plain numbers, which kernels take for constants.
 SMALL_STRAIN = int(PointLaw.SMALL_STRAIN)
 OGDEN_BY_EXPONENT = int(PointLaw.OGDEN_BY_EXPONENT)
-POLYNOMIAL = int(PointLaw.POLYNOMIAL)
+EXTENDED_TUBE = int(PointLaw.EXTENDED_TUBE)
+
+#: scratch rows of nine numbers: those of principal stretches, of invariants, and a tangent
+WORK_ROWS = SPECTRAL_ROWS + 7 + 9
 
 
 @part()
 def isochoric(law: int, f: Array, constants: Array, work: Array, stress: Array) -> float:
     """Isochoric stress of a law; J is returned, row 0 of ``work`` is dJ/dF / J.
 
-    For small strain J is linear and row 0 is dJ/dF itself.
+    For small strain J is linear and row 0 is dJ/dF itself. A state that the energy does not
+    reach is told as an inverted one is, by a J of -1.
 
     Parameters
     ----------
@@ -48,6 +56,8 @@ def isochoric(law: int, f: Array, constants: Array, work: Array, stress: Array) 
     if J > 0.0:
         for i in range(9):
             work[0, i] /= J
+        if law == EXTENDED_TUBE:
+            return float(extended_tube_stress(f, J, constants, work, stress))
         what = BY_EXPONENT if law == OGDEN_BY_EXPONENT else STRESS
         ogden_stress(f, constants, what, work, stress)
     return float(J)
@@ -73,75 +83,11 @@ def full_tangent(
         return
     if law == SMALL_STRAIN:
         linear_tangent(constants[0, 0], tangent)
+    elif law == EXTENDED_TUBE:
+        extended_tube_tangent(f, plane, constants, work, tangent)
     else:
         ogden_tangent(constants, work, tangent)
     add_pressure_tangent(work[0], bend, stiff, tangent)
-
-
-@part()
-def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
-    """x^n and its first two derivatives, exact at x = 0."""
-    value = x**n if n > 0 else 1.0
-    first = n * x ** (n - 1) if n > 1 else (1.0 if n == 1 else 0.0)
-    second = n * (n - 1) * x ** (n - 2) if n > 2 else (2.0 if n == 2 else 0.0)
-    return value, first, second
-
-
-@part()
-def invariant_derivatives(law: int, constants: Array, a: float, b: float, out: Array) -> None:
-    """Differentiate an energy by a = I1bar - 3 and b = I2bar - 3: a new law has its branch here.
-
-    Parameters
-    ----------
-    law : int
-        Number of a :class:`study.material.energy.PointLaw`, ``POLYNOMIAL`` or larger.
-    constants : ndarray, shape (n, m)
-        As the law takes them; m = 1 if the second invariant does not enter.
-    out : ndarray, shape (5 or more,)
-        Receives W_a, W_b, W_aa, W_ab, W_bb.
-    """
-    out[:] = 0.0
-    if law == POLYNOMIAL:
-        polynomial_derivatives(constants, a, b, out)
-    else:
-        out[:] = math.nan  # no such law: never a stress of zero
-
-
-@part(fastmath=FAST)
-def invariant_energy(law: int, constants: Array, a: float, b: float) -> float:
-    """Energy W per reference volume that :func:`invariant_derivatives` differentiates."""
-    if law == POLYNOMIAL:
-        return polynomial_energy(constants, a, b)
-    return math.nan
-
-
-@part()
-def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
-    """Add the derivatives of sum C_ij a^i b^j."""
-    for i in range(table.shape[0]):
-        ai, ai1, ai2 = _power_derivatives(a, i)
-        for j in range(table.shape[1]):
-            c = table[i, j]
-            if c != 0.0:
-                bj, bj1, bj2 = _power_derivatives(b, j)
-                out[0] += c * ai1 * bj
-                out[1] += c * ai * bj1
-                out[2] += c * ai2 * bj
-                out[3] += c * ai1 * bj1
-                out[4] += c * ai * bj2
-
-
-@part(fastmath=FAST)
-def polynomial_energy(table: Array, a: float, b: float) -> float:
-    """Sum C_ij a^i b^j."""
-    energy, row = 0.0, 1.0
-    for i in range(table.shape[0]):
-        term = row
-        for j in range(table.shape[1]):
-            energy += table[i, j] * term
-            term *= b
-        row *= a
-    return energy
 
 
 @part()
@@ -177,7 +123,8 @@ def invariant_stress(law: int, f: Array, constants: Array, work: Array, stress: 
     Returns
     -------
     J : float
-        Determinant of F; where it is not positive nothing else is valid.
+        Determinant of F, -1 where the energy does not reach this state; where it is not positive
+        nothing else is valid.
     """
     g, right, left, d1, d2, w = work[0], work[1], work[2], work[3], work[4], work[5]
     J = cofactor(f, g)
@@ -204,7 +151,9 @@ def invariant_stress(law: int, f: Array, constants: Array, work: Array, stress: 
                 left[3 * i + j] = b
                 trace += c * c
         I2 = 0.5 * (I1 * I1 - trace)
-    invariant_derivatives(law, constants, s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0, w)
+    a, b = s1 * I1 - 3.0, s2 * I2 - 3.0 if second else 0.0
+    if not invariant_derivatives(law, constants, a, b, w):
+        return -1.0
     for i in range(9):
         d1[i] = s1 * (2.0 * f[i] - 2.0 / 3.0 * I1 * g[i])
         stress[i] = w[0] * d1[i]
@@ -320,6 +269,46 @@ def _add_second_invariant(f: Array, plane: bool, work: Array, tangent: Array) ->
                 if k >= i:
                     tangent[n, 3 * k + j] -= 2.0 * slope * left[3 * i + k]
             tangent[n, n] += 2.0 * slope * I1
+
+
+@part()
+def extended_tube_stress(f: Array, J: float, constants: Array, work: Array, stress: Array) -> float:
+    """Isochoric stress of crosslinks, of the first invariant, and of entanglements, Ogden's.
+
+    Parameters
+    ----------
+    constants : ndarray, shape (6, 1)
+        Four of the pole, then modulus and exponent of Ogden's term.
+    work : ndarray, shape (WORK_ROWS, 9)
+        Scratch, of which the tangent makes use; row 0 is left alone.
+
+    Returns
+    -------
+    J : float
+        As given, or -1 where the chains do not reach this state.
+    """
+    of_invariants, tubes = work[SPECTRAL_ROWS : SPECTRAL_ROWS + 7], work[SPECTRAL_ROWS + 7]
+    reached = invariant_stress(FINITE_EXTENSIBILITY, f, constants, of_invariants, stress)
+    if not reached > 0.0:
+        return -1.0
+    ogden_stress(f, constants[4:6].reshape(1, 2), STRESS, work, tubes)
+    for i in range(9):
+        stress[i] += tubes[i]
+    return J
+
+
+@part()
+def extended_tube_tangent(
+    f: Array, plane: bool, constants: Array, work: Array, tangent: Array
+) -> None:
+    """Tangent of :func:`extended_tube_stress`, called before."""
+    of_invariants, chains = work[SPECTRAL_ROWS : SPECTRAL_ROWS + 7], work[SPECTRAL_ROWS + 7 :]
+    ogden_tangent(constants[4:6].reshape(1, 2), work, tangent)
+    chains[:] = 0.0
+    invariant_tangent(f, plane, 0.0, 0.0, of_invariants, chains)
+    for n in range(9):
+        for o in range(9):
+            tangent[n, o] += chains[n, o]
 
 
 @part(fastmath=FAST)

@@ -16,12 +16,12 @@ from study.arrays import Array, Elements
 from study.compilation import FAST, kernel, part
 from study.fem.element.assembly import ElementEnergy, Shapes
 from study.fem.element.element_forms import deformation_gradient, gather, held_pressure
-from study.fem.element.point_law import (
+from study.fem.element.invariant_law import (
+    FINITE_EXTENSIBILITY,
     POLYNOMIAL,
-    SMALL_STRAIN,
-    cofactor,
     invariant_energy,
 )
+from study.fem.element.point_law import EXTENDED_TUBE, SMALL_STRAIN, cofactor
 from study.fem.element.spectral import principal_axes
 
 
@@ -138,6 +138,10 @@ def stored_energy(
                 density = linear_energy(f, constants[0, 0])
             elif law >= POLYNOMIAL:
                 density = isochoric_energy(law, f, J, constants)
+            elif law == EXTENDED_TUBE:
+                tubes = constants[4:6].reshape(1, 2)
+                density = isochoric_energy(FINITE_EXTENSIBILITY, f, J, constants)
+                density += ogden_energy(f, tubes, g, axes)
             else:
                 density = ogden_energy(f, constants, g, axes)
             p = held_pressure(pressure_shape[0 if shared else e, q], x, dofs[e])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from collections.abc import Collection
 
 import numpy as np
@@ -12,19 +13,58 @@ from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.compressibility import Compressibility
 from study.material.convention import Converted, abaqus_hyperelastic, febio_hyperelastic
+from study.material.energies.invariant import Curvatures, InvariantEnergy, Slopes
 from study.material.energy import (
     FREE,
     POSITIVE,
     Bounds,
     Constants,
-    IsochoricEnergy,
     Law,
     PointLaw,
     no_counterpart,
 )
 
 
-class PolynomialEnergy(IsochoricEnergy):
+class TableEnergy(InvariantEnergy):
+    """Polynomial of I1 - 3 and I2 - 3, whose coefficients may be any functions of its constants."""
+
+    @abstractmethod
+    def table(self, constants: Constants) -> Array:
+        """Coefficients in MPa of (I1 - 3)^i (I2 - 3)^j, shape (ni, nj)."""
+
+    @abstractmethod
+    def table_rate(self, constants: Constants, name: str) -> Array:
+        """Differentiate :meth:`table` by a constant."""
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over the table."""
+        return Law(PointLaw.POLYNOMIAL, self.table(constants))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over the derivative of the table."""
+        return Law(PointLaw.POLYNOMIAL, self.table_rate(constants, name))
+
+    def value(self, constants: Constants, a: Array, b: Array) -> Array:
+        """Sum of all terms."""
+        return np.asarray(polynomial.polyval2d(a, b, self.table(constants)))
+
+    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+        """Slopes of the table."""
+        return _slopes(self.table(constants), a, b)
+
+    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+        """Slopes of the table's derivatives."""
+        table = self.table(constants)
+        aa, ab = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), a, b)
+        bb = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), a, b).by_b
+        return Curvatures(aa, ab, bb)
+
+    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
+        """Slopes of the derivatives of the table."""
+        return {n: _slopes(self.table_rate(constants, n), a, b) for n in constants}
+
+
+class PolynomialEnergy(TableEnergy):
     """What all polynomials of the invariants have in common."""
 
     shear_modulus_formula = "2 (C10 + C01)"
@@ -47,40 +87,19 @@ class PolynomialEnergy(IsochoricEnergy):
         """Return 2 for C10 and C01, 0 for all others."""
         return {n: 2.0 if n in ("C10", "C01") else 0.0 for n in constants}
 
-    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
-        """Table of C_ij."""
-        return Law(PointLaw.POLYNOMIAL, coefficient_table(constants))
+    def table(self, constants: Constants) -> Array:
+        """C_ij themselves."""
+        return coefficient_table(constants)
 
-    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
-        """Table with 1 in the place of the constant."""
-        return Law(PointLaw.POLYNOMIAL, _unit_table(constants, name))
+    def table_rate(self, constants: Constants, name: str) -> Array:
+        """1 in the place of the constant: W is linear in them."""
+        return _unit_table(constants, name)
 
-    def principal_stress(self, constants: Constants, bar: Array) -> Array:
-        """2 b_i (W_1 + W_2 (I1 - b_i)) with b_i = bar_i^2."""
-        return _principal_stress(coefficient_table(constants), bar)
-
-    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
-        """Differentiate by the chain rule through both invariants."""
-        table, v = coefficient_table(constants), direction[:, None]
-        b, i1, x, y = _invariants(bar)
-        w1, w2 = _slopes(table, x, y)
-        w11, w12 = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), x, y)
-        w22 = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), x, y)[1]
-        db = 2 * b * v
-        di1, di2 = db.sum(0), ((i1 - b) * db).sum(0)
-        dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
-        return np.asarray(
-            2 * db * (w1 + w2 * (i1 - b)) + 2 * b * (dw1 + dw2 * (i1 - b) + w2 * (di1 - db))
-        )
-
-    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
-        """Stress of each constant by itself: W is linear in them."""
-        return {n: _principal_stress(_unit_table(constants, n), bar) for n in constants}
-
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """W itself."""
-        _, _, x, y = _invariants(bar)
-        return np.asarray(polynomial.polyval2d(x, y, coefficient_table(constants)))
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """2 (C10 + C01)."""
+        return float(2.0 * constants.get("C10", 0.0) + 2.0 * constants.get("C01", 0.0))
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive constants of the first invariant alone and of the second invariant itself.
@@ -176,6 +195,28 @@ class ReducedPolynomial(PolynomialEnergy):
         return f"reduced polynomial, n={len(constants)}"
 
 
+class Yeoh(ReducedPolynomial):
+    """The reduced polynomial of third order by its own name (Yeoh 1993)."""
+
+    name = "yeoh"
+    has_order = False
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """Three constants."""
+        return ("C10", "C20", "C30")
+
+    def has_constant(self, name: str) -> bool:
+        """One of the three."""
+        return name in self.constant_names()
+
+    def simpler(self, order: int) -> tuple[str, int | None] | None:
+        """Second order of the same polynomial."""
+        return "reduced-polynomial", 2
+
+    def _abaqus_keyword(self, constants: Constants) -> str:
+        return "yeoh"
+
+
 class Polynomial(PolynomialEnergy):
     """All terms up to a degree; those left out are zero."""
 
@@ -227,20 +268,7 @@ def _rank(name: str) -> tuple[int, int]:
     return i + j, j
 
 
-def _principal_stress(table: Array, bar: Array) -> Array:
-    b, i1, x, y = _invariants(bar)
-    w1, w2 = _slopes(table, x, y)
-    return np.asarray(2 * b * (w1 + w2 * (i1 - b)))
-
-
-def _invariants(bar: Array) -> tuple[Array, Array, Array, Array]:
-    b = bar**2
-    i1 = b.sum(0)
-    i2 = b[0] * b[1] + b[1] * b[2] + b[2] * b[0]
-    return b, i1, i1 - 3, i2 - 3
-
-
-def _slopes(table: Array, x: Array, y: Array) -> tuple[Array, Array]:
+def _slopes(table: Array, x: Array, y: Array) -> Slopes:
     d1 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=0))
     d2 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=1))
-    return np.asarray(d1, float), np.asarray(d2, float)
+    return Slopes(np.asarray(d1, float), np.asarray(d2, float))

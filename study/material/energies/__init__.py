@@ -1,0 +1,1 @@
+"""Every energy, one class each, and what they share."""
