@@ -23,7 +23,7 @@ from study.analysis.linear_model.design_matrix import Term, term_name
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
-from study.analysis.sphericity import SphericityResult
+from study.analysis.linear_model.sphericity import SphericityResult
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 

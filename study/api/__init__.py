@@ -20,7 +20,7 @@ _HOME = {
     "report": "study.api.study",
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
-    "analyze": "study.api.analysis",
+    "analyze": "study.api.statistics.analysis",
     "anova": "study.analysis.anova",
     "ryan_joiner": "study.analysis.assumption.normality",
     "bartlett": "study.analysis.assumption.variance",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.analysis.effects.verdict_power import PlannedVerdicts, fewest_blocks, planned_verdicts
 from study.analysis.request import threshold
-from study.api.analysis import analyze
+from study.api.statistics.analysis import analyze
 from study.api.folders import RESULTS, data_root
 from study.canonical import plain
 from study.design.cases import treatments
