@@ -12,7 +12,7 @@ import study
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.result import AnalysisResult
 from study.api.depth_effects import effects_by_depth
-from study.api.statistics import analyze_records
+from study.api.statistics.records import analyze_records
 from study.curve import Curve
 from study.reporting.output.page import build
 from study.study_result.study_result import StudyResult

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from study.api.statistics import analyze_records
+from study.api.statistics.records import analyze_records
 from study.curve import Curve
 from study.errors import StudyError
 from study.runner.response import CURVE_RESPONSES

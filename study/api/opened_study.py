@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
-from study.api.scoring import scored_on
-from study.api.statistics import analyze_records
+from study.api.statistics.records import analyze_records
+from study.api.statistics.scoring import scored_on
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
 from study.design.spec import Design

@@ -90,7 +90,7 @@ def analyze(
     )
     compared = None
     if reference is not None:
-        from study.api.analysis import against_reference
+        from study.api.statistics.analysis import against_reference
 
         compared = against_reference(found, reference)
     if as_json:

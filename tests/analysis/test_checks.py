@@ -11,7 +11,7 @@ from study.analysis.assumption.normality import anderson_darling, ryan_joiner, s
 from study.analysis.assumption.variance import bartlett, levene
 from study.analysis.effects.comparisons import studentized_range_quantile
 from study.analysis.linear_model.design_matrix import Layout, terms_of
-from study.analysis.sphericity import epsilon_gg, sphericity
+from study.analysis.linear_model.sphericity import epsilon_gg, sphericity
 from study.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
 
 

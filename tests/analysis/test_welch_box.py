@@ -15,7 +15,7 @@ from study.analysis.effects.multiplicity import response_family
 from study.analysis.error.seed_blocks import SeedRole, seed_design
 from study.analysis.error.welch_box import welch_box, welch_interval
 from study.analysis.linear_model.design_matrix import Layout, grid, terms_of
-from study.analysis.sphericity import epsilon_gg
+from study.analysis.linear_model.sphericity import epsilon_gg
 from study.arrays import Array
 from study.errors import InputError
 

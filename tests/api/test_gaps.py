@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.api.statistics import without_gaps
+from study.api.statistics.records import without_gaps
 from study.design.load import loads
 from study.design.spec import Design
 

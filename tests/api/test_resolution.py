@@ -12,7 +12,7 @@ import pytest
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.analysis.result import AnalysisResult
-from study.api.statistics import analyze_records
+from study.api.statistics.records import analyze_records
 from study.api.uncertainty.numerical import largest_u_num, numerical_bound
 from study.design.load import loads
 from study.design.spec import Design, Practical, Response

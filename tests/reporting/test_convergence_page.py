@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis.convergence.grid_convergence import compare, grid_convergence
+from study.analysis.convergence.grid_convergence import grid_convergence
+from study.analysis.convergence.validation import compare
 from study.reporting.figure import convergence, style, validation
 from study.reporting.output.convergence_page import convergence_figures, write_convergence
 

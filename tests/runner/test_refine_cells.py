@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis.convergence.grid_convergence import compare
+from study.analysis.convergence.validation import compare
 from study.api.convergence.cells import affordable, measured_cells
 from study.api.opened_study import open_study
 from study.api.study import _write_manifest

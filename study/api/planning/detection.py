@@ -14,8 +14,8 @@ from study.analysis.effects.power.verdict_power import (
     planned_verdicts,
 )
 from study.analysis.request import threshold
-from study.api.analysis import analyze
 from study.api.folders import RESULTS, data_root
+from study.api.statistics.analysis import analyze
 from study.canonical import plain
 from study.design.load import load
 from study.design.spec import Design, Response

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.analysis.convergence.grid_convergence import compare
+from study.analysis.convergence.validation import compare
 from study.arrays import Array
 from study.runner.batch import run_batch
 from study.runner.numerical import study_refinement

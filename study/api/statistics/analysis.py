@@ -15,7 +15,7 @@ from study.analysis.effects.blocked_dunnett import blocked_dunnett
 from study.analysis.effects.comparisons import Comparisons, dunnett
 from study.analysis.effects.linear_contrast import Contrast
 from study.analysis.effects.scale import Scale
-from study.api.statistics import rows_for
+from study.api.statistics.records import rows_for
 from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import read_csv

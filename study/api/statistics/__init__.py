@@ -1,0 +1,1 @@
+"""Statistics of a study's records and of any tidy table."""
