@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
 from study.design.load import load, load_calibration, load_problem, loads
@@ -19,7 +19,7 @@ from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.model_selection import choose
 from study.runner.virtual.specimens import usual_generator, write_virtual
-from study.setup.setup import Problem, problem_of
+from study.setup.setup import Problem, ResolvedTables, problem_of
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def solve(
-    problem: Problem | Mapping[str, Any] | str | Path,
+    problem: Problem | ResolvedTables | str | Path,
     *,
     overrides: Sequence[str] = (),
     gradients: bool = True,
@@ -64,9 +64,7 @@ def solve(
     return forward_solve(_problem(problem, overrides), gradients=gradients, progress=progress)
 
 
-def _problem(
-    problem: Problem | Mapping[str, Any] | str | Path, overrides: Sequence[str]
-) -> Problem:
+def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
         config = problem
         if not isinstance(config, Mapping):
@@ -87,7 +85,7 @@ def _judge(problem: Problem) -> None:
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
 
 
-def solution_json(solution: Solution) -> dict[str, Any]:
+def solution_json(solution: Solution) -> dict[str, object]:
     """Document of ``study solve --json``."""
     curve, warm = solution.curve, solution.warm
     content = {
@@ -113,7 +111,7 @@ def solution_json(solution: Solution) -> dict[str, Any]:
         "mesh_hash": solution.mesh_hash,
         "mesh_size_mm": solution.mesh_size_mm,
     }
-    return cast("dict[str, Any]", plain(content, "solution", {}))
+    return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
 
 
 def writable(*paths: Path | None) -> None:
@@ -267,7 +265,7 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
     """Write the document and the figure of a calibration; returns both paths."""
     folder.mkdir(parents=True, exist_ok=True)
     document, figure = folder / "calibration.json", folder / "calibration.svg"
-    text: Any = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
     write_atomic(figure, calibration_figure(found).encode())
     return document, figure

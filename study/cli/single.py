@@ -55,8 +55,8 @@ def solve(
 
     writable(picture, vtu)
     solution = api.solve(file, overrides=settings or ())
-    found = solution_json(solution)
-    if not found["displacement_mm"] and (picture or vtu):
+    curve = solution.curve
+    if not len(curve.displacement_mm) and (picture or vtu):
         print("no step converged: nothing is drawn or written", file=sys.stderr)
         picture = vtu = None
     if picture is not None:
@@ -64,16 +64,16 @@ def solve(
     if vtu is not None:
         write_vtu(solution, vtu)
     if as_json:
-        output.print_json(found)
+        output.print_json(solution_json(solution))
     else:
         rows = [["displacement [mm]", "force [N]", "stiffness [N/mm]"]]
-        columns = (found["displacement_mm"], found["force_N"], found["stiffness_N_per_mm"])
+        columns = (curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm)
         rows += [[f"{v:.6g}" for v in row] for row in zip(*columns, strict=True)]
         output.table(rows)
-        print(f"{found['status']}: {found['message']}")
-        total = found["seconds"]["total"]
-        print(f"{found['dofs']} unknowns, {total:.2f} s, {found['solver']}")
-    if found["status"] != "converged":
+        print(f"{solution.status}: {solution.message}")
+        total = solution.seconds["total"]
+        print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
+    if solution.status != "converged":
         raise typer.Exit(1)
 
 

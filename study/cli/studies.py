@@ -286,8 +286,7 @@ def _print_plan(found: Plan) -> None:
         print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
     if found.overview.replicates is not None:
         print(f"replicates: {found.overview.replicates.sentence}")
-    cases = found.to_json()["cases"]
-    print(output.counts(cases))
+    print(output.counts(found.counts))
     if found.missing and found.fits:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
     if found.controls:

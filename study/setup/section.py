@@ -10,7 +10,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, TypeVar, dataclass_transform
 
 from pydantic import ConfigDict, Field, GetCoreSchemaHandler, PlainValidator, ValidationInfo
 from pydantic.dataclasses import dataclass as pydantic_dataclass
@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 from study.errors import Fault, InputError, UnitError
 
 #: Reader of a raw value; who declares a key knows what it makes.
-Read = Callable[[object], Any]
+Read = Callable[[object], object]
 Kind = TypeVar("Kind")
 
 #: Context of a validation: the values are those of a file, written by hand.

@@ -65,16 +65,21 @@ class Plan:
     warnings: tuple[str, ...]
     controls: int = 0
 
-    def to_json(self) -> dict[str, Any]:
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cases: all, and those that are done, failed and missing."""
+        return {
+            "total": self.total,
+            "done": self.done,
+            "failed": self.failed,
+            "missing": self.missing,
+        }
+
+    def to_json(self) -> dict[str, object]:
         """Document of ``study plan --json``."""
         return {
             "study": self.design.name,
-            "cases": {
-                "total": self.total,
-                "done": self.done,
-                "failed": self.failed,
-                "missing": self.missing,
-            },
+            "cases": self.counts,
             "predicted_seconds": self.predicted_seconds,
             "report": None,
             "verdicts": [],
