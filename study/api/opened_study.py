@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
+from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import scored_on
 from study.api.uncertainty.numerical import stored_numerical
@@ -83,4 +84,4 @@ def _analyses(
                 scored_on=scored_on(design, response.name),
             )
         )
-    return tuple(found)
+    return adjusted(found, design.analysis)

@@ -133,6 +133,10 @@ class Analysis:
         Level of significance.
     roles : tuple of (str, str)
         Factors and what they are to the question (:data:`study.design.study_file.ROLES`).
+    family : {"response", "study"}
+        Tests that Holm's adjustment takes together: of one response, or of all.
+    primary : tuple of str
+        Terms declared before the run, which then are the family; all terms where it is empty.
     """
 
     model: str | int | tuple[str, ...] = "full"
@@ -140,6 +144,8 @@ class Analysis:
     error: str = "auto"
     alpha: float = 0.05
     roles: tuple[tuple[str, str], ...] = ()
+    family: str = "response"
+    primary: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

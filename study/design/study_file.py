@@ -25,6 +25,8 @@ SCHEMA = 1
 MAX_RESPONSES = 50
 MAX_EXCLUSIONS = 4096
 MAX_TESTS = 1000
+#: terms that may be declared primary before the run
+MOST_PRIMARY = 3
 
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
@@ -112,6 +114,15 @@ def _formats(value: object) -> tuple[str, ...]:
     return tuple(dict.fromkeys(choice(*FORMATS)(item) for item in items)) or ("html",)
 
 
+def _primary(value: object) -> tuple[str, ...]:
+    """Read the terms that were declared before the run; three at most, or they are no choice."""
+    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        raise Bad(f"must be a list of terms, got {shown(value)}", 'for example ["material"]')
+    if len(value) > MOST_PRIMARY:
+        raise Bad(f"has {len(value)} terms, at most {MOST_PRIMARY} are a choice before the run")
+    return tuple(value)
+
+
 def _roles(value: object) -> tuple[tuple[str, str], ...]:
     """Read the role of every factor that has one."""
     if not isinstance(value, Mapping):
@@ -176,6 +187,8 @@ class AnalysisTable:
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
     roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
+    family: Annotated[str, Reads(choice("response", "study"))] = "response"
+    primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
 
 
 @section

@@ -52,7 +52,12 @@ def analysis_from(
     for name, _ in table.roles or ():
         if name not in declared:
             faults.add("analysis.roles", f"no factor {shown(name)}", nearest(name[:80], declared))
-    return Analysis(model, table.type, table.error, table.alpha, table.roles or ())
+    for term in table.primary or ():
+        noted(partial(_term, factors=declared), term, "analysis.primary", faults)
+    return Analysis(
+        model, table.type, table.error, table.alpha, table.roles or (), table.family,
+        table.primary or (),
+    )  # fmt: skip
 
 
 def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
