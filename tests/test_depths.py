@@ -82,7 +82,8 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
     (response,) = outcome.design.responses
     rough = NumericalUncertainty({}, response.name, 10.0, 50.0, "%", "two meshes", "a rough mesh",
                       mesh_size=(2.0, 1.0), series=(10.0, 60.0))  # fmt: skip
-    monkeypatch.setattr("study.api.uncertainty.numerical.is_homogeneous", lambda config: False)
+    problem = type(outcome.design.treatments[0].cell.problem)
+    monkeypatch.setattr(problem, "is_homogeneous", False)
     found: list[float | dict[str, float] | None] = []
 
     def noted(*given: Any) -> AnalysisResult:

@@ -174,7 +174,8 @@ def why(
     output.table(rows)
     for specimen, fit in (record.fit or {}).items():
         print(f"calibration on {specimen}: {fit['message']}; {fit.get('reason') or 'identifiable'}")
-        print(f"  {fit['stability']}")
+        if "stability" in fit:  # a fit to resampled residuals is not judged
+            print(f"  {fit['stability']}")
     if "traceback" in record.extra:
         print(record.extra["traceback"])
 

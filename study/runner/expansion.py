@@ -26,7 +26,6 @@ from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeat
 from study.runner.provenance import code_version
 from study.runner.replicates import mesh_seeded, resampled
 from study.runner.response import units_of
-from study.runner.tables import CalibrationTable, is_analytic
 
 
 def expand(design: Design, data_root: Path) -> Work:
@@ -117,7 +116,8 @@ def forward_of(case: Case, problem: FitProblem) -> Forward:
     """Where the predicted curves of a case come from."""
     if problem.method == "inverse-fem" and problem.shares_scored_problem:
         return "fit"
-    return "closed-form" if is_analytic(case.config) else "simulation"
+    analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
+    return "closed-form" if analytic else "simulation"
 
 
 def score_pairs(case: Case, problem: FitProblem, data: DataCache) -> list[ScorePair]:
@@ -134,7 +134,7 @@ def score_pairs(case: Case, problem: FitProblem, data: DataCache) -> list[ScoreP
         raise InputError(Fault("measurements", rule, "add it, or use `study solve`"))
     if problem.method == "none":
         return [_first_pair(scored, case, None)]
-    if CalibrationTable.of(case.config).leave_out:
+    if case.treatment.cell.leave_out is not None:
         return [
             replace(
                 _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from study.setup.setup import Setup
-
 #: tables of a case by name, in mm, N, MPa and deg, as :func:`study.design.resolve.resolve` made
 #: and checked them; what stands in one is read by the section of that name
 Tables = Mapping[str, Any]
@@ -24,21 +22,18 @@ class CalibrationTable:
     ----------
     method : str
         ``"auto"``, ``"analytic"``, ``"inverse-fem"`` or ``"none"``.
-    leave_out : {"specimen", "test"} or None
-        What is scored by a fit that did not see it.
     problem : mapping or None
         Tables of the test whose curve gives the constants, where that is another one.
     """
 
     method: str
-    leave_out: str | None
     problem: Tables | None
 
     @classmethod
     def of(cls, tables: Tables) -> CalibrationTable:
         """Read the table ``calibration``; without one everything is left to the program."""
         table = tables.get("calibration") or {}
-        return cls(table.get("method") or "auto", table.get("leave_out"), table.get("problem"))
+        return cls(table.get("method") or "auto", table.get("problem"))
 
 
 def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
@@ -55,8 +50,3 @@ def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
         problem = {**own, "model": {**own["model"], **changes}}
         made["calibration"] = {**tables["calibration"], "problem": problem}
     return made
-
-
-def is_analytic(tables: Tables) -> bool:
-    """Whether the closed form predicts: where the file asks for it and it is exact."""
-    return CalibrationTable.of(tables).method == "analytic" and Setup.of(tables).is_homogeneous

@@ -10,6 +10,9 @@ import pytest
 
 from study import api
 from study.errors import InputError
+from study.record.document import FitDocument
+from study.record.record import Record
+from study.record.store import Store
 from tests.cli.small import TRUTH, Answer, Finished, incompressible_force, study
 
 STUDY_KEYS = {"study", "cases", "predicted_seconds", "report", "verdicts", "warnings"}
@@ -140,6 +143,15 @@ def test_why_explains_a_case(done: Path) -> None:
     record = good(study("why", case, "--json")).json
     assert record["case_id"] == case
     assert record["status"] == "converged"
+
+
+def test_why_explains_a_fit_to_resampled_residuals(home: Path) -> None:
+    fit: FitDocument = {"key": "f1", "message": "converged in 3 steps", "values": {"C10": 0.005}}
+    store = Store(home / "results" / "small")
+    store.write(Record("a1b2", "small", fit={"A": fit}, extra={"noise_seed": 3}))
+    store.path.joinpath("study.json").touch()
+    words = good(study("why", "a1b2", "--study", "small")).out
+    assert "calibration on A: converged in 3 steps; identifiable" in words
 
 
 @pytest.mark.parametrize("prefix", ["zzz", ""])

@@ -162,9 +162,9 @@ def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path)
 
 def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     work = expand(load(home / "design.toml"), home.parent / "measurements")
-    config = fit_problem(work.jobs[0].case.config).config
-    assert not Setup.of(config).is_homogeneous  # whatever the plates: only the file knows the shape
-    assert config["specimen"]["height_mm"] == pytest.approx(6)
-    part = cheaper(Part("inverse-fem", {**config, "model": {"space": "3d", "mesh": "fine"}}, ()))
+    tables = fit_problem(work.jobs[0].case.config).tables
+    assert not Setup.of(tables).is_homogeneous  # whatever the plates: only the file knows the shape
+    assert tables["specimen"]["height_mm"] == pytest.approx(6)
+    part = cheaper(Part("inverse-fem", {**tables, "model": {"space": "3d", "mesh": "fine"}}, ()))
     assert part is not None
     assert part.tables["model"] == {"space": "3d", "mesh": "coarse"}

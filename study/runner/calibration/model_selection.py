@@ -173,7 +173,7 @@ def left_out(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]
     InputError
         If nothing else was measured.
     """
-    if case.config["calibration"]["leave_out"] == "specimen":
+    if case.treatment.cell.leave_out == "specimen":
         return _without_specimen(case, scored, data)
     return [_without_test(case, scored, data)]
 

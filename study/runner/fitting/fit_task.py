@@ -34,8 +34,6 @@ from study.setup.setup import Problem, Setup, problem_of, specimen_of
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
 
-METHODS = ("auto", "analytic", "inverse-fem", "none")
-
 #: smallest load step over the largest: constants that need less are next to having no answer,
 #: and an optimizer that asks there should hear so soon
 _CUTBACKS = 0.12
