@@ -51,12 +51,14 @@ class Place:
 
 _COMPRESSIBILITY = written_keys(Compressibility)
 _MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign")
-#: keys of the constants that the energies declare, those of two terms where there is a choice
+#: keys of the constants that the energies declare, those of two terms where there is a choice;
+#: a key of one letter is near to every misspelt one, and is not suggested
 _CONSTANTS = tuple(
     dict.fromkeys(
         key
         for energy in ENERGIES.values()
         for key in energy.list_keys or energy.constant_names(2 if energy.has_order else 1)
+        if len(key) > 1
     )
 )
 _SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indenter": INDENTERS}
@@ -75,7 +77,7 @@ PLACES: Mapping[str, Place] = {
 #: tables that a preset set may be named after
 TABLES = tuple(name for name in PLACES if "." not in name)
 
-#: keys that may differ between the cells of a design
+#: keys that may differ between the cells of a design, as they are suggested
 VARYING = (
     *(f"{name}.{key}" for name, place in PLACES.items() for key in place.keys),
     *(f"material.{key}" for key in _CONSTANTS),
