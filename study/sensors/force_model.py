@@ -22,6 +22,9 @@ if TYPE_CHECKING:  # it loads compiled kernels
 #: Half the distance of two places whose forces give the stiffness, over the depth: the curve is a
 #: polynomial between its steps, of which this leaves 1e-8.
 DIFFERENCE = 1e-4
+#: Smallest load step over the largest: constants that need less are next to having no answer, and a
+#: fit that asks there should hear so soon.
+CUTBACKS = 0.12
 
 
 @dataclass(frozen=True)
@@ -44,9 +47,18 @@ class ForceAt:
 
 
 class ForceModel(Protocol):
-    """Force of one test; zero before touch, that is at negative displacements."""
+    """Force of one test; zero before touch, that is at negative displacements.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the assumed constants.
+    notes : tuple of str
+        What is known of its force once it has been asked for.
+    """
 
     problem: Problem
+    notes: tuple[str, ...]
 
     def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
         """Force for constants in MPa (exponents plain); raises where there is no answer."""
@@ -75,6 +87,7 @@ class ClosedForm:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.notes: tuple[str, ...] = ()
 
     def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
         """Force of the homogeneous deformation."""
@@ -96,7 +109,10 @@ class ClosedForm:
 
 
 class Simulated:
-    """Finite elements: every set of constants is solved once, from the one before.
+    """Finite elements: every set of constants is solved from the solution of the assumed ones.
+
+    The force is then a function of the constants, whatever was solved before: contact remembers
+    where a solution came from, and a fit that is led there by another finds no lower point.
 
     Between the steps the first solution is interpolated with its slopes and work; what others
     add to it by a spline that is linear in the solved forces. Gradient and force then belong to
@@ -105,9 +121,10 @@ class Simulated:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
+        self.notes: tuple[str, ...] = ()
         self._names = problem.material.names
         self._first: Curve | None = None
-        self._last: Solution | None = None
+        self._anchor: Solution | None = None
         self._known: dict[bytes, Curve] = {}
 
     def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
@@ -145,16 +162,27 @@ class Simulated:
     def _simulated(self, values: Array) -> Curve:
         try:
             problem = replace(self.problem, material=self.problem.material.with_constants(values))
-            solution = finite_element.solve(problem, warm=self._last)
-            if not solution.converged and self._last is not None:
-                # the way from the solution before was too long: no fault of the constants
-                solution = finite_element.solve(problem)
+            # where the assumed material snaps, its neighbors do, and must be allowed to
+            cutbacks = None if self._anchor is None or self.notes else CUTBACKS
+            solution = finite_element.solve(problem, warm=self._anchor, cutbacks=cutbacks)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
         if not solution.converged:
             raise EvaluationFailed(f"{solution.status}: {solution.message}")
-        self._last = solution
+        if self._anchor is None:
+            self._anchor, self.notes = solution, _notes(solution)
         return solution.curve
+
+
+def _notes(solution: Solution) -> tuple[str, ...]:
+    """Say where the force is no smooth function of the constants."""
+    if not solution.energy.jumps_mm:
+        return ()
+    places = ", ".join(f"{place:.3g}" for place in sorted(solution.energy.jumps_mm))
+    return (
+        f"past {places} mm the surface snaps to another equilibrium: there the force is no smooth "
+        "function of the constants; press less deep, or refine the mesh",
+    )
 
 
 def _spline(knots: Array, values: Array, at: Array) -> Array:

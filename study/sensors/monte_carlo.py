@@ -24,6 +24,11 @@ from study.setup.setup import ResolvedTables, is_homogeneous, problem_of
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.
 CHUNK = 25
+#: Step at which a fit has converged, over the smallest standard uncertainty of a constant. Contact
+#: that sets in node by node makes kinks in the sum of squares, all of them far smaller than that.
+STEP = 1e-3
+#: The same over the constant itself, which is no smaller: forces are solved to about 1e-8.
+SMALLEST_STEP = 1e-7
 #: How often progress is told.
 TOLD = 10
 #: Largest share by which the scatter may differ from first order where that is said to hold.
@@ -137,8 +142,10 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
     drawn = replace(sampling, position=position, force=force)
     stream = (sampling.seed, round(1e6 * multiple))
     rows = tuple(map(tuple, propagation.pseudo_inverse.tolist()))
+    least = min(one.relative for one in propagation.constants)
+    xtol = max(STEP * multiple * least, SMALLEST_STEP)
     for first in range(0, sampling.samples, CHUNK):
-        yield Chunk(drawn, stream, first, min(first + CHUNK, sampling.samples), rows)
+        yield Chunk(drawn, stream, first, min(first + CHUNK, sampling.samples), rows, xtol)
 
 
 def _payload(chunk: Chunk) -> Callable[[Results], dict[str, object]]:

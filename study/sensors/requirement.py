@@ -39,6 +39,8 @@ class SensorRequirement:
         To first order.
     simulations : tuple of Simulation
         Monte Carlo, at multiples of the given errors.
+    notes : tuple of str
+        What is wrong with the simulated force, if anything.
     """
 
     name: str
@@ -49,6 +51,7 @@ class SensorRequirement:
     force_N: Array
     propagation: Propagation
     simulations: tuple[Simulation, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def standard(self) -> float:
@@ -122,7 +125,7 @@ def sensor_requirement(
         simulations = simulate(sampling, found, asked.multiples, jobs, progress)
     return SensorRequirement(
         file.name, file.question, asked.accuracy, asked.coverage, rows, at.force_N, found,
-        simulations,
+        simulations, fitted.notes,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.iteration import EvaluationFailed, Status
 from study.calibration.levenberg_marquardt import levenberg_marquardt
 from study.errors import InputError
 from study.sensors.force_model import ForceModel, force_model
@@ -18,10 +18,15 @@ from study.setup.setup import ResolvedTables
 
 #: Standard deviations of the noise that the simulated curve reaches beyond the test.
 REACH = 5.0
-#: Relative change of the sum of squares, and of the constants, at which a fit has converged; a
-#: force is solved to about 1e-9.
+#: Promised relative change of the sum of squares at which a fit has converged.
 FTOL = 1e-9
-XTOL = 1e-7
+#: Relative offset at which it has converged: what is left is a thousandth of a standard error by
+#: noise (Bates and Watts 1981).
+GTOL = 1e-3
+#: Decrease of the sum of squares that is not worth the way along a kink.
+EDGE = 1e-3
+#: Evaluations of a fit, which usually takes three to six from the assumed constants.
+MOST_EVALUATIONS = 30
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,8 @@ class Chunk:
         Numbers of its tests, the last one excluded.
     pseudo_inverse : tuple of tuple of float, shape (p, n)
         Change of the constants by that of every row, to first order.
+    xtol : float
+        Full step over the constants at which a fit has converged.
     """
 
     sampling: Sampling
@@ -87,6 +94,7 @@ class Chunk:
     first: int
     last: int
     pseudo_inverse: tuple[tuple[float, ...], ...]
+    xtol: float
 
     def to_json(self) -> dict[str, object]:
         """Plain data."""
@@ -110,6 +118,7 @@ class Chunk:
             cast(int, data["first"]),
             cast(int, data["last"]),
             tuple(map(tuple, cast("list[list[float]]", data["pseudo_inverse"]))),
+            cast(float, data["xtol"]),
         )
 
 
@@ -155,7 +164,7 @@ def perform(task: dict[str, object]) -> dict[str, object]:
     """
     chunk = Chunk.of(task)
     sampling, found = chunk.sampling, Changes()
-    test = _Test(sampling, np.array(chunk.pseudo_inverse))
+    test = _Test(sampling, np.array(chunk.pseudo_inverse), chunk.xtol)
     depth = np.array([depth_of(sampling.predicted)])
     predicted = force_model(sampling.predicted, float(depth[0]))
     for k in range(chunk.first, chunk.last):
@@ -179,11 +188,11 @@ def depth_of(tables: ResolvedTables) -> float:
 class _Test:
     """One test at its rows, to be measured with errors and fitted as often as asked."""
 
-    def __init__(self, sampling: Sampling, pseudo_inverse: Array) -> None:
+    def __init__(self, sampling: Sampling, pseudo_inverse: Array, xtol: float) -> None:
         self.model: ForceModel = force_model(sampling.fitted, sampling.farthest_mm)
         self.rows = rows_mm(sampling.depth_mm, sampling.points)
         self.position, self.force = sampling.position, sampling.force
-        self.pseudo_inverse = pseudo_inverse
+        self.pseudo_inverse, self.xtol = pseudo_inverse, xtol
         self.values = self.model.problem.material.values
         self.true = self.model(self.values, self.rows)
 
@@ -214,7 +223,16 @@ class _Test:
             at = self.model(values, displacement_mm)
             return at.force_N - force_N, at.jacobian
 
-        found = levenberg_marquardt(residual, self.values, ftol=FTOL, xtol=XTOL)
-        if not found.converged:
+        found = levenberg_marquardt(
+            residual,
+            self.values,
+            ftol=FTOL,
+            xtol=self.xtol,
+            gtol=GTOL,
+            edge=EDGE,
+            max_evaluations=MOST_EVALUATIONS,
+        )
+        # a lowest point at which contact sets in is as good a constant as another
+        if not (found.converged or found.status is Status.at_kink):
             raise EvaluationFailed(found.status.sentence)
         return found.x

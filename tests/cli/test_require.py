@@ -244,7 +244,8 @@ def test_finite_elements_in_processes(tmp_path: Path) -> None:
     (one,) = found["monte_carlo"]
     assert one["failed"] == 0
     for quantity in one["quantities"]:
-        assert quantity["ratio"] == pytest.approx(1.0, abs=1e-4)
+        # a fit ends where its next step is a thousandth of the scatter
+        assert quantity["ratio"] == pytest.approx(1.0, abs=1e-3)
 
 
 def _problem(folder: Path) -> Path:

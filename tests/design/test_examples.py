@@ -12,6 +12,7 @@ import pytest
 from study.design import cases, load, overview
 from study.design.spec import Design, Practical
 from study.measurement.section import MeasurementSpec, Range
+from study.sensors.load import load_requirement
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
@@ -195,7 +196,12 @@ def test_loading_is_quick_and_light() -> None:
 
 @pytest.mark.parametrize("path", sorted(DESIGNS.glob("*.toml")), ids=lambda p: p.stem)
 def test_every_design_that_ships_is_read(path: Path) -> None:
-    if load.file_kind(path) == "calibration":
+    kind = load.file_kind(path)
+    if kind == "calibration":
         assert load.load_calibration(path)["tests"]
-        return
-    assert load.load(path).treatments
+    elif kind == "problem" and "[requirement]" in path.read_text():
+        assert load_requirement(path).fitted
+    elif kind == "problem":
+        assert load.load_problem(path)["test"]
+    else:
+        assert load.load(path).treatments

@@ -40,7 +40,7 @@ def write_requirement(found: SensorRequirement, out_dir: str | Path) -> Path:
 
 def warnings(found: SensorRequirement) -> list[str]:
     """Say where the answer, which is of first order, must not be trusted."""
-    return [
+    return [clean(note) for note in found.notes] + [
         f"At {one.multiple:g} times the given errors first order does not hold: take the scatter "
         "of the simulated tests there, not the map."
         for one in found.simulations
