@@ -27,6 +27,7 @@ PUBLIC = {
     "ryan_joiner",
     "bartlett",
     "grid_convergence",
+    "tracking",
 }
 
 

@@ -33,6 +33,7 @@ _HOME = {
     "virtual": "study.api.single",
     "export": "study.api.haptics.export",
     "require": "study.api.haptics.require",
+    "tracking": "study.api.accuracy.tracking",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

@@ -378,4 +378,4 @@ def _patches(places: Array) -> Ints | None:
         return None
     some = _thinned(places, COARSE_POINTS * 4)
     centers, _ = kmeans2(some, count, minit="++", rng=np.random.default_rng(1986))
-    return np.asarray(cKDTree(centers).query(places)[1], dtype=np.int64)
+    return np.asarray(cKDTree(centers).query(places, k=1)[1], dtype=np.int64)
