@@ -24,6 +24,7 @@ _LAZY = {
     "bartlett": "study.api",
     "grid_convergence": "study.api",
     "tracking": "study.api",
+    "shape": "study.api",
 }
 __all__ = [*_LAZY, "__version__"]  # noqa: PLE0604
 

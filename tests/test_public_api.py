@@ -28,6 +28,7 @@ PUBLIC = {
     "bartlett",
     "grid_convergence",
     "tracking",
+    "shape",
 }
 
 

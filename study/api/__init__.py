@@ -34,6 +34,7 @@ _HOME = {
     "export": "study.api.haptics.export",
     "require": "study.api.haptics.require",
     "tracking": "study.api.accuracy.tracking",
+    "shape": "study.api.accuracy.shape",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

@@ -6,19 +6,26 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from study.reporting.content import scan as scan_content
 from study.reporting.content import tracker as tracker_content
 from study.reporting.content.table import Table
+from study.reporting.figure.accuracy import scan as scan_figures
 from study.reporting.figure.accuracy import tracker as tracker_figures
 from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
 from study.reporting.output.page import _environment
 from study.reporting.output.write import _replace
+from study.shape_validation.deviation import ShapeDeviation
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult
 from study.tracker_accuracy.reference import ReferenceResult
 from study.tracker_accuracy.result import TrackerAccuracy
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -134,3 +141,31 @@ def _poses(found: ReferenceResult) -> Drawn:
         "pose, and the error of a pose predicted from all others."
     )
     return frame, lambda: tracker_figures.draw_reference(frame, found), caption
+
+
+def shape_page(found: ShapeDeviation) -> AccuracyPage:
+    """Page of a scanned surface."""
+    frame = scan_figures.deviation_points(found)
+    return AccuracyPage(
+        kicker="Shape deviation",
+        name=found.name,
+        question=f"How far is the simulated surface from {found.scan}?",
+        answer=scan_content.answers(found),
+        figures=[
+            make("shape-histogram", "Deviations", lambda: _histogram(frame)),
+            make("shape-views", "Deviation over the body", lambda: _views(frame)),
+        ],
+        tables=scan_content.tables(found),
+        warnings=(f"simulated part: {found.symmetry}", *found.notes),
+        document=found.to_json(),
+    )
+
+
+def _histogram(frame: pd.DataFrame) -> Drawn:
+    caption = "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %."
+    return frame, lambda: scan_figures.draw_histogram(frame), caption
+
+
+def _views(frame: pd.DataFrame) -> Drawn:
+    caption = "Mean deviation of the points in every hexagon that face the viewer."
+    return frame, lambda: scan_figures.draw_views(frame), caption
