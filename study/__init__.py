@@ -23,6 +23,8 @@ _LAZY = {
     "ryan_joiner": "study.api",
     "bartlett": "study.api",
     "grid_convergence": "study.api",
+    "tracking": "study.api",
+    "shape": "study.api",
 }
 __all__ = [*_LAZY, "__version__"]  # noqa: PLE0604
 

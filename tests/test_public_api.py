@@ -27,6 +27,8 @@ PUBLIC = {
     "ryan_joiner",
     "bartlett",
     "grid_convergence",
+    "tracking",
+    "shape",
 }
 
 

@@ -33,6 +33,8 @@ _HOME = {
     "virtual": "study.api.single",
     "export": "study.api.haptics.export",
     "require": "study.api.haptics.require",
+    "tracking": "study.api.accuracy.tracking",
+    "shape": "study.api.accuracy.shape",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

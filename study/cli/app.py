@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
-from study.cli import haptics, power, single, statistics, studies
+from study.cli import accuracy, haptics, power, single, statistics, studies
 from study.cli.output import complain
 from study.errors import StudyError
 
@@ -23,7 +23,15 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for verb in (*studies.VERBS, power.power, *statistics.VERBS, *single.VERBS, *haptics.VERBS):
+VERBS = (
+    *studies.VERBS,
+    power.power,
+    *statistics.VERBS,
+    *single.VERBS,
+    *haptics.VERBS,
+    *accuracy.VERBS,
+)
+for verb in VERBS:
     app.command()(verb)
 
 

@@ -15,11 +15,18 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.registration.closest_point import Closest, TriangleSurface
+from study.registration.normal_equations import (
+    SLIDING,
+    NormalEquations,
+    Sliding,
+    motion_slopes,
+    normal_equations,
+)
 from study.registration.rigid import (
     RigidMotion,
     fit_pairs,
     identity,
-    turned_about,
+    on_a_line,
 )
 from study.registration.robust import biweight, inlier_scale, sandwich
 
@@ -48,11 +55,6 @@ FINE_STEPS = 100
 #: Rounding of a registration over the size of the surface.
 ROUNDING_SHARE = 1e-12
 
-#: Eigenvalue of the normal matrix, over the largest, below which a direction slides: rotations
-#: are counted in arcs at the RMS distance, so that both kinds compare. A smooth ellipsoid of
-#: axes 1 : 1.1 has 4e-3 about the third one, a cylinder with 180 facets 1e-4.
-SLIDING = 1e-3
-
 #: Patches of the surface whose residuals may go together in the stated uncertainty.
 PATCHES = 60
 
@@ -60,36 +62,11 @@ PATCHES = 60
 FEWEST_IN_PATCH = 5
 FEWEST_PATCHES = 20
 
+#: Factor by which a robust scale grows that would free a motion.
+WIDER = 3.0
+
 #: Steps after which the robust scale is held.
 SCALE_SETTLES = 20
-
-
-@dataclass(frozen=True)
-class Sliding:
-    """Small motion that the registration does not fix.
-
-    Parameters
-    ----------
-    rotation : ndarray, shape (3,)
-        Axis, times the share of rotation, in arcs at the RMS distance from the center.
-    translation : ndarray, shape (3,)
-        Direction, times the share of translation.
-    stiffness : float
-        Eigenvalue over the largest one.
-    """
-
-    rotation: Array
-    translation: Array
-    stiffness: float
-
-    def __str__(self) -> str:
-        turns = bool(np.linalg.norm(self.rotation) >= np.linalg.norm(self.translation))
-        word = "rotation about" if turns else "translation along"
-        vector = self.rotation if turns else self.translation
-        vector = vector / max(float(np.linalg.norm(vector)), 1e-300)
-        vector = vector * np.sign(vector[np.abs(vector).argmax()])
-        listed = ", ".join(f"{v + 0.0:.2f}" for v in np.where(np.abs(vector) < 5e-3, 0.0, vector))
-        return f"{word} ({listed})"
 
 
 @dataclass(frozen=True)
@@ -134,7 +111,7 @@ class Registration:
 
     def uncertainty_at(self, points: Array) -> Array:
         """Return the standard uncertainty of the place of registered points, shape (n,), mm."""
-        slopes = _motion_slopes(points - self.center)
+        slopes = motion_slopes(points - self.center)
         return np.asarray(
             np.sqrt(np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes).clip(0))
         )
@@ -175,7 +152,7 @@ def register(
     -------
     Registration
     """
-    _, motion = _best_start(surface, cloud, starts or usual_starts(surface, cloud))
+    _, motion = coarse_registration(surface, cloud, starts)
     return _refined(surface, _thinned(cloud, FINE_POINTS), motion)
 
 
@@ -193,15 +170,28 @@ def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
     return starts
 
 
-def trimmed_rms(surface: TriangleSurface, cloud: Array) -> float:
-    """RMS distance of the nearest share of a cloud after a trimmed registration, mm."""
-    return _best_start(surface, cloud, usual_starts(surface, cloud))[0]
-
-
-def _best_start(
-    surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion]
+def coarse_registration(
+    surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion] | None = None
 ) -> tuple[float, RigidMotion]:
-    """Trimmed residual and motion of the best start; only the first few go all the way."""
+    """Find the best trimmed registration; only the first few starts go all the way.
+
+    Parameters
+    ----------
+    surface : TriangleSurface
+        The fixed surface.
+    cloud : ndarray, shape (n, 3)
+        Points, mm.
+    starts : sequence of RigidMotion, optional
+        As of :func:`register`.
+
+    Returns
+    -------
+    rms_mm : float
+        RMS distance of the nearest share of the cloud.
+    motion : RigidMotion
+        Carries the cloud near the surface.
+    """
+    starts = starts or usual_starts(surface, cloud)
     some = _thinned(cloud, COARSE_POINTS)
     first = [_trimmed(surface, some, start, POINT_STEPS, COMPARED) for start in starts]
     first.sort(key=lambda found: found[0])
@@ -233,11 +223,18 @@ def _trimmed(
             break
         last = rms
         if number < point_steps:
-            step = fit_pairs(moved[kept], found.points[kept]).motion
+            step = _point_step(moved[kept], found.points[kept])
         else:
             step = _step(moved, found, _kept_weights(len(cloud), kept))
         motion = step.after(motion)
     return rms, motion
+
+
+def _point_step(moved: Array, found: Array) -> RigidMotion:
+    """Motion between points and their closest ones; a shift where those are a single edge."""
+    if on_a_line(found) or on_a_line(moved):
+        return RigidMotion(np.eye(3), (found - moved).mean(axis=0))
+    return fit_pairs(moved, found).motion
 
 
 def _kept_weights(n: int, kept: Ints) -> Array:
@@ -246,78 +243,8 @@ def _kept_weights(n: int, kept: Ints) -> Array:
     return weights
 
 
-def _motion_slopes(away: Array) -> Array:
-    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6)."""
-    slopes = np.zeros((len(away), 3, 6))
-    x, y, z = away.T
-    slopes[:, 0, 1], slopes[:, 0, 2] = z, -y
-    slopes[:, 1, 0], slopes[:, 1, 2] = -z, x
-    slopes[:, 2, 0], slopes[:, 2, 1] = y, -x
-    slopes[:, :, 3:] = np.eye(3)
-    return slopes
-
-
-@dataclass(frozen=True)
-class _System:
-    """Linearized distances along the normals.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n,)
-        Signed distances, mm.
-    slope : ndarray, shape (n, 6)
-        Derivatives by rotation about ``center`` in arcs at ``arm`` and by translation.
-    center : ndarray, shape (3,)
-        Center of rotation, mm.
-    arm : float
-        RMS distance from it, mm: makes rotations lengths.
-    places : ndarray, shape (n, 3)
-        Closest points, mm.
-    """
-
-    residual: Array
-    slope: Array
-    center: Array
-    arm: float
-    places: Array
-
-    def modes(self, weights: Array) -> tuple[Array, Array]:
-        """Eigenvalues over the largest and eigenvectors (columns) of the normal matrix."""
-        normal = (self.slope * weights[:, None]).T @ self.slope
-        values, vectors = np.linalg.eigh(normal)
-        return values / max(float(values[-1]), 1e-300), vectors
-
-    def step(self, weights: Array) -> Array:
-        """Least-squares step in the directions that do not slide, shape (6,), mm."""
-        values, vectors = self.modes(weights)
-        firm = vectors[:, values > SLIDING]
-        reduced = self.slope @ firm
-        weighted = reduced * weights[:, None]
-        return np.asarray(firm @ np.linalg.solve(weighted.T @ reduced, -weighted.T @ self.residual))
-
-    def motion(self, step: Array) -> RigidMotion:
-        """Rigid motion of a step."""
-        return turned_about(self.center, step[:3] / self.arm, step[3:])
-
-
-def _system(moved: Array, found: Closest, weights: Array) -> _System:
-    center = np.average(moved, axis=0, weights=weights) if weights.any() else moved.mean(axis=0)
-    away = moved - center
-    arm = float(np.sqrt(np.average((away**2).sum(axis=1), weights=weights + 1e-300)))
-    # between surface and point the normal is the direction of the gap, where there is one
-    gap = moved - found.points
-    length = np.linalg.norm(gap, axis=1)
-    sharp = length > 1e-9 * max(arm, 1e-300)
-    normal = found.normal.copy()
-    sign = np.sign(found.distance[sharp])
-    normal[sharp] = gap[sharp] / (length[sharp] * np.where(sign == 0, 1, sign))[:, None]
-    slope = np.einsum("ni,nij->nj", normal, _motion_slopes(away))
-    slope[:, :3] /= max(arm, 1e-300)
-    return _System(found.distance, slope, center, arm, found.points)
-
-
 def _step(moved: Array, found: Closest, weights: Array) -> RigidMotion:
-    system = _system(moved, found, weights)
+    system = normal_equations(moved, found, weights)
     return system.motion(system.step(weights))
 
 
@@ -329,9 +256,9 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
         moved = motion(cloud)
         found = surface.closest(moved)
         if number < SCALE_SETTLES:
-            scale = max(inlier_scale(found.distance), floor)
+            scale = _fixing_scale(moved, found, max(inlier_scale(found.distance), floor))
         weights = biweight(found.distance / scale)
-        system = _system(moved, found, weights)
+        system = normal_equations(moved, found, weights)
         step = system.step(weights)
         steps = number + 1
         small = max(1e-4 * scale / np.sqrt(len(cloud)), 10 * floor)
@@ -342,8 +269,28 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
     return _described(motion, system, weights, scale, (steps, converged))
 
 
+def _fixing_scale(moved: Array, found: Closest, scale: float) -> float:
+    """Return the least scale, from a given one up, whose weights free no motion that is fixed.
+
+    Where half of a body is met exactly (flat ends) and the rest to the sag of its facets, the
+    robust scale is that of the exact half, and all that fixes the others would be outliers.
+    """
+    every = np.ones(len(moved))
+    fixed = normal_equations(moved, found, every).fixed(every)
+    while scale < np.abs(found.distance).max():
+        weights = biweight(found.distance / scale)
+        if weights.any() and normal_equations(moved, found, weights).fixed(weights) >= fixed:
+            break
+        scale *= WIDER
+    return scale
+
+
 def _described(
-    motion: RigidMotion, system: _System, weights: Array, scale: float, end: tuple[int, bool]
+    motion: RigidMotion,
+    system: NormalEquations,
+    weights: Array,
+    scale: float,
+    end: tuple[int, bool],
 ) -> Registration:
     values, vectors = system.modes(weights)
     firm, loose = vectors[:, values > SLIDING], values <= SLIDING
@@ -378,4 +325,4 @@ def _patches(places: Array) -> Ints | None:
         return None
     some = _thinned(places, COARSE_POINTS * 4)
     centers, _ = kmeans2(some, count, minit="++", rng=np.random.default_rng(1986))
-    return np.asarray(cKDTree(centers).query(places)[1], dtype=np.int64)
+    return np.asarray(cKDTree(centers).query(places, k=1)[1], dtype=np.int64)

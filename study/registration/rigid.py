@@ -135,6 +135,12 @@ class PairedFit:
         return self.mirrored_rms < MIRRORED_SHARE * self.rms
 
 
+def on_a_line(points: Array) -> bool:
+    """Whether points, shape (n, 3), lie on one line, or all at one place."""
+    extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(extent[1] <= COLLINEAR_SHARE * extent[0])
+
+
 def fit_pairs(moving: Array, fixed: Array, where: str = "points") -> PairedFit:
     """Rigid motion that carries points onto those they pair with, in the least-squares sense.
 
@@ -161,11 +167,9 @@ def fit_pairs(moving: Array, fixed: Array, where: str = "points") -> PairedFit:
         rule = f"{len(moving)} pairs do not fix a rigid motion"
         raise InputError(Fault(where, rule, f"give {FEWEST_POINTS} or more, not on a line"))
     a, b = moving - moving.mean(axis=0), fixed - fixed.mean(axis=0)
-    for points in (a, b):
-        extent = np.linalg.svd(points, compute_uv=False)
-        if extent[1] <= COLLINEAR_SHARE * extent[0]:
-            rule = "the points lie on a line: the rotation about it is not fixed"
-            raise InputError(Fault(where, rule, "add a point off the line"))
+    if on_a_line(a) or on_a_line(b):
+        rule = "the points lie on a line: the rotation about it is not fixed"
+        raise InputError(Fault(where, rule, "add a point off the line"))
     u, singular, v = np.linalg.svd(b.T @ a)
     sign = np.sign(np.linalg.det(u) * np.linalg.det(v))
     proper = (u * np.array([1.0, 1.0, sign])) @ v

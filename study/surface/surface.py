@@ -209,7 +209,42 @@ def read_triangles(path: Path) -> tuple[Array, Ints]:
     InputError
         If the file is too large, empty, malformed or holds other faces than triangles.
     """
-    raw_size, where = path.stat().st_size, f"specimen.file: {path.name}"
+    where = f"specimen.file: {path.name}"
+    points, triangles = read_mesh(path, where)
+    if not len(triangles):
+        raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
+    if len(triangles) > MAX_TRIANGLES:
+        rule = f"has {len(triangles)} triangles, the limit is {MAX_TRIANGLES}"
+        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
+    return points, triangles
+
+
+def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:
+    """Read the points and triangles of an STL, PLY or OBJ file; there may be points alone.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    where : str
+        Its name in messages.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 3)
+    triangles : ndarray of int, shape (m, 3)
+
+    Raises
+    ------
+    InputError
+        If the file is missing, too large, empty, malformed or holds other faces.
+    """
+    try:
+        raw_size = path.stat().st_size
+    except OSError as error:
+        raise InputError(
+            Fault(where, f"cannot be read ({error.strerror})", "check the path")
+        ) from error
     if path.suffix.lower() not in SUFFIXES:
         rule = f"must end in {', '.join(SUFFIXES)}, got {path.suffix!r}"
         raise InputError(Fault(where, rule, "save the surface as STL"))
@@ -222,13 +257,7 @@ def read_triangles(path: Path) -> tuple[Array, Ints]:
         _check_ply_header(path, raw_size, where)
     if path.suffix.lower() == ".stl":
         _check_stl_size(path, raw_size, where)
-    points, triangles = _parsed(path, where)
-    if not len(triangles):
-        raise InputError(Fault(where, "holds no triangles", "save the surface, not its points"))
-    if len(triangles) > MAX_TRIANGLES:
-        rule = f"has {len(triangles)} triangles, the limit is {MAX_TRIANGLES}"
-        raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
-    return points, triangles
+    return _parsed(path, where)
 
 
 def _parsed(path: Path, where: str) -> tuple[Array, Ints]:

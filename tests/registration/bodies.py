@@ -19,10 +19,11 @@ def directions(n: int) -> Array:
 
 
 def egg(n: int = 500) -> TriangleSurface:
-    """Closed surface of about 80 x 60 x 44 mm without any symmetry."""
+    """Closed surface of about 80 x 60 x 44 mm without any symmetry, nor that of a mirror."""
     d = directions(n)
     triangles = outward(d, ConvexHull(d).simplices)
-    bulge = 1 + 0.15 * d[:, [0]] + 0.12 * d[:, [1]] * d[:, [2]] + 0.08 * d[:, [2]]
+    x, y, z = (d[:, [k]] for k in range(3))
+    bulge = 1 + 0.15 * x + 0.12 * y * z + 0.08 * z + 0.5 * x * y * z
     return TriangleSurface(d * np.array([40.0, 30.0, 22.0]) * bulge, triangles)
 
 

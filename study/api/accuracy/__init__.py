@@ -1,0 +1,1 @@
+"""Verbs that compare with an instrument: a tracker, a scanned surface."""

@@ -1,0 +1,1 @@
+"""Figures of accuracy: a tracker against its references, a surface against a scan."""

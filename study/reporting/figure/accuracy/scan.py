@@ -1,0 +1,90 @@
+"""Figures of a scanned surface: histogram of deviations, and the body colored by them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of, plain_ticks
+from study.shape_validation.deviation import ShapeDeviation
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure as Canvas
+
+#: Points that the CSV beside the page and the figures hold at most.
+MOST_POINTS = 50_000
+
+#: Hexagons across a view: 40 show a dent of a fortieth of the body.
+HEXAGONS = 40
+
+#: Percentile of the sizes at which the colors end, so that one stray point fades no picture.
+LAST_COLOR = 98
+
+#: Views: name, axis of sight, its sign, axes to the right and up.
+VIEWS = (
+    ("from +x", 0, 1, 1, 2),
+    ("from +y", 1, 1, 0, 2),
+    ("from above", 2, 1, 0, 1),
+    ("from -x", 0, -1, 1, 2),
+    ("from -y", 1, -1, 0, 2),
+    ("from below", 2, -1, 0, 1),
+)
+
+
+def deviation_points(found: ShapeDeviation) -> pd.DataFrame:
+    """Tabulate registered points with their normals and signed distances, mm."""
+    import pandas as pd
+
+    n = len(found.distances)
+    kept = np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int)
+    frame = pd.DataFrame(found.points[kept], columns=["x_mm", "y_mm", "z_mm"])
+    frame[["normal_x", "normal_y", "normal_z"]] = found.normals[kept]
+    frame["deviation_mm"] = found.distances[kept]
+    return frame
+
+
+def draw_histogram(frame: pd.DataFrame) -> Canvas:
+    """Draw the histogram of signed distances, with mean and middle 90 %."""
+    import seaborn as sns
+
+    figure = canvas(WIDTH_IN, 2.8)
+    ax = figure.subplots()
+    sns.histplot(
+        frame, x="deviation_mm", bins=60, color=color_of(0), alpha=0.8, edgecolor="white",
+        linewidth=0.3, ax=ax,
+    )  # fmt: skip
+    ax.axvline(frame["deviation_mm"].mean(), color=INK, linewidth=1.2)
+    for value in np.percentile(frame["deviation_mm"], [5, 95]):
+        ax.axvline(value, color=MUTED, linewidth=1.0, linestyle="--")
+    ax.set(xlabel="deviation (mm): scan outside the simulation +", ylabel="points")
+    plain_ticks(ax, "x")
+    return figure
+
+
+def draw_views(frame: pd.DataFrame) -> Canvas:
+    """Draw the body from six sides, colored by the mean deviation of every hexagon."""
+    figure = canvas(WIDTH_IN, 6.4)
+    panels = figure.subplots(2, 3).ravel()
+    places = frame[["x_mm", "y_mm", "z_mm"]].to_numpy()
+    normals = frame[["normal_x", "normal_y", "normal_z"]].to_numpy()
+    deviation = frame["deviation_mm"].to_numpy()
+    end = max(float(np.percentile(np.abs(deviation), LAST_COLOR)), 1e-300)
+    drawn = None
+    for ax, (title, sight, sign, right, up) in zip(panels, VIEWS, strict=True):
+        facing = sign * normals[:, sight] > 0
+        ax.set(title=title, aspect="equal", adjustable="datalim")
+        ax.set_axis_off()
+        if not facing.any():
+            ax.text(0.5, 0.5, "not scanned", transform=ax.transAxes, ha="center", color=MUTED)
+            continue
+        drawn = ax.hexbin(
+            places[facing, right], places[facing, up], deviation[facing], gridsize=HEXAGONS,
+            cmap="RdBu_r", vmin=-end, vmax=end, linewidths=0.0,
+        )  # fmt: skip
+        if sign * (1 if sight != 1 else -1) < 0:
+            ax.invert_xaxis()  # seen from the other side, right is left
+    if drawn is not None:
+        figure.colorbar(drawn, ax=list(panels), label="deviation (mm)", shrink=0.6)
+    return figure

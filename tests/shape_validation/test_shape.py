@@ -1,0 +1,280 @@
+"""``study shape`` end to end: scans of bodies whose deformed shape is known in closed form."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import study
+from study.arrays import Array
+from study.cli.app import run
+from study.errors import InputError, RefusedError
+from study.registration.closest_point import TriangleSurface
+from study.registration.rigid import RigidMotion, turned_about
+from study.shape_validation.deviation import Options
+from tests.registration.bodies import egg, scan
+
+#: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "20 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "6 mm"
+steps = 2
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+incompressible = true
+[model]
+space = "axisymmetric"
+mesh_size = "5 mm"
+"""
+HEIGHT = 24.0
+RADIUS = 20.0 / np.sqrt(0.8)
+MOTION = turned_about(np.zeros(3), np.array([0.3, -0.2, 0.5]), np.array([40.0, -10, 25]))
+AS_IT_LIES = Options(register=False)
+
+
+def problem(folder: Path) -> Path:
+    (folder / "problem.toml").write_text(PROBLEM)
+    return folder / "problem.toml"
+
+
+def cylinder(radius: float, height: float, n: int, seed: int, noise: float = 0.0) -> Array:
+    """Points spread evenly over a cylinder about z whose middle is the origin, mm."""
+    rng = np.random.default_rng(seed)
+    side = 2 * np.pi * radius * height
+    ends = 2 * np.pi * radius**2
+    turn = 2 * np.pi * rng.random(n)
+    lies = rng.random(n) < side / (side + ends)
+    r = np.where(lies, radius, radius * np.sqrt(rng.random(n)))
+    z = np.where(lies, height * (rng.random(n) - 0.5), height / 2 * rng.choice([-1, 1], n))
+    points = np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    return np.asarray(points + noise * rng.standard_normal((n, 3)))
+
+
+def write_csv(path: Path, points: Array, header: str = "x,y,z") -> Path:
+    path.write_text("\n".join([header, *(",".join(f"{v:.9g}" for v in row) for row in points)]))
+    return path
+
+
+def write_ply(path: Path, surface: TriangleSurface) -> Path:
+    """Text PLY with faces."""
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(surface.points)}\nproperty double x\n"
+        f"property double y\nproperty double z\nelement face {len(surface.triangles)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    points = "".join(f"{x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in surface.points)
+    faces = "".join(f"3 {a} {b} {c}\n" for a, b, c in surface.triangles)
+    path.write_text(head + points + faces)
+    return path
+
+
+def write_cloud(path: Path, points: Array) -> Path:
+    """Text PLY without faces."""
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty double x\n"
+        "property double y\nproperty double z\nend_header\n"
+    )
+    path.write_text(head + "".join(f"{x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in points))
+    return path
+
+
+def test_the_scan_of_the_closed_form_is_on_the_surface(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cloud = write_cloud(tmp_path / "scan.ply", MOTION(cylinder(RADIUS, HEIGHT, 3000, 1)))
+    reports = tmp_path / "reports"
+    command = ["shape", str(problem(tmp_path)), "--scan", str(cloud), "--reports", str(reports)]
+    assert run([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    # chords of 180 segments lie up to 1.5e-4 radii inside the circle: 0.0034 mm
+    assert found["deviation_mm"]["largest"] < 0.006
+    assert found["registration"]["null_space"] == ["rotation about (0.00, 0.00, 1.00)"]
+    assert found["seen"] > 0.95
+    assert "revolved" in found["symmetry"]
+    page = Path(found["report"]).read_text()
+    assert "Figure missing" not in page
+    assert not [word for word in ("https:", "<script", "src=") if word in page]
+    assert run(command) == 0
+    assert "rotation about" in capsys.readouterr().out
+
+
+def test_a_body_that_is_larger_deviates_by_as_much(tmp_path: Path) -> None:
+    """0.3 mm more radius, the same height: every point of the side is 0.3 mm off."""
+    cloud = MOTION(cylinder(RADIUS + 0.3, HEIGHT, 4000, 2))
+    found = study.shape(problem(tmp_path), write_csv(tmp_path / "scan.csv", cloud))
+    side = np.abs(found.normals[:, 2]) < 0.5
+    assert found.distances[side].mean() == pytest.approx(0.3, abs=0.01)
+    assert np.abs(found.distances[~side].mean()) < 0.01
+    assert found.statistics.mean == pytest.approx(0.3 * side.mean(), abs=0.01)
+
+
+def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    points = cylinder(RADIUS, HEIGHT, 4000, 3, noise=0.05)
+    strewn = rng.uniform(-200, 200, (200, 3))
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(np.vstack([points, strewn])))
+    found = study.shape(problem(tmp_path), cloud)
+    assert found.outliers == pytest.approx(200, abs=10)
+    # noise in every direction leaves its normal component
+    assert found.registration.scale_mm == pytest.approx(0.05, rel=0.1)
+    assert 0 < found.registration_uncertainty < 0.01
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str) -> None:
+    rng = np.random.default_rng(4)
+    turn, r = 2 * np.pi * rng.random(20), 18 * np.sqrt(rng.random(20))
+    rest = np.column_stack([r * np.cos(turn), r * np.sin(turn), rng.uniform(-14, 14, 20)])
+    stretch = np.array([0.8**-0.5, 0.8**-0.5, 0.8])
+    put_in = np.zeros((20, 3))
+    put_in[:5, 2] = 0.5
+    both = np.column_stack([MOTION(rest), MOTION(rest * stretch + put_in)])
+    markers = write_csv(tmp_path / "beads.csv", both, "x0,y0,z0,x,y,z")
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(RADIUS, HEIGHT, 3000, 4)))
+    found = study.shape(
+        problem(tmp_path), cloud, markers=markers, overrides=[f"model.space={space}"]
+    ).markers
+    assert found.paired
+    assert found.outside == 0
+    # a homogeneous field is linear, so nothing is lost between the nodes; registration 0.005 mm
+    assert found.sizes[:5] == pytest.approx(0.5, abs=0.02)
+    assert found.sizes[5:].max() < 0.02
+
+
+def test_a_vtu_file_says_the_same_as_its_problem(tmp_path: Path) -> None:
+    file = problem(tmp_path)
+    vtu = tmp_path / "solution.vtu"
+    assert run(["solve", str(file), "--vtu", str(vtu), "--json"]) == 0
+    cloud = write_csv(tmp_path / "scan.csv", cylinder(RADIUS, HEIGHT, 1500, 5, noise=0.05))
+    numbers = [study.shape(source, cloud).statistics.rms for source in (file, vtu)]
+    assert numbers[0] == pytest.approx(numbers[1], rel=1e-9)
+
+
+def moved_egg(folder: Path, motion: RigidMotion, name: str = "scan.csv") -> tuple[Path, Path]:
+    surface = egg()
+    cloud = motion(scan(surface, 2000, np.random.default_rng(6)))
+    return write_ply(folder / "egg.ply", surface), write_csv(folder / name, cloud)
+
+
+def test_a_surface_file_is_compared_too_and_marks_lie_on_it(tmp_path: Path) -> None:
+    surface, cloud = moved_egg(tmp_path, MOTION)
+    marks = egg().points[:6] + 0.4 * egg().vertex_normals[:6]
+    markers = write_csv(tmp_path / "marks.csv", MOTION(marks))
+    found = study.shape(surface, cloud, markers=markers)
+    assert found.statistics.largest < 1e-5
+    assert not found.markers.paired
+    assert found.markers.sizes == pytest.approx(0.4, rel=0.05)
+
+
+def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
+    """The collector of the data measured 0.309 mm on average and 2.461 mm at worst."""
+    folder = data_dir / "brain_surface"
+    if not folder.is_dir():
+        pytest.skip(f"no brain surfaces in {data_dir}")
+    fine, coarse = (folder / f"mni152_outer_{name}.stl" for name in ("fine", "coarse"))
+    found = study.shape(fine, coarse, options=AS_IT_LIES)
+    assert found.statistics.mean_absolute == pytest.approx(0.309, abs=5e-4)
+    assert found.statistics.largest == pytest.approx(2.461, abs=5e-4)
+
+
+def test_a_scan_of_the_body_at_rest_is_refused(tmp_path: Path) -> None:
+    cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
+    file = problem(tmp_path)
+    with pytest.raises(RefusedError, match=r"another state: the body at rest fits it"):
+        study.shape(file, cloud)
+    assert run(["shape", str(file), "--scan", str(cloud), "--reports", str(tmp_path)]) == 3
+    found = study.shape(file, cloud, options=Options(any_state=True))
+    assert found.statistics.rms > 0.5
+
+
+def test_a_mirrored_scan_is_refused(tmp_path: Path) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    cloud = scan(egg(), 2000, np.random.default_rng(8)) * [1, -1, 1]
+    with pytest.raises(InputError, match="is mirrored"):
+        study.shape(surface, write_csv(tmp_path / "mirror.csv", cloud))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "m"), (1e3, "um")])
+def test_a_scan_in_another_unit_is_refused_and_the_unit_is_named(
+    tmp_path: Path, factor: float, unit: str
+) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    cloud = write_csv(tmp_path / "unit.csv", factor * scan(egg(), 500, np.random.default_rng(9)))
+    with pytest.raises(InputError, match=f"is it in {unit}"):
+        study.shape(surface, cloud)
+    assert study.shape(surface, cloud, unit=unit).statistics.largest < 1e-3
+
+
+def test_a_simulated_surface_with_a_hole_is_refused(tmp_path: Path) -> None:
+    whole = egg()
+    holed = TriangleSurface(whole.points, whole.triangles[3:])
+    cloud = write_csv(tmp_path / "scan.csv", scan(whole, 500, np.random.default_rng(10)))
+    with pytest.raises(InputError, match=r"simulation: .*is not closed"):
+        study.shape(write_ply(tmp_path / "holed.ply", holed), cloud)
+
+
+def test_a_scan_with_holes_is_no_fault_and_what_it_shows_is_said(tmp_path: Path) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    cloud = scan(egg(), 4000, np.random.default_rng(11))
+    part = write_csv(tmp_path / "part.csv", MOTION(cloud[cloud[:, 0] > 0]))
+    found = study.shape(surface, part)
+    assert found.statistics.largest < 1e-3
+    shown = egg().corners.mean(axis=1)[:, 0] > 0
+    # the rim of what counts as seen is three spacings wide
+    assert found.seen == pytest.approx(egg().areas[shown].sum() / egg().areas.sum(), abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        ("x,y,z\n1,2,3\n", "has 1 points"),
+        ("x,y\n1,2\n", "no column 'z'"),
+        ("x,y,z\n" + "1,2,nan\n" * 40, "must be a finite number"),
+    ],
+)
+def test_a_faulty_cloud_is_refused(tmp_path: Path, content: str, rule: str) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    (tmp_path / "cloud.csv").write_text(content)
+    with pytest.raises(InputError, match=rule):
+        study.shape(surface, tmp_path / "cloud.csv")
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        ("x,y,z\n1,2,3\n4,5,6\n", "has 2 markers"),
+        ("x,y,z,x0\n1,2,3,4\n4,5,6,7\n7,8,9,1\n", "not all of x0, y0, z0"),
+        ("x,y,z,x0,y0,z0\n" + "1,2,3,1,2,3\n" * 3, "says nothing of points inside"),
+    ],
+)
+def test_faulty_markers_are_refused(tmp_path: Path, content: str, rule: str) -> None:
+    surface, cloud = moved_egg(tmp_path, MOTION)
+    (tmp_path / "marks.csv").write_text(content)
+    with pytest.raises(InputError, match=rule):
+        study.shape(surface, cloud, markers=tmp_path / "marks.csv")
+
+
+def test_a_cloud_without_a_surface_is_refused(tmp_path: Path) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    rng = np.random.default_rng(12)
+    dense = scan(egg(), 550, rng) * [0.05, 1, 1]
+    strewn = rng.uniform(-400, 400, (450, 3))
+    with pytest.raises(InputError, match="stand alone: this is no surface"):
+        study.shape(surface, write_csv(tmp_path / "dust.csv", np.vstack([dense, strewn])))
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    surface, _ = moved_egg(tmp_path, MOTION)
+    with pytest.raises(InputError, match="there is no file"):
+        study.shape(surface, tmp_path / "none.ply")
