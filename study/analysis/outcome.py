@@ -20,10 +20,10 @@ from study.analysis.effects.numerical_bound import SeriesBounds
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.sizes import MOST_LEVELS
 from study.analysis.linear_model.design_matrix import Term, term_name
+from study.analysis.linear_model.sphericity import SphericityResult
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
-from study.analysis.linear_model.sphericity import SphericityResult
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
     from study.analysis.assumption.row_normality import RowTest
     from study.analysis.assumption.variance import BartlettResult, LeveneResult
-    from study.analysis.request import AnalysisRequest
     from study.analysis.linear_model.sphericity import SphericityResult
+    from study.analysis.request import AnalysisRequest
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
     from study.arrays import Array
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from study.analysis.effects.contrast_uncertainty import response_bounds
-from study.api.statistics.analysis import analyze
 from study.api.opened_study import open_study
+from study.api.statistics.analysis import analyze
 from study.api.study import _write_manifest, report
 from study.api.uncertainty.credibility import refine
 from study.design.load import loads

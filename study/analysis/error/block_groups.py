@@ -36,6 +36,7 @@ from study.analysis.linear_model.design_matrix import (
     term_name,
     terms_of,
 )
+from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.linear_model.sums_of_squares import (
     ALIAS_TOLERANCE,
     Factored,
@@ -46,7 +47,6 @@ from study.analysis.linear_model.sums_of_squares import (
 )
 from study.analysis.outcome import Outcome, kind_of
 from study.analysis.pseudoreplication import ulp_floor
-from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.arrays import Array, Ints
 
 

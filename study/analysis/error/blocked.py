@@ -25,6 +25,7 @@ from study.analysis.effects.samples import every_simple_effect, over_blocks
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
 from study.analysis.linear_model.design_matrix import Term, model_matrix, term_name
+from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.linear_model.sums_of_squares import (
     Factored,
     TermSum,
@@ -35,7 +36,6 @@ from study.analysis.linear_model.sums_of_squares import (
 )
 from study.analysis.outcome import Outcome, kind_of
 from study.analysis.pseudoreplication import ulp_floor
-from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.arrays import Array
 
 

@@ -19,7 +19,7 @@ from study.analysis.linear_model.design_matrix import (
     nested_in,
     terms_of,
 )
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,7 +87,9 @@ def coefficient_table(found: AnalysisResult) -> CoefficientTable:
     if not tested:
         return CoefficientTable(reason="there is no error term to judge a coefficient by")
     if nested_in(terms):
-        return CoefficientTable(reason="the levels of a nested factor have no contrasts of their own")
+        return CoefficientTable(
+            reason="the levels of a nested factor have no contrasts of their own"
+        )
     layout = _layout(found)
     if layout is None:
         return CoefficientTable(reason="a level of a factor has no row")
@@ -181,7 +183,7 @@ def _by_block(found: AnalysisResult, layout: Layout) -> tuple[Layout, Array]:
     return layout.take(first), kept.to_numpy(float)
 
 
-def _wide(index: Array, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
+def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
     import pandas as pd
 
     frame = pd.DataFrame({"cell": index, "block": rows["block"].astype(str).to_numpy(), "y": y})

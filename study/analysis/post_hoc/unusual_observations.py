@@ -66,7 +66,9 @@ def diagnosed_rows(found: AnalysisResult) -> pd.DataFrame | None:
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
     left = np.where(leverage < EXACT, 1 - leverage, np.nan)
     return rows.assign(
-        row=rows["row"] + 1, standardized=residual / summary.s / np.sqrt(left), press=residual / left
+        row=rows["row"] + 1,
+        standardized=residual / summary.s / np.sqrt(left),
+        press=residual / left,
     )
 
 

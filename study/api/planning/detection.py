@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from study.analysis.effects.verdict_power import PlannedVerdicts, fewest_blocks, planned_verdicts
 from study.analysis.request import threshold
-from study.api.statistics.analysis import analyze
 from study.api.folders import RESULTS, data_root
+from study.api.statistics.analysis import analyze
 from study.canonical import plain
 from study.design.cases import treatments
 from study.design.load import load
