@@ -27,11 +27,16 @@ from study.analysis.assumption.variance import (
 )
 from study.analysis.data import Crossed
 from study.analysis.error import residuals
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.outcome import Outcome
 from study.arrays import Array, Flags
 from study.errors import InputError
 
 _MONTE_CARLO = 10_000
+#: Residuals that normality is tested on at most: beyond, a random sample of as many.
+MOST_TESTED = 5000
+#: Numbers simulated at most for a spread test of many rows; 10,000 designs of 1,000 rows.
+_MOST_NUMBERS = 1e7
 #: A block that carries more than this share of the interaction, with this p, is named.
 SHARE_P = 0.05
 _OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
@@ -125,8 +130,11 @@ def _spread_tests(
     if groups is None:
         return None, None
     # residuals of a blocked fit are correlated: their own design is simulated
-    design = None if groups.basis is None else ResidualDesign(groups.basis, groups.index)
-    count = _MONTE_CARLO if out.request.exact else 0
+    n = groups.index.size
+    # of more rows than are tested, the residuals are as good as independent
+    near = groups.basis is None or n > MOST_TESTED
+    design = None if near or groups.basis is None else ResidualDesign(groups.basis, groups.index)
+    count = int(min(_MONTE_CARLO, _MOST_NUMBERS / n)) if out.request.exact else 0
     rough, seed = groups.approximate, out.request.seed
     return (
         bartlett(groups.groups, approximate=rough, simulations=count, seed=seed, design=design),
@@ -139,6 +147,28 @@ def _spread_tests(
             design=design,
         ),
     )
+
+
+def _ryan_joiner(out: Outcome, fit: Factored) -> tuple[Outcome, RyanJoinerResult]:
+    """Ryan-Joiner of the residuals; of many a random sample, which is said."""
+    asked, n = out.request, fit.residual.size
+    if n <= MOST_TESTED:
+        return out, ryan_joiner(
+            fit.residual,
+            model_matrix=fit.matrix.columns,
+            seed=asked.seed,
+            exact=asked.exact,
+            alpha=asked.alpha,
+        )
+    # among so many rows a few residuals are as independent as a plain sample
+    chosen = np.random.default_rng(asked.seed).choice(n, MOST_TESTED, replace=False)
+    sample = fit.residual[np.sort(chosen)]
+    result = ryan_joiner(sample, seed=asked.seed, exact=asked.exact, alpha=asked.alpha)
+    note = (
+        f"Ryan-Joiner tests a random {MOST_TESTED:,} of the {n:,} residuals: with more, departures "
+        "from normality that change no conclusion are found as well"
+    )
+    return out.warn(note), result
 
 
 def _of_residuals(
@@ -159,13 +189,7 @@ def _of_residuals(
         fit = out.fit
     else:
         fit = residuals.reduced_fit(out.data, out.y, out.terms, rows)
-    result = ryan_joiner(
-        fit.residual,
-        model_matrix=fit.matrix.columns,
-        seed=out.request.seed,
-        exact=out.request.exact,
-        alpha=out.request.alpha,
-    )
+    out, result = _ryan_joiner(out, fit)
     if not result.applicable:
         out = out.warn(f"normality: not applicable: {result.reason}")
     if result.warning:

@@ -21,6 +21,8 @@ _CRITICAL = (
 )
 _MAX_SIMULATIONS = 100_000
 _MAX_NUMBERS = 3e7
+_MAX_NUMBERS_OF_MANY = 5e6
+_MANY_VALUES = 1000
 
 
 @dataclass(frozen=True)
@@ -191,8 +193,13 @@ def ryan_joiner(
 
 
 def default_simulations(n: int) -> int:
-    """Give the number of simulated designs of the exact p, min(100,000, 3e7 / n)."""
-    return int(min(_MAX_SIMULATIONS, _MAX_NUMBERS / n))
+    """Give the number of simulated designs of the exact p.
+
+    min(100,000, 3e7 / n) up to 1,000 values; 5e6 / n beyond, 1,000 of 5,000 values, in 0.3 s:
+    a p of 0.05 then has a standard error of 0.007.
+    """
+    numbers = _MAX_NUMBERS if n <= _MANY_VALUES else _MAX_NUMBERS_OF_MANY
+    return int(min(_MAX_SIMULATIONS, numbers / n))
 
 
 def _unit(matrix: Array) -> Array:

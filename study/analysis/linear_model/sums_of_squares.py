@@ -17,7 +17,7 @@ from scipy import linalg
 
 from study.analysis.anova_table import Row
 from study.analysis.linear_model.design_matrix import ModelMatrix, Term, term_name
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 # A unit column that keeps less than this length outside the others is aliased with them.
 # Rounding leaves about 1e-15; an estimable column of a real design keeps more than 1e-4.
@@ -106,7 +106,12 @@ def factor(matrix: ModelMatrix, y: Array) -> Factored:
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
     scaled = matrix.columns / scale
-    q, r = np.linalg.qr(scaled)
+    cells = distinct_rows(scaled)
+    if cells is None:
+        q, r = np.linalg.qr(scaled)
+    else:
+        q, r = np.linalg.qr(cells.rows)
+        q = cells.spread(q)
     shift = float(y[0])
     shifted = y - shift
     rank = int(np.linalg.matrix_rank(r, tol=ALIAS_TOLERANCE * np.sqrt(r.shape[1])))
@@ -196,9 +201,58 @@ def span(columns: Array) -> Array:
     """Orthonormal basis of the columns, shape (r, rank)."""
     if columns.size == 0:
         return np.zeros((columns.shape[0], 0))
+    cells = distinct_rows(columns)
+    if cells is not None:
+        return cells.spread(span(cells.rows))
     q, r, _ = linalg.qr(columns, mode="economic", pivoting=True)
     size = np.abs(np.diag(r))
     return np.asarray(q[:, : size.size][:, size > ALIAS_TOLERANCE * max(1.0, size[0])])
+
+
+# From this many rows on a table is factored by its distinct rows. A QR of 100,000 x 100 takes
+# 1.2 s, that of its 100 cells 1 ms; finding them takes 0.05 s.
+_MANY_ROWS = 2000
+# Fewest rows a cell, on average, for which that pays.
+_FEWEST_A_CELL = 4
+
+
+@dataclass(frozen=True)
+class DistinctRows:
+    """The distinct rows of a tall matrix, each weighted by the root of its number.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (cells, p)
+        X'X of these is that of the whole matrix, so both have the same R.
+    index : ndarray, shape (n,)
+        Distinct row of every row.
+    weight : ndarray, shape (cells,)
+        Root of the number of rows that are the same.
+    """
+
+    rows: Array
+    index: Ints
+    weight: Array
+
+    def spread(self, q: Array) -> Array:
+        """Orthonormal columns of the whole matrix from those of the distinct rows."""
+        return np.asarray((q / self.weight[:, None])[self.index])
+
+
+def distinct_rows(columns: Array) -> DistinctRows | None:
+    """Distinct rows of a tall matrix; None where there are few rows, or few that repeat."""
+    n = columns.shape[0]
+    if n < _MANY_ROWS:
+        return None
+    # rows that agree have the same product; that those of one product agree is checked
+    product = columns @ np.random.default_rng(0).standard_normal(columns.shape[1])
+    _, first, index, number = np.unique(
+        product, return_index=True, return_inverse=True, return_counts=True
+    )
+    if first.size * _FEWEST_A_CELL > n or not np.array_equal(columns[first][index], columns):
+        return None
+    weight = np.sqrt(number.astype(float))
+    return DistinctRows(columns[first] * weight[:, None], index, weight)
 
 
 def complement(rest: Array, own: Array) -> Array:

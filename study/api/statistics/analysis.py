@@ -15,6 +15,7 @@ from study.analysis.effects.blocked_dunnett import blocked_dunnett
 from study.analysis.effects.comparisons import Comparisons, dunnett
 from study.analysis.effects.linear_contrast import Contrast
 from study.analysis.effects.scale import Scale
+from study.analysis.post_hoc.dunnett import dunnett_of_model
 from study.api.statistics.records import rows_for
 from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
@@ -158,7 +159,7 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
     Parameters
     ----------
     found : AnalysisResult
-        Its rows give the means: those of each block where there are blocks.
+        One pooled error is that of the fitted model; else the rows give the means of each block.
     level : str
         Reference, ``"level"`` or ``"factor=level"`` where several factors have it.
 
@@ -182,15 +183,17 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
         mend = f"write {holding[0]}={wanted}" if holding else nearest(wanted, every)
         raise InputError(Fault("--reference", f"{wanted!r} {rule}", mend))
     factor = holding[0]
+    effect, row = found.effect(factor), found.anova.row(factor)
+    alpha, seed = found.request.alpha, found.request.seed
+    if row.error == "residual" and row.df_error and effect.pairs:
+        return factor, dunnett_of_model(effect, wanted, row.df_error, alpha, seed)
     rows = found.data.residuals
     if found.data.block is None:
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return factor, dunnett(groups, wanted, alpha=found.request.alpha, seed=found.request.seed)
+        return factor, dunnett(groups, wanted, alpha=alpha, seed=seed)
     means = rows.pivot_table("response", "block", factor, sort=False).dropna()
     by_level = {str(name): means[name].to_numpy() for name in means.columns}
-    return factor, blocked_dunnett(
-        by_level, wanted, alpha=found.request.alpha, seed=found.request.seed
-    )
+    return factor, blocked_dunnett(by_level, wanted, alpha=alpha, seed=seed)
 
 
 def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:

@@ -90,7 +90,7 @@ def practical(effect: Effect, facts: Facts) -> str:
     if effect.practical is None:
         return MISSING
     text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
-    return f"{TIMES}{THIN}{text}" if effect.is_ratio else f"{text}{THIN}{facts.difference_unit}"
+    return f"{TIMES}{THIN}{text}" if effect.is_ratio else _with_unit(text, facts.difference_unit)
 
 
 def numerical(effect: Effect, facts: Facts) -> str:

@@ -247,7 +247,8 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="y", length=0)
     unit = "log ratio" if facts.ratio else facts.difference_unit
-    ax.set_xlabel(f"standard deviation of residuals ({unit}), 95 % Bonferroni intervals")
+    shown = f" ({unit})" if unit else ""
+    ax.set_xlabel(f"standard deviation of residuals{shown}, 95 % Bonferroni intervals")
     plain_ticks(ax, "x")
     return figure
 

@@ -96,7 +96,8 @@ def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
     name_rows(ax, range(len(frame)), [wrap(name, 34) for name in frame["name"]], 8)
     ax.set_ylim(len(frame) - 0.5, -0.6)
     plain_ticks(ax, "x")
-    what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
+    unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
+    what = "ratio" if facts.ratio else f"difference{unit}"
     ends = ""
     if frame["low"].notna().any():
         ends = f", with {level(facts.alpha)} simultaneous interval"

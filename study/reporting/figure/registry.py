@@ -6,7 +6,7 @@ A figure that cannot be drawn never stops the report: the page says which one is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -67,8 +67,8 @@ def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
     return Figure(name, title, caption, svg, frame)
 
 
-def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
-    """Figures of one response by kind; none where it was not analyzed."""
+def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
     if not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
@@ -99,6 +99,7 @@ def of_response(data: ReportData, facts: Facts) -> dict[str, Figure]:
     return {
         kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
         for kind, (title, maker) in makers.items()
+        if kind not in without
     }
 
 

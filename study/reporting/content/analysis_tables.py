@@ -1,0 +1,284 @@
+"""Tables of the page of one analysis, in the order and with the heads that Minitab gives them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from study.analysis.anova_table import Row
+from study.canonical import plain
+from study.reporting.content.table import Table
+from study.reporting.numbers import (
+    MISSING,
+    clean,
+    f_value,
+    interval,
+    level,
+    p_value,
+    percent,
+    significant,
+    term_name,
+)
+from study.reporting.report import Facts
+
+if TYPE_CHECKING:
+    from study.analysis.effects.comparisons import Comparisons
+    from study.analysis.post_hoc.coefficients import CoefficientTable
+    from study.analysis.post_hoc.pairwise import PairwiseDifference
+    from study.analysis.post_hoc.unusual_observations import UnusualObservations
+    from study.analysis.result import AnalysisResult
+    from study.study_result.report_data import ReportData
+
+#: Rows that a page lists of a long table; the CSV beside it has all.
+MOST_ROWS = 40
+#: Digits of sums of squares and statistics, as Minitab prints them.
+DIGITS = 5
+
+
+def analysis_of_variance(found: AnalysisResult) -> Table:
+    """Source, DF, SS, MS, F, P for every term, the error and the total."""
+    rows = found.anova.rows
+    corrected = any(row.p_gg is not None for row in rows)
+    strata = len({row.error for row in rows if row.error}) > 1
+    how = "Seq" if found.anova.type == "I" else "Adj"
+    columns = ["source", "DF", f"{how} SS", f"{how} MS", "F", "p"]
+    columns += ["GG epsilon", "p corrected"] if corrected else []
+    columns += ["tested against"] if strata else []
+    shown = [_anova_row(row, corrected, strata) for row in rows]
+    if found.anova.ss_total is not None:
+        total = ("total", f"{found.anova.df_total}", significant(found.anova.ss_total, DIGITS))
+        shown.append((*total, *[""] * (len(columns) - 3)))
+    raw = tuple(plain(row) for row in rows)
+    return Table("anova", tuple(columns), tuple(shown), 1, int(strata), raw=raw)
+
+
+def _anova_row(row: Row, corrected: bool, strata: bool) -> tuple[str, ...]:
+    name = "error" if row.term == "residual" else row.term.replace(":", " \N{MULTIPLICATION SIGN} ")
+    sums = significant(row.ss, DIGITS), significant(row.ms, DIGITS) if row.ms is not None else ""
+    tested = row.f is not None
+    cells = [clean(name), f"{row.df:g}", *sums]
+    cells += [f_value(row.f) if tested else "", p_value(row.p) if row.p is not None else ""]
+    if corrected:
+        cells += [
+            "" if row.epsilon_gg is None else f"{row.epsilon_gg:.3f}",
+            "" if row.p_gg is None else p_value(row.p_gg),
+        ]
+    if strata:
+        cells.append(clean((row.error or "").replace(":", " \N{MULTIPLICATION SIGN} ")))
+    return tuple(cells)
+
+
+def model_summary(found: AnalysisResult) -> Table | None:
+    """S, R-sq, adjusted and predicted; None where nothing was left over."""
+    summary = found.variation.summary
+    if summary is None:
+        return None
+    shares = (summary.r_sq, summary.r_sq_adj, summary.r_sq_pred)
+    row = (significant(summary.s, DIGITS), *(percent(x, 4) for x in shares))
+    columns = ("S", "R-sq", "R-sq (adjusted)", "R-sq (predicted)")
+    note = (
+        "R-sq (predicted) is 1 \N{MINUS SIGN} PRESS / total: each row is predicted from all others."
+    )
+    return Table("model summary", columns, (row,), 1, 0, note, (plain(summary),))
+
+
+def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
+    """Coefficient, standard error, t, p and variance inflation factor of every column."""
+    if not table.coefficients:
+        return None
+    inflated = any(c.vif is not None for c in table.coefficients)
+    rows = tuple(
+        (
+            clean(c.term),
+            significant(c.estimate, 4),
+            significant(c.standard_error),
+            significant(c.t),
+            p_value(c.p),
+            *([significant(c.vif) if c.vif is not None else ""] if inflated else []),
+        )
+        for c in table.coefficients
+    )
+    columns = ("term", "coefficient", "standard error", "t", "p", *(["VIF"] if inflated else []))
+    scale = " of the log" if facts.ratio else ""
+    note = (
+        f"Sum-to-zero coding: a coefficient{scale} is the distance of a level from the mean of "
+        "all; the last level of a factor is minus the sum of the others."
+    )
+    raw = tuple(plain(c) for c in table.coefficients)
+    return Table("coefficients", columns, rows[:MOST_ROWS], 1, 0, note + _cut(len(rows)), raw)
+
+
+def means(facts: Facts, data: ReportData) -> Table:
+    """Mean of every level of every factor and combination, with interval and letters."""
+    rows: list[tuple[str, ...]] = []
+    raw: list[dict[str, object]] = []
+    for effect in facts.terms:
+        for i, (name, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
+            low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
+            letters = effect.letters[i] if effect.letters else ""
+            values = significant(mean, 4), interval(low, high, digits=4)
+            rows.append((term_name(effect.term, data.labels), clean(name, 60), *values, letters))
+            raw.append({"term": effect.term, "level": name, "mean": mean, "low": low, "high": high,
+                        "letters": letters})  # fmt: skip
+    columns = ("term", "level", "mean", f"{level(data.alpha)} interval", "grouping")
+    note = "Levels of a factor that share a letter are not told apart." + _cut(len(rows))
+    return Table(
+        "means", columns, tuple(rows[:MOST_ROWS]), 2, 1, note, tuple(raw), grouped=True
+    )  # fmt: skip
+
+
+def simple_effects(facts: Facts, data: ReportData) -> Table | None:
+    """Differences of two levels at each setting of the other factors; None without interaction."""
+    listed = [(e, one) for e in facts.effects for one in e.simple_effects if one.at]
+    if not listed:
+        return None
+    rows = tuple(
+        (
+            term_name(effect.term, data.labels),
+            f"{clean(one.first, 30)} \N{MINUS SIGN} {clean(one.second, 30)}",
+            ", ".join(f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in one.at),
+            significant(one.difference),
+            interval(*(one.ci or (None, None))),
+            interval(*(one.ci_simultaneous or (None, None))),
+            one.verdict,
+        )
+        for effect, one in listed
+    )
+    what = "ratio" if facts.ratio else "difference"
+    columns = (
+        "factor",
+        "levels",
+        "at",
+        what,
+        "its own interval",
+        "simultaneous interval",
+        "verdict",
+    )
+    note = (
+        "A factor makes no practical difference where every own interval lies inside what matters; "
+        "it matters where one simultaneous interval lies beyond." + _cut(len(rows))
+    )
+    raw = tuple(
+        {"factor": e.term, **{k: v for k, v in asdict(one).items() if not isinstance(v, tuple)},
+         "at": "; ".join(f"{name}={lev}" for name, lev in one.at),
+         "low": None if one.ci is None else one.ci[0],
+         "high": None if one.ci is None else one.ci[1],
+         "low_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
+         "high_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[1]}
+        for e, one in listed
+    )  # fmt: skip
+    return Table("simple effects", columns, rows[:MOST_ROWS], 3, 1, note, raw)
+
+
+def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
+    """All pairs of levels with simultaneous interval and adjusted p."""
+    if not pairs:
+        return None
+    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
+    rows = tuple(
+        (
+            term_name(pair.factor, data.labels),
+            f"{clean(pair.first, 30)} {sign} {clean(pair.second, 30)}",
+            significant(pair.difference),
+            interval(pair.lower, pair.upper),
+            p_value(pair.p),
+            pair.method,
+        )
+        for pair in pairs
+    )
+    what = "ratio" if facts.ratio else "difference"
+    ends = f"simultaneous {level(data.alpha)} interval"
+    columns = ("factor", "levels", what, ends, "adjusted p", "method")
+    note = "Interval and p hold for all pairs of a factor together." + _cut(len(rows))
+    raw = tuple(plain(pair) for pair in pairs)
+    return Table("pairwise comparisons", columns, rows[:MOST_ROWS], 2, 1, note, raw, grouped=True)
+
+
+def against_reference(factor: str, found: Comparisons, data: ReportData) -> Table:
+    """Every level against a reference (Dunnett)."""
+    reference = found.pairs[0].second
+    rows = tuple(
+        (clean(pair.first), significant(pair.difference), interval(pair.lower, pair.upper),
+         p_value(pair.p))
+        for pair in found.pairs
+    )  # fmt: skip
+    name = f"{term_name(factor, data.labels)} against {clean(reference)}"
+    ends = f"simultaneous {level(found.alpha)} interval"
+    columns = ("level", "difference", ends, "adjusted p")
+    raw = tuple(plain(pair) for pair in found.pairs)
+    return Table(name, columns, rows, 1, 0, f"{found.method}.", raw)
+
+
+def checks(found: AnalysisResult) -> Table | None:
+    """Statistic and p of every test of an assumption that applies."""
+    tests, rows = found.assumptions, []
+    rj = tests.normality
+    if rj is not None and rj.applicable:
+        tabled = str(rj.p_minitab).replace("0.", ".")
+        rows.append(
+            ("normality", "Ryan-Joiner", significant(rj.rj, 4), tabled, p_value(rj.p_exact))
+        )
+    for test in (tests.anderson_darling, tests.shapiro_wilk):
+        if test is not None and test.p is not None:
+            rows.append(("", test.name, significant(test.statistic, 4), p_value(test.p), ""))
+    for name, spread in tests.spread.items():
+        if spread.applicable:
+            title = f"{name.capitalize()} (median)" if name == "levene" else name.capitalize()
+            numbers = significant(spread.statistic, 4), p_value(spread.p)
+            rows.append(("equal spread", title, *numbers, p_value(spread.p_monte_carlo)))
+    tukey = tests.non_additivity
+    if tukey is not None and tukey.p is not None:
+        rows.append(("additivity", "Tukey, one df", significant(tukey.f, 4), p_value(tukey.p), ""))
+    for term, sphere in tests.sphericity.items():
+        if sphere.p is not None:
+            rows.append(("sphericity", f"Mauchly, {clean(term)}", significant(sphere.w, 4),
+                         p_value(sphere.p), ""))  # fmt: skip
+    if not rows:
+        return None
+    columns = ("assumption", "test", "statistic", "p", "p simulated")
+    raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
+    return Table("tests of assumptions", columns, tuple(rows), 2, 0, "", raw)
+
+
+def unusual(found: UnusualObservations | None) -> Table | None:
+    """Rows with a large residual, a high leverage or a large Cook's distance."""
+    if found is None or found.rows.empty:
+        return None
+    columns = (
+        "row",
+        "response",
+        "fit",
+        "residual",
+        "standardized",
+        "leverage",
+        "Cook",
+        "PRESS residual",
+        "why",
+    )  # noqa: E501
+    numbers = ("response", "fitted", "residual", "standardized", "leverage", "cook", "press")
+    raw = tuple({str(k): v for k, v in row.items()} for row in found.rows.to_dict("records"))
+    rows = tuple(
+        (f"{row['row']}", *(significant(float(str(row[key]))) for key in numbers), str(row["why"]))
+        for row in raw[:MOST_ROWS]
+    )
+    return Table("unusual observations", columns, rows, 0, 1, _cut(len(raw)).strip(), raw)
+
+
+def robustness(found: AnalysisResult, data: ReportData) -> Table | None:
+    """Give p of every term in each defensible analysis."""
+    table = found.assumptions.robustness
+    if table is None or not table.p:
+        return None
+    methods = list(next(iter(table.p.values())))
+    rows = tuple(
+        (term_name(term, data.labels), *(p_value(p[m]) if p[m] is not None else MISSING
+         for m in methods), table.agreement[term].split(" in ", 1)[-1])
+        for term, p in table.p.items()
+    )  # fmt: skip
+    columns = ("term", *methods, f"below {found.request.alpha:g} in")
+    raw = tuple({"term": term, **p} for term, p in table.p.items())
+    return Table("p in the defensible analyses", columns, rows, 1, 1, raw=raw)
+
+
+def _cut(n: int) -> str:
+    return f" The first {MOST_ROWS} of {n:,} are shown; the CSV has all." if n > MOST_ROWS else ""

@@ -1,0 +1,305 @@
+"""The page of one analysis of a table: what a study's report shows of a response, and more.
+
+Beside the verdicts it has what a user of Minitab looks for: the table with its error and total,
+coefficients, all pairs of levels, four residual plots in one, unusual observations.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from study.reporting.content import analysis_tables, glossary, methods, sentences, tables, verdicts
+from study.reporting.content.table import Table
+from study.reporting.figure import registry, residual_plots
+from study.reporting.figure.registry import Drawn, Figure, make, slug
+from study.reporting.numbers import clean, count, listing, p_phrase, sentence
+from study.reporting.output import page, write
+from study.reporting.report import Facts, facts
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.analysis.effects.comparisons import Comparisons
+    from study.analysis.post_hoc.coefficients import CoefficientTable
+    from study.analysis.post_hoc.pairwise import PairwiseDifference
+    from study.analysis.post_hoc.unusual_observations import UnusualObservations
+    from study.analysis.result import AnalysisResult
+    from study.study_result.report_data import ReportData
+
+#: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
+MOST_CELLS = 60
+MOST_ROWS_DRAWN = 2000
+
+
+@dataclass(frozen=True)
+class AnalysisReport:
+    """One analysis of a table and everything that its page shows.
+
+    Parameters
+    ----------
+    data : ReportData
+        Name, factors, rows and the one response.
+    coefficients : CoefficientTable
+        Of the fitted model.
+    pairs : tuple of PairwiseDifference
+        All pairs of levels of every factor.
+    unusual : UnusualObservations or None
+        Rows that the fit describes badly or leans on.
+    rows : DataFrame or None
+        Every row with fit, residuals, leverage and Cook's distance.
+    reference : (str, Comparisons) or None
+        A factor whose levels are compared with one of them.
+    """
+
+    data: ReportData
+    coefficients: CoefficientTable
+    pairs: tuple[PairwiseDifference, ...]
+    unusual: UnusualObservations | None
+    rows: pd.DataFrame | None
+    reference: tuple[str, Comparisons] | None = None
+
+    @property
+    def found(self) -> AnalysisResult:
+        """The analysis."""
+        result = self.data.responses[0].result
+        assert result is not None  # the page of a table is made of its analysis
+        return result
+
+
+def prepare(report: AnalysisReport) -> page.Contents:
+    """Compute every sentence, table and figure of the page."""
+    (item,) = facts(report.data)
+    figures = _figures(report, item)
+    section = page.Section(
+        facts=item,
+        anchor="effects",
+        verdicts=tuple(
+            verdicts.verdict(e, item, report.data.labels)
+            for e in item.terms
+            if e.is_main or e.strength == "matters"
+        ),
+        anova=tables.anova(item, report.data) if item.rows else None,
+        strata=None,
+        figures=figures,
+        assumptions=page._assumptions(report.data, item),
+        recommendation="",
+        cheaper="",
+    )
+    return page.Contents(report.data, (item,), (section,), {}, _tables(report, item))
+
+
+def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
+    found, data = report.found, report.data
+    known: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
+    if found.anova.rows:
+        known |= {
+            "anova": analysis_tables.analysis_of_variance(found),
+            "summary": analysis_tables.model_summary(found),
+            "coefficients": analysis_tables.coefficients(report.coefficients, item),
+            "means": analysis_tables.means(item, data),
+            "simple": analysis_tables.simple_effects(item, data),
+            "pairs": analysis_tables.pairwise(report.pairs, item, data),
+            "checks": analysis_tables.checks(found),
+            "unusual": analysis_tables.unusual(report.unusual),
+            "robustness": analysis_tables.robustness(found, data),
+        }
+    if report.reference is not None:
+        known["reference"] = analysis_tables.against_reference(*report.reference, data)
+    return {name: table for name, table in known.items() if table is not None}
+
+
+def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
+    """Figures of a study's response, with Minitab's residual plots for the study's."""
+    data = report.data
+    without = {"residuals"}
+    if len(data.table) > MOST_ROWS_DRAWN or len(report.found.data.cell_means) > MOST_CELLS:
+        without |= {"cells"}
+    if len(report.found.data.cell_means) > MOST_CELLS:
+        without |= {"spread"}
+    drawn = registry.of_response(data, item, without)
+    if report.rows is None or not item.terms:
+        return drawn
+    points = residual_plots.residual_points(report.rows)
+    limit = None if report.unusual is None else report.unusual.cook_limit
+    stem = slug(item.name)
+    makers: Mapping[str, tuple[str, Callable[[], Drawn]]] = {
+        "four-in-one": ("Residual plots", lambda: _four_in_one(points, item, data)),
+        "against-factors": ("Residuals versus factors", lambda: _factors(points, item, data)),
+        "influence": ("Influence", lambda: _influence(points, data, limit)),
+    }
+    return drawn | {
+        kind: make(f"{stem}-{kind}", f"{title}: {item.title}", maker)
+        for kind, (title, maker) in makers.items()
+    }
+
+
+def _four_in_one(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
+    caption = residual_plots.four_in_one_caption(points, item, data.alpha)
+    return points, lambda: residual_plots.draw_four_in_one(points, item, data), caption
+
+
+def _factors(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
+    frame = points[[*data.factors, "residual"]]
+    caption = sentence(
+        "a level whose residuals scatter more has the larger variance"
+        + residual_plots.drawn_words(points)
+    )
+    return frame, lambda: residual_plots.draw_against_factors(points, item, data), caption
+
+
+def _influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Drawn:
+    frame = points[["row", "leverage", "cook", "standardized", "press"]]
+    caption = residual_plots.influence_caption(points, limit)
+    return frame, lambda: residual_plots.draw_influence(points, data, limit), caption
+
+
+def answer(report: AnalysisReport, item: Facts) -> tuple[str, ...]:
+    """Answer first: verdicts where a smallest difference that matters was given, else tests."""
+    if not item.terms:
+        return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
+    if any(effect.practical is not None for effect in item.effects):
+        return sentences.answer(report.data, (item,))
+    return tuple(text for text in (_tested(report, item), _NO_VERDICT) if text)
+
+
+_NO_VERDICT = (
+    "No smallest difference that matters was given, so no factor has a verdict: a small p says "
+    "that an effect is there, not that it is large enough to care. Give one with --practical."
+)
+
+
+def _tested(report: AnalysisReport, item: Facts) -> str:
+    """Which terms differ by Holm's p, and which are not shown to."""
+    known = [e for e in item.terms if e.p_holm is not None]
+    if not known:
+        return "There is no error term, so nothing is tested."
+    names = {e.term: e.term.replace(":", " \N{MULTIPLICATION SIGN} ") for e in known}
+    shown = [
+        f"{clean(names[e.term])} ({p_phrase(e.p_holm)})" for e in known if _below(e.p_holm, item)
+    ]
+    rest = [clean(names[e.term]) for e in known if not _below(e.p_holm, item)]
+    parts = []
+    if shown:
+        parts.append(f"an effect is shown of {listing(shown)}")
+    if rest:
+        parts.append(f"none is shown of {listing(rest, 'or')}")
+    size = f"at {item.alpha:g}, adjusted by Holm for {count(len(known), 'term')}"
+    return sentence(f"for {clean(item.title)}, {'; '.join(parts)} ({size})")
+
+
+def _below(p: float | None, item: Facts) -> bool:
+    return p is not None and p < item.alpha
+
+
+def render(report: AnalysisReport, contents: page.Contents) -> str:
+    """Return the HTML of computed contents."""
+    (item,) = contents.found
+    data = contents.data
+    text: str = page._environment().get_template("analysis.html.j2").render(
+        c=contents,
+        s=contents.sections[0],
+        data=data,
+        found=report.found,
+        answer=answer(report, item),
+        no_coefficients=report.coefficients.reason,
+        error_terms=sentences.error_terms(data, contents.found),
+        verdict_groups=page._groups(contents.tables["verdicts"]),
+        methods=_methods(contents),
+        what_if=verdicts.WHAT_IF,
+        glossary=glossary.TERMS,
+        warnings=_warnings(report),
+        provenance=page._provenance(data),
+    )  # fmt: skip
+    return clean(text)
+
+
+def _warnings(report: AnalysisReport) -> tuple[str, ...]:
+    said = (*report.data.warnings, *report.found.notes)
+    return tuple(sentence(clean(text)) for text in dict.fromkeys(said))
+
+
+def _methods(contents: page.Contents) -> str:
+    """Methods of a table: those of a study but what only simulations have."""
+    data, (item,) = contents.data, contents.found
+    checked = _CHECKED if item.terms else ""
+    parts = [methods._design(data), methods._measurements(data), methods._statistics(item, data)]
+    return " ".join(part for part in (*parts, checked, methods._software(data)) if part)
+
+
+_CHECKED = (
+    "Residuals were examined by the Ryan-Joiner test (p simulated for the model matrix) and by "
+    "Bartlett's and Levene's tests of equal spread."
+)
+
+
+def write_analysis(
+    report: AnalysisReport, out_dir: str | Path, formats: Sequence[str] = ("html",)
+) -> Path:
+    """Write the page of an analysis into a folder and return its main file.
+
+    The page is ``<table>-<response>.html``; ``<table>-<response>-data/`` holds the CSV of every
+    table and figure, every figure as SVG, ``rows.csv`` (every row with fit, residual, leverage)
+    and ``numbers.json``, the document of ``study analyze --json``.
+
+    Parameters
+    ----------
+    report : AnalysisReport
+        What the page shows.
+    out_dir : str or Path
+        Made where it is missing.
+    formats : sequence of {"html", "csv", "tex", "pdf"}
+        As for a study's report.
+
+    Returns
+    -------
+    Path
+        The page, or what was asked for first.
+
+    Raises
+    ------
+    InputError
+        For an unknown format, or ``pdf`` without a browser (before anything is written).
+    """
+    asked = write._checked(formats)
+    folder = Path(out_dir)
+    stem = slug(f"{report.data.name} {report.found.request.response}")
+    contents = prepare(report)
+    beside = folder / f"{stem}-data"
+    beside.mkdir(parents=True, exist_ok=True)
+    _write_data(report, contents, beside)
+    html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
+    if "html" in asked or "pdf" in asked:
+        write._replace(html, render(report, contents))
+    if "tex" in asked:
+        shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
+        captions = [(t.name.capitalize(), t) for _, t in shown]
+        write._replace(latex, write.document(captions, _methods(contents)))
+    if "pdf" in asked:
+        write.print_page(html, portable)
+    return {"html": html, "pdf": html, "tex": latex, "csv": beside / "rows.csv"}[asked[0]]
+
+
+_IN_LATEX = ("verdicts", "anova", "coefficients", "means", "pairs", "reference")
+
+
+def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -> None:
+    numbers = report.found.to_json()
+    text = json.dumps(numbers, indent=1, allow_nan=False)
+    write._replace(beside / "numbers.json", text + "\n")
+    rows = report.found.data.residuals if report.rows is None else report.rows
+    write._replace(beside / "rows.csv", write.of_frame(rows))
+    sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
+    for table in (*contents.tables.values(), *sizes):
+        records = write.of_records(table.raw) if table.raw else write.of_rows(
+            table.columns, table.rows
+        )  # fmt: skip
+        write._replace(beside / f"table-{slug(table.name)}.csv", records)
+    for figure in contents.all_figures:
+        if figure.data is not None:
+            write._replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+        if figure.svg:
+            write._replace(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
