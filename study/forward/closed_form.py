@@ -8,6 +8,10 @@ respect to the constants is analytic, so a fit costs microseconds.
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from study.arrays import Array
@@ -18,8 +22,10 @@ from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.setup.geometry import Specimen, Surface
 from study.setup.material_section import MaterialSection
-from study.setup.setup import ResolvedTables, Setup
+from study.setup.setup import Problem, ResolvedTables, Setup
 
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
 
 #: modes in which an incompressible material cannot move
 _VOLUMETRIC = ("confined", "volumetric")
@@ -112,9 +118,7 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     setup = Setup.of(config)
     if setup.kind.mode in _VOLUMETRIC:  # the volume is all that changes
         volume = MaterialSection.of(config["material"]).compressibility
-        unit = Material(
-            "neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio
-        )
+        unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
         return homogeneous(setup.specimen, unit, d, setup.kind.mode, setup.kind.sense).force_N
@@ -133,3 +137,39 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
         return force
     # an indenter as wide as the specimen is a plate, and none needs more force than that
     return np.minimum(force, compression(setup.specimen, unit, d).force_N)
+
+
+def solution(problem: Problem) -> Solution:
+    """Answer of a gauge section: its curve at the steps of the test.
+
+    Parameters
+    ----------
+    problem : Problem
+        With a homogeneous specimen.
+
+    Returns
+    -------
+    Solution
+        Converged, with gradients and no mesh; ``unstable`` where the material has no state.
+    """
+    # it loads compiled kernels
+    from study.fem.solver.solution import without_answer
+
+    began, test = time.perf_counter(), problem.test
+    kind = problem.setup.kind
+    d = np.linspace(0.0, test.depth_mm, test.steps + 1)[1:]
+    curve = homogeneous(problem.specimen, problem.material, d, kind.mode, kind.sense)
+    reached = np.isfinite(curve.force_N)
+    count = int(d.size if reached.all() else np.argmin(reached))
+    kept = Curve(
+        d[:count],
+        curve.force_N[:count],
+        force_gradient={n: g[:count] for n, g in curve.force_gradient.items()},
+    )
+    status, message = "converged", "closed form of a homogeneous deformation"
+    if count < d.size:
+        end = d[count - 1] if count else 0.0
+        status, message = "unstable", f"the material has no equilibrium state beyond {end:.4g} mm"
+    empty = without_answer(problem, status, message, time.perf_counter() - began)
+    reached_mm = float(kept.displacement_mm[-1]) if count else 0.0
+    return replace(empty, curve=kept, reached_mm=reached_mm, solver="closed form")

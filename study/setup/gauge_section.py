@@ -14,7 +14,14 @@ import numpy as np
 from study.arrays import Array
 from study.errors import Fault
 from study.setup.load_steps import StepRule, StepSettings
-from study.setup.test_kind import Contact, FaceCondition, Interface, Singularity, Test, TowardsPlates
+from study.setup.test_kind import (
+    Contact,
+    FaceCondition,
+    Interface,
+    Singularity,
+    Test,
+    TowardsPlates,
+)
 
 #: points of a range of stretches at which stability is looked at
 STRETCHES = 41

@@ -129,6 +129,11 @@ class Setup:
         return is_homogeneous(self.test, self.specimen.shape)
 
     @property
+    def has_no_elements(self) -> bool:
+        """Whether it is a gauge section, of which the closed form is the only model."""
+        return self.specimen.shape == "homogeneous"
+
+    @property
     def has_close_equilibria(self) -> bool:
         """Whether the discretized contact is known to have several equilibria close together.
 
