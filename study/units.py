@@ -26,6 +26,8 @@ INTERNAL: Mapping[str, str] = {
     "time": "s",
     "stiffness": "N/mm",
     "work": "N mm",
+    "area": "mm^2",
+    "ratio": "1",
 }
 _D = Decimal
 _TABLE: Mapping[str, Mapping[str, Decimal]] = {
@@ -51,6 +53,9 @@ _TABLE: Mapping[str, Mapping[str, Decimal]] = {
     "time": {"s": _D(1), "ms": _D("1e-3"), "min": _D(60), "h": _D(3600)},
     "stiffness": {"N/mm": _D(1), "N/m": _D("1e-3"), "kN/m": _D(1), "kN/mm": _D(1000)},
     "work": {"N mm": _D(1), "N*mm": _D(1), "mJ": _D(1), "J": _D(1000)},
+    "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6"), "mm2": _D(1)},
+    # as an angle, a plain number is no business of pint's
+    "ratio": {"1": _D(1), "%": _D("0.01")},
 }
 _EXAMPLE: Mapping[str, str] = {
     "length": "50 mm",
@@ -60,6 +65,8 @@ _EXAMPLE: Mapping[str, str] = {
     "time": "60 s",
     "stiffness": "2 N/mm",
     "work": "3 N mm",
+    "area": "25 mm^2",
+    "ratio": "20 %",
 }
 
 #: unit inside -> (unit shown to people, factor); constants are reported in kPa
@@ -222,7 +229,7 @@ def _factor(unit: str, dimension: str) -> Decimal:
     if found is not None:
         return found
     other = next((d for d, units in _TABLE.items() if plain in units), None)
-    if other is not None or dimension == "angle" or not _UNIT.fullmatch(plain):
+    if other is not None or dimension in ("angle", "ratio") or not _UNIT.fullmatch(plain):
         what = f"is a {other}" if other else "is no unit"
         raise _fault(f"must be a {dimension}, {unit!r} {what}", _mend(dimension, unit=plain))
     return _from_pint(plain, dimension)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from study.api.folders import data_root
 from study.design.load import load, load_calibration, load_problem, loads
 from study.errors import Fault, InputError
+from study.forward import closed_form
 from study.material.stability import check
 from study.record.atomic_files import write_atomic
 from study.record.record import plain
@@ -61,7 +62,10 @@ def solve(
     """
     from study.fem.solver.solve import solve as forward_solve
 
-    return forward_solve(_problem(problem, overrides), gradients=gradients, progress=progress)
+    made = _problem(problem, overrides)
+    if made.setup.has_no_elements:
+        return closed_form.solution(made)
+    return forward_solve(made, gradients=gradients, progress=progress)
 
 
 def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:

@@ -12,7 +12,16 @@ from study.material.compressibility import Compressibility
 from study.material.material import Material
 from study.material.registry import ENERGIES
 from study.material.stability import stability
-from study.setup.geometry import Cone, Cylinder, Flat, Indenter, Specimen, Sphere, Surface
+from study.setup.geometry import (
+    Cone,
+    Cylinder,
+    Flat,
+    Homogeneous,
+    Indenter,
+    Specimen,
+    Sphere,
+    Surface,
+)
 from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
 from study.setup.test_section import TEST_KINDS
@@ -29,6 +38,7 @@ def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> No
     """
     _check_moduli(problem.material, faults, places)
     _check_displacement(problem, faults, places)
+    _check_gauge_section(problem, faults, places)
     _check_model(problem, faults, places)
     if problem.test.indenter is not None:
         _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
@@ -66,6 +76,28 @@ def _check_displacement(problem: CellProblem, faults: Faults, places: Mapping[st
     if depth is not None and height is not None and depth >= height:
         rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
         faults.add(f"{places['test']}.displacement", rule, "make it smaller than specimen.height")
+
+
+def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    """Keep tests of material to specimens that deform the same everywhere."""
+    test, is_gauge = problem.test, isinstance(problem.specimen, Homogeneous)
+    kind = TEST_KINDS.get(test.kind)
+    if kind is None or problem.specimen.shape is None:
+        return
+    where = places["test"]
+    if kind.needs_homogeneous and not is_gauge:
+        rule = f"{test.kind} is a test of a gauge section, not of a {problem.specimen.shape}"
+        faults.add(f"{where}.kind", rule, 'write specimen.shape = "homogeneous"')
+    if is_gauge and kind.takes_indenter:
+        rule = f"{test.kind} does not deform a specimen the same everywhere"
+        faults.add(f"{where}.kind", rule, "give the specimen's shape and size")
+    if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
+        rule = "bonded faces do not let a specimen deform the same everywhere"
+        faults.add(f"{where}.interface", rule, "leave it out, or give a cylinder or block")
+    rigid = kind.needs_homogeneous and kind.mode in ("confined", "volumetric")
+    if rigid and problem.material.compressibility.incompressible:
+        rule = f"{test.kind} of an incompressible material has no displacement"
+        faults.add(f"{places['material']}.incompressible", rule, "give poisson_ratio instead")
 
 
 def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
@@ -131,6 +163,8 @@ def half_width(specimen: Specimen) -> float | None:
     """Distance in mm from the axis to the nearest side; None for a surface."""
     if isinstance(specimen, Surface):
         return None
+    if isinstance(specimen, Homogeneous):
+        return specimen.half_width_mm
     if isinstance(specimen, Cylinder):
         return specimen.radius_mm
     known = is_known(specimen.width_mm, specimen.depth_mm)

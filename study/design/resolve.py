@@ -65,7 +65,11 @@ def resolve_problem(
     model = model_from(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
     spec = None
     if "measurements" in tables:
-        spec = measurements_from(tables["measurements"], faults, at["measurements"])
+        written = tables["measurements"]
+        spec = measurements_from(written, faults, at["measurements"])
+        chosen = isinstance(written, Mapping) and "points" in written
+        if spec is not None and specimen.shape == "homogeneous" and not chosen:
+            spec = replace(spec, points="raw")  # every row of a test of material counts
     problem = CellProblem(specimen, test, material, model, spec)
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
@@ -93,7 +97,7 @@ def _check_displacement(
     """Note a displacement that nothing gives, unless what would give it is faulty itself."""
     test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
     written = isinstance(test, Mapping) and "displacement" in test
-    unread = measured and (spec is None or spec.range is not None)
+    unread = measured and (spec is None or spec.range is not None or spec.points == "raw")
     if high is None and not written and not unread:
         mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
         faults.add(where, "is missing", mend)

@@ -1,11 +1,16 @@
-"""Closed form of the one homogeneous test, compression between frictionless plates, and starts.
+"""Closed form of homogeneous tests, such as compression between frictionless plates, and starts.
 
-Force = area x nominal stress at the stretch 1 - d/H, positive in compression, with the
-lateral stretch of the nearly incompressible material where K is finite. The gradient with
+Force = area x nominal stress at the stretch 1 - d/H, or at that of the kind of test, positive in
+the sense of the displacement, with the lateral stretch of the nearly incompressible material
+where K is finite. The gradient with
 respect to the constants is analytic, so a fit costs microseconds.
 """
 
 from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +18,17 @@ from study.arrays import Array
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.forward import halfspace
-from study.material.homogeneous import response
+from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.setup.geometry import Specimen, Surface
 from study.setup.material_section import MaterialSection
-from study.setup.setup import ResolvedTables, Setup
+from study.setup.setup import Problem, ResolvedTables, Setup
+
+if TYPE_CHECKING:  # it loads compiled kernels
+    from study.fem.solver.solution import Solution
+
+#: modes in which an incompressible material cannot move
+_VOLUMETRIC = ("confined", "volumetric")
 
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
@@ -30,10 +41,14 @@ def height_and_area(specimen: Specimen) -> tuple[float, float]:
     return found.height_mm, found.volume_mm3 / found.height_mm
 
 
-def uniaxial(
-    specimen: Specimen, material: Material, displacement_mm: Array, sense: float = -1.0
+def homogeneous(
+    specimen: Specimen,
+    material: Material,
+    displacement_mm: Array,
+    mode: str = "uniaxial",
+    sense: float = -1.0,
 ) -> Curve:
-    """Force of a cylinder or block in uniaxial stress, as between frictionless plates.
+    """Force of a specimen that deforms the same everywhere.
 
     Parameters
     ----------
@@ -43,6 +58,8 @@ def uniaxial(
         Of the specimen.
     displacement_mm : ndarray, shape (n,)
         Displacements from 0; below the height where they shorten the specimen.
+    mode : str
+        Deformation, one of :data:`study.material.loading.LOADINGS`: that of the kind of test.
     sense : {-1, 1}
         Whether a displacement shortens or lengthens the specimen: that of the kind of test.
 
@@ -62,14 +79,15 @@ def uniaxial(
     if sense < 0 and d.max(initial=0.0) >= height:
         rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
         raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
-    state = response(material, "uniaxial", 1 + sense * d / height)
+    loading = LOADINGS[mode]
+    state = loading.nominal(material, loading.measure(sense * d / height))
     gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
     return Curve(d, sense * area * state.stress, force_gradient=gradient)
 
 
 def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates: :func:`uniaxial`."""
-    return uniaxial(specimen, material, displacement_mm)
+    """Force of a cylinder or block compressed between frictionless plates."""
+    return homogeneous(specimen, material, displacement_mm)
 
 
 def neo_hookean_start(
@@ -98,9 +116,12 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
+    if setup.kind.mode in _VOLUMETRIC:  # the volume is all that changes
+        volume = MaterialSection.of(config["material"]).compressibility
+        unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
-        return uniaxial(setup.specimen, unit, d, setup.kind.sense).force_N
+        return homogeneous(setup.specimen, unit, d, setup.kind.mode, setup.kind.sense).force_N
     nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(
@@ -116,3 +137,39 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
         return force
     # an indenter as wide as the specimen is a plate, and none needs more force than that
     return np.minimum(force, compression(setup.specimen, unit, d).force_N)
+
+
+def solution(problem: Problem) -> Solution:
+    """Answer of a gauge section: its curve at the steps of the test.
+
+    Parameters
+    ----------
+    problem : Problem
+        With a homogeneous specimen.
+
+    Returns
+    -------
+    Solution
+        Converged, with gradients and no mesh; ``unstable`` where the material has no state.
+    """
+    # it loads compiled kernels
+    from study.fem.solver.solution import without_answer
+
+    began, test = time.perf_counter(), problem.test
+    kind = problem.setup.kind
+    d = np.linspace(0.0, test.depth_mm, test.steps + 1)[1:]
+    curve = homogeneous(problem.specimen, problem.material, d, kind.mode, kind.sense)
+    reached = np.isfinite(curve.force_N)
+    count = int(d.size if reached.all() else np.argmin(reached))
+    kept = Curve(
+        d[:count],
+        curve.force_N[:count],
+        force_gradient={n: g[:count] for n, g in curve.force_gradient.items()},
+    )
+    status, message = "converged", "closed form of a homogeneous deformation"
+    if count < d.size:
+        end = d[count - 1] if count else 0.0
+        status, message = "unstable", f"the material has no equilibrium state beyond {end:.4g} mm"
+    empty = without_answer(problem, status, message, time.perf_counter() - began)
+    reached_mm = float(kept.displacement_mm[-1]) if count else 0.0
+    return replace(empty, curve=kept, reached_mm=reached_mm, solver="closed form")

@@ -8,7 +8,8 @@ The rules are applied in this order, and every row they drop or change is counte
    ``fit``: the start of a straight line through the first tenth of the travel);
 3. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
 4. ``toe``: displacement counts from where the force passes this load for good;
-5. resampling by linear interpolation at ``points`` displacements even over the range.
+5. resampling by linear interpolation at ``points`` displacements even over the range; or, for
+   ``raw``, the rows within the range as they are.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Rules:
     low_mm, high_mm : float
         Range of displacement that is kept.
     points : int
-        Number of displacements, even over the range.
+        Number of displacements, even over the range; 0 for the rows as they are.
     sign : {"positive", "negative"}
         Declared sign of the force where the specimen resists.
     zero : {"none", "first", "fit"}
@@ -59,6 +60,11 @@ class Rules:
     toe_N: float | None = None
     height_mm: float | None = None
 
+    @property
+    def is_raw(self) -> bool:
+        """Whether rows stay as they were measured."""
+        return self.points == 0
+
     def grid(self) -> Array:
         """Displacements in mm at which the force is taken, shape (points,)."""
         return np.linspace(self.low_mm, self.high_mm, self.points)
@@ -66,8 +72,9 @@ class Rules:
 
 @dataclass(frozen=True)
 class Conditioned:
-    """Force of one test on the grid of its rules, shape (points,), and what was done."""
+    """Curve of one test on the grid of its rules, shape (points,), and what was done."""
 
+    displacement_mm: Array
     force_N: Array
     counts: Counter[str]
     zero_N: float
@@ -102,9 +109,27 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     zero = _zero(d, f, rules.zero)
     d, f = _sorted_unique(d, f - zero, counts)
     d, f, toe = _toe(d, f, rules, where, counts)
-    force = _resample(d, f, rules, where, counts)
+    within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
     inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
-    return Conditioned(force, counts, zero, toe, inside)
+    if rules.is_raw:
+        if inside < MIN_ROWS:
+            raise InputError(_too_few(inside, rules, where))
+        return Conditioned(d[within], f[within], counts, zero, toe, inside)
+    force = _resample(d, f, rules, where, counts)
+    return Conditioned(rules.grid(), force, counts, zero, toe, inside)
+
+
+def _slack(rules: Rules) -> float:
+    """Return the rounding of the ends of a range, mm."""
+    return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)
+
+
+def _too_few(inside: int, rules: Rules, where: str) -> Fault:
+    rule = (
+        f"has {inside} rows between {_place(rules.low_mm, rules)} and "
+        f"{_place(rules.high_mm, rules)}, a curve needs at least {MIN_ROWS}"
+    )
+    return Fault(where, rule, "widen the range or record more points")
 
 
 def _apply_sign(
@@ -234,14 +259,7 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
         d, f = np.r_[0.0, d], np.r_[0.0, f]
     inside = int(np.count_nonzero((d >= low - slack) & (d <= high + slack)))
     if inside < MIN_ROWS:
-        raise InputError(
-            Fault(
-                where,
-                f"has {inside} rows between {_place(low, rules)} and "
-                f"{_place(high, rules)}, a curve needs at least {MIN_ROWS}",
-                "widen the range or record more points",
-            )
-        )
+        raise InputError(_too_few(inside, rules, where))
     return np.asarray(np.interp(rules.grid(), d, f), dtype=float)
 
 

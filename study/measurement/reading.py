@@ -15,7 +15,9 @@ from study.errors import Fault, InputError, MissingDataError, nearest
 from study.measurement.conditioning import SIGNS, ZERO_RULES, Conditioned, Rules, condition
 from study.measurement.data_root import locate, locate_pattern
 from study.measurement.measured_test import Measurements, SingleTest
-from study.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault, read_csv
+from study.measurement.plain_text import Layout, read_table
+from study.measurement.quantities import KINEMATIC, KINETIC, Gauge, displacement_and_force
+from study.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault
 from study.units import parse
 
 if TYPE_CHECKING:
@@ -31,6 +33,7 @@ def read_measurements(
     root: Path,
     height_mm: float | None = None,
     displacement_mm: float | None = None,
+    gauge: Gauge | None = None,
 ) -> Measurements:
     """Read, check and condition all tests that a specification names.
 
@@ -44,6 +47,8 @@ def read_measurements(
         Height of the specimen in mm; needed for a range in percent.
     displacement_mm : float, optional
         Test displacement in mm, the end of the range where the specification has none.
+    gauge : Gauge, optional
+        Specimen and loading; needed where strain or stress was recorded.
 
     Raises
     ------
@@ -60,8 +65,12 @@ def read_measurements(
     faults: list[Fault] = []
     done: list[Conditioned] = []
     for table, labels in tables:
-        for where, keys, d, f in _split(table, labels, groups, spec):
+        for where, keys, *recorded in _split(table, labels, groups, spec):
             try:
+                d, f = displacement_and_force(
+                    spec.columns.kinematic, recorded[0], spec.columns.kinetic, recorded[1],
+                    gauge, where,
+                )  # fmt: skip
                 result = condition(d, f, rules, where)
             except InputError as error:
                 faults.extend(error.faults)
@@ -75,7 +84,7 @@ def read_measurements(
     notes += _summary(done, rules)
     found = Measurements(
         tuple(tests),
-        rules.grid(),
+        _common_grid(done, rules),
         getattr(spec, "block", None),
         tuple(spec.average or ()),
         spec.fit,
@@ -88,9 +97,22 @@ def read_measurements(
     return found
 
 
+def _common_grid(done: Sequence[Conditioned], rules: Rules) -> Array:
+    """Displacements of all tests: rows as measured must be the same ones in each."""
+    if not rules.is_raw:
+        return rules.grid()
+    first = done[0].displacement_mm
+    for one in done[1:]:
+        if one.displacement_mm.shape != first.shape or not np.allclose(one.displacement_mm, first):
+            rule = "raw rows lie at other displacements in every test of these measurements"
+            mend = "write a number of points, or a [[tests]] table for each test"
+            raise InputError(Fault("measurements.points", rule, mend))
+    return first
+
+
 def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None) -> Rules:
     sign, zero = spec.sign or "positive", spec.zero or "none"
-    points = int(spec.points or 200)
+    points = 0 if spec.points == "raw" else int(spec.points or 200)
     faults = []
     if sign not in SIGNS:
         faults.append(Fault("measurements.sign", f"unknown value {sign!r}", nearest(sign, SIGNS)))
@@ -98,7 +120,7 @@ def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: floa
         faults.append(
             Fault("measurements.zero", f"unknown rule {zero!r}", nearest(zero, ZERO_RULES))
         )
-    if points < 2:
+    if points < 2 and spec.points != "raw":
         faults.append(Fault("measurements.points", f"must be at least 2, got {points}"))
     low, high = _range(spec, height_mm, displacement_mm, points)
     if not 0 <= low < high:
@@ -113,6 +135,8 @@ def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: floa
 def _range(
     spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None, points: int
 ) -> tuple[float, float]:
+    if spec.range is None and spec.points == "raw":
+        return 0.0, np.inf if displacement_mm is None else displacement_mm
     if spec.range is None:
         if displacement_mm is None:
             raise InputError(
@@ -142,7 +166,8 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
         found: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
     else:
         found = locate_pattern(spec.files or "", root, citation=citation)
-    required = [spec.columns.displacement, spec.columns.force]
+    columns, layout = spec.columns, Layout(spec.skip_lines, spec.comment, spec.delimiter)
+    required = [columns.column(columns.kinematic), columns.column(columns.kinetic)]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
@@ -151,7 +176,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     for name, labels in found:
         try:
             path = locate(name, root, citation=citation)
-            table = read_csv(path, required=required, decimal=spec.decimal or ".", source=name)
+            table = read_table(path, layout, required, spec.decimal or ".", name)
         except MissingDataError:
             raise
         except InputError as error:
@@ -181,8 +206,8 @@ def _split(
     table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
 ) -> Iterable[tuple[str, dict[str, str], Array, Array]]:
     """Rows of each test of a table: name for messages, labels, displacement, force."""
-    d = _quantity(table, spec, "displacement", "length", MAX_TRAVEL_MM)
-    f = _quantity(table, spec, "force", "force", MAX_FORCE_N)
+    d = _quantity(table, spec, spec.columns.kinematic, MAX_TRAVEL_MM)
+    f = _quantity(table, spec, spec.columns.kinetic, MAX_FORCE_N)
     inside = [name for name in groups if name not in labels]
     for name, label in labels.items():
         if rule := label_fault(label):
@@ -240,7 +265,7 @@ def _check_one_test(
     if not back or own.size < 5:
         return
     k, after = members[back[0]], members[back[0] + 1]
-    used = {*groups, columns.displacement, columns.force}
+    used = {*groups, columns.column(columns.kinematic), columns.column(columns.kinetic)}
     changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
@@ -254,11 +279,9 @@ def _check_one_test(
     )
 
 
-def _quantity(
-    table: CsvTable, spec: MeasurementSpec, what: str, dimension: str, limit: float
-) -> Array:
-    """Column in mm or N, refused where it is beyond any test."""
-    factor, column = _factor(table, spec, what, dimension), getattr(spec.columns, what)
+def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -> Array:
+    """Column in mm, N or MPa, or plain, refused where it is beyond any test."""
+    factor, column = _factor(table, spec, what), spec.columns.column(what)
     values = table.numbers(column)
     beyond = np.flatnonzero(np.abs(values) > limit / factor)
     if beyond.size:
@@ -266,16 +289,17 @@ def _quantity(
         raise InputError(
             Fault(
                 f"{table.source}:{table.lines[k]}: column {column!r}",
-                f"{values[k]:.6g} {getattr(spec.units, what)} is beyond any test of a specimen",
+                f"{values[k]:.6g} {spec.units.unit(what)} is beyond any test of a specimen",
                 "check the cell and measurements.units",
             )
         )
     return values * factor
 
 
-def _factor(table: CsvTable, spec: MeasurementSpec, what: str, dimension: str) -> float:
-    """Factor from the declared unit of a column to mm or N."""
-    column, unit = getattr(spec.columns, what), getattr(spec.units, what)
+def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
+    """Factor from the declared unit of a column to mm, N or MPa."""
+    column, unit = spec.columns.column(what), spec.units.unit(what)
+    dimension = {**KINEMATIC, **KINETIC}[what]
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
     if suffix:
@@ -345,7 +369,8 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
     notes.append(
         f"{len(done)} tests of {several} rows in the range {rules.low_mm:.4g} to "
-        f"{rules.high_mm:.4g} mm, resampled at {rules.points} points"
+        f"{rules.high_mm:.4g} mm, "
+        + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")
     )
     return notes
 

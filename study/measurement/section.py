@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,12 +11,18 @@ from pydantic import Field
 
 from study import units
 from study.errors import Fault, InputError, UnitError
+from study.measurement.plain_text import DELIMITERS
+from study.measurement.quantities import KINEMATIC, KINETIC
 from study.setup.quantity import Force, integer, shown
 from study.setup.section import Bad, Read, Reads, keys_of, section
 from study.setup.text import choice, flag, name, names, relative_path, text
 
 MAX_POINTS = 100_000
+MAX_SKIPPED = 1000
 _FIELD = re.compile(r"\{([^{}]*)\}")
+
+#: ends of the names of measured files: texts are read as CSV
+ENDINGS = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
 
 #: label of a row, or several
 Labels = str | tuple[str, ...]
@@ -67,7 +73,7 @@ class Range:
 def csv_path(value: object) -> str:
     """Read the path of a table."""
     path = relative_path(value)
-    if not path.lower().endswith((".csv", ".csv.gz")):
+    if not path.lower().endswith(ENDINGS):
         raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
     if "{" in path or "}" in path:
         raise Bad(f"is one file, got a pattern {shown(value)}", "write files = ...")
@@ -77,7 +83,7 @@ def csv_path(value: object) -> str:
 def csv_pattern(value: object) -> str:
     """Read a pattern such as ``"indentation-{specimen}.csv"``."""
     pattern = relative_path(value)
-    if not pattern.lower().endswith((".csv", ".csv.gz")):
+    if not pattern.lower().endswith(ENDINGS):
         raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
     groups = _FIELD.findall(pattern)
     odd = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
@@ -149,20 +155,84 @@ def groups_of(pattern: str) -> list[str]:
     return _FIELD.findall(pattern)
 
 
+Column = Annotated[str | None, Reads(name)]
+
+
 @section
 class Columns:
-    """Columns of a measured file."""
+    """Columns of a measured file: one that says how far, one that says how hard.
 
-    displacement: Annotated[str, Reads(name, mend="displacement and force")]
-    force: Annotated[str, Reads(name, mend="displacement and force")]
+    The pair is displacement and force, or measures of strain and stress
+    (:mod:`study.measurement.quantities`).
+    """
+
+    displacement: Column = None
+    force: Column = None
+    stretch: Column = None
+    strain: Column = None
+    true_strain: Column = None
+    volume_ratio: Column = None
+    stress: Column = None
+    true_stress: Column = None
+    pressure: Column = None
+
+    def named(self, quantities: Iterable[str]) -> list[str]:
+        """Those of some quantities that have a column."""
+        return [one for one in quantities if getattr(self, one) is not None]
+
+    @property
+    def kinematic(self) -> str:
+        """Quantity that says how far the specimen was deformed."""
+        return next(iter(self.named(KINEMATIC)), "displacement")
+
+    @property
+    def kinetic(self) -> str:
+        """Quantity that says how it resisted."""
+        return next(iter(self.named(KINETIC)), "force")
+
+    def column(self, quantity: str) -> str:
+        """Name of the column of a quantity that has one."""
+        return str(getattr(self, quantity))
+
+
+_RATIO = Annotated[str | None, Reads(_unit("ratio"))]
+_STRESS = Annotated[str | None, Reads(_unit("pressure"))]
 
 
 @section
 class Units:
-    """Units of the columns of a measured file."""
+    """Units of the columns of a measured file; "1" or "%" for ratios."""
 
-    displacement: Annotated[str, Reads(_unit("length"))]
-    force: Annotated[str, Reads(_unit("force"))]
+    displacement: Annotated[str | None, Reads(_unit("length"))] = None
+    force: Annotated[str | None, Reads(_unit("force"))] = None
+    stretch: _RATIO = None
+    strain: _RATIO = None
+    true_strain: _RATIO = None
+    volume_ratio: _RATIO = None
+    stress: _STRESS = None
+    true_stress: _STRESS = None
+    pressure: _STRESS = None
+
+    def unit(self, quantity: str) -> str:
+        """Return the unit of the column of a quantity that has one."""
+        return str(getattr(self, quantity))
+
+
+def _points(value: object) -> int | Literal["raw"]:
+    if value == "raw":
+        return "raw"
+    return integer(2, MAX_POINTS)(value)
+
+
+def _mark(value: object) -> str:
+    mark = text(value)
+    if len(mark) > 3 or mark.strip() != mark:
+        raise Bad(f"must be 1 to 3 characters, got {shown(value)}", 'for example comment = "#"')
+    return mark
+
+
+#: keys that say how a file is written
+_LAYOUT = ("skip_lines", "comment", "delimiter")
 
 
 @section
@@ -181,8 +251,8 @@ class MeasurementSpec:
         Columns whose rows are repeats, nested in a specimen.
     range : Range, optional
         Displacements that are used.
-    points : int
-        Number of displacements, even over the range.
+    points : int or "raw"
+        Number of displacements, even over the range; raw: the rows as they were measured.
     fit, score : mapping of str to str or tuple of str, optional
         Which rows give constants, which give responses.
     swap : bool
@@ -191,6 +261,9 @@ class MeasurementSpec:
         Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     toe : float, optional
         Force in N at which contact counts as made.
+    skip_lines, comment, delimiter
+        Lines before the header, mark of lines that are none, and what parts the cells of a file
+        that is no plain CSV.
     citation : str
         Printed in the report.
     """
@@ -204,7 +277,7 @@ class MeasurementSpec:
     block: Annotated[str | None, Reads(name)] = None
     average: Annotated[tuple[str, ...], Reads(names)] = ()
     range: Annotated[Range | None, Reads(read_range)] = None
-    points: Annotated[int, Reads(integer(2, MAX_POINTS))] = 200
+    points: Annotated[int | Literal["raw"], Reads(_points)] = 200
     fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
     score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
     swap: Annotated[bool, Reads(flag)] = False
@@ -213,10 +286,16 @@ class MeasurementSpec:
     sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     citation: Annotated[str, Reads(text)] = ""
+    skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
+    comment: Annotated[str, Reads(_mark)] = ""
+    delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values, for JSON."""
-        return asdict(self)
+        """Plain values, for JSON; what a file of displacement and force does not say stays out."""
+        found = asdict(self)
+        for key in ("columns", "units"):
+            found[key] = {k: v for k, v in found[key].items() if v is not None}
+        return {k: v for k, v in found.items() if k not in _LAYOUT or v}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:

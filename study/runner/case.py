@@ -150,9 +150,11 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
 def _closed_form(
     tables: Tables, constants: Mapping[str, float] | None, measured: Curve
 ) -> Predicted:
-    specimen = Setup.of(tables).specimen
+    setup = Setup.of(tables)
     material = MaterialSection.of(tables["material"]).material(constants)
-    curve = closed_form.compression(specimen, material, measured.displacement_mm)
+    curve = closed_form.homogeneous(
+        setup.specimen, material, measured.displacement_mm, setup.kind.mode, setup.kind.sense
+    )
     if not np.all(np.isfinite(curve.force_N)):
         raise Stopped("unstable", "the material has no equilibrium state in this range")
     return Predicted(Curve(curve.displacement_mm, curve.force_N), solver={"name": "closed form"})

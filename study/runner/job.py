@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from study.record.table import is_repeat
 from study.runner import provenance
 from study.runner.case_task import Forward, Origin
 from study.runner.fitting.fit_task import FitProblem, fit_key
-from study.runner.tables import CalibrationTable, Tables
+from study.runner.tables import CalibrationTable, Tables, gauge_of
 from study.setup.setup import known_height_mm
 
 #: ends in the name of the file that says how virtual measurements were made
@@ -66,9 +66,10 @@ class DataCache:
             return None
         height, depth = known_height_mm(tables["specimen"]), tables["test"].get("displacement_mm")
         made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
-        key = digest([made.as_dict(), height, depth])
+        gauge = gauge_of(tables["specimen"], tables["test"])
+        key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
-            self._read[key] = read_measurements(made, self.root, height, depth)
+            self._read[key] = read_measurements(made, self.root, height, depth, gauge)
         return self._read[key]
 
 

@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from study.forward.closed_form import height_and_area
+from study.measurement.quantities import Gauge
+from study.setup.setup import Setup
+
 #: tables of a case by name, in mm, N, MPa and deg, as :func:`study.design.resolve.resolve` made
 #: and checked them; what stands in one is read by the section of that name
 Tables = Mapping[str, Any]
@@ -50,3 +54,22 @@ def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
         problem = {**own, "model": {**own["model"], **changes}}
         made["calibration"] = {**tables["calibration"], "problem": problem}
     return made
+
+
+def is_analytic(tables: Tables) -> bool:
+    """Whether the closed form predicts: asked for and exact, or the only model there is."""
+    setup = Setup.of(tables)
+    asked = CalibrationTable.of(tables).method == "analytic"
+    return setup.has_no_elements or (asked and setup.is_homogeneous)
+
+
+def gauge_of(specimen: Tables, test: Tables) -> Gauge | None:
+    """Return what turns recorded strain and stress into displacement and force.
+
+    None for a surface whose file nobody looked for.
+    """
+    setup = Setup.of({"specimen": specimen, "test": test})
+    if setup.height_mm is None:
+        return None
+    height, area = height_and_area(setup.specimen)
+    return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous)

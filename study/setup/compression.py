@@ -30,6 +30,8 @@ class Compression:
     takes_indenter: bool = False
     strains_locally: bool = False
     sense: float = -1.0
+    mode: str = "uniaxial"
+    needs_homogeneous: bool = False
 
     def usual_base(self, interface: Interface) -> Interface:
         """Both plates are alike."""

@@ -227,9 +227,36 @@ class Sphere:
         return iter(())
 
 
-Specimen = Cylinder | Block | Surface
+@section
+class Homogeneous:
+    """Gauge section that deforms the same everywhere, as the middle of a dumbbell does (mm).
+
+    Where stretch and stress were measured, neither size enters: they are then 1 mm^2 and 1 mm.
+    """
+
+    area_mm2: Annotated[float, measured("area")] = Field(default=1.0, validation_alias="area")
+    height_mm: Annotated[float, measured("length")] = Field(default=1.0, validation_alias="length")
+    shape: Literal["homogeneous"] = "homogeneous"
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume."""
+        return self.area_mm2 * self.height_mm
+
+    @property
+    def half_width_mm(self) -> float:
+        """Half the side of a square of this area."""
+        return math.sqrt(self.area_mm2) / 2
+
+
+Specimen = Cylinder | Block | Surface | Homogeneous
 Indenter = Flat | Cone | Sphere
 
 #: every shape by its name in a file
-SPECIMENS: dict[str, type[Specimen]] = {"cylinder": Cylinder, "block": Block, "surface": Surface}
+SPECIMENS: dict[str, type[Specimen]] = {
+    "cylinder": Cylinder,
+    "block": Block,
+    "surface": Surface,
+    "homogeneous": Homogeneous,
+}
 INDENTERS: dict[str, type[Indenter]] = {"flat": Flat, "cone": Cone, "sphere": Sphere}

@@ -37,6 +37,8 @@ class Indentation:
     takes_indenter: bool = True
     strains_locally: bool = True
     sense: float = -1.0
+    mode: str = "uniaxial"
+    needs_homogeneous: bool = False
 
     def usual_base(self, interface: Interface) -> Interface:
         """Specimens are fixed to what they lie on."""

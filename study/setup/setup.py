@@ -30,6 +30,9 @@ ResolvedTables = Mapping[str, Mapping[str, object]]
 
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
 MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
+#: shapes that deform the same everywhere where nothing holds their ends
+HOMOGENEOUS_SHAPES = ("cylinder", "block", "homogeneous")
+
 _ELEMENTS: Mapping[str, Shape] = {
     "triangle": "simplex",
     "tetrahedron": "simplex",
@@ -126,6 +129,11 @@ class Setup:
         return is_homogeneous(self.test, self.specimen.shape)
 
     @property
+    def has_no_elements(self) -> bool:
+        """Whether it is a gauge section, of which the closed form is the only model."""
+        return self.specimen.shape == "homogeneous"
+
+    @property
     def has_close_equilibria(self) -> bool:
         """Whether the discretized contact is known to have several equilibria close together.
 
@@ -179,7 +187,7 @@ def is_homogeneous(test: Test, shape: str) -> bool:
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     Whether a surface is a cylinder only its file knows.
     """
-    return shape in ("cylinder", "block") and TEST_KINDS[test.kind].is_homogeneous(test)
+    return shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
 def problem_of(

@@ -221,6 +221,14 @@ class TestKind(Protocol):
         """Whether single places are stretched several times: elements are stabilized there."""
 
     @property
+    def mode(self) -> str:
+        """Deformation of a homogeneous specimen, one of :data:`study.material.loading.LOADINGS`."""
+
+    @property
+    def needs_homogeneous(self) -> bool:
+        """Whether the test is one of a gauge section, which no finite elements simulate."""
+
+    @property
     def sense(self) -> float:
         """Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens."""
 

@@ -8,6 +8,7 @@ from typing import Annotated
 from pydantic import Field
 
 from study.setup.compression import COMPRESSION
+from study.setup.gauge_section import GAUGE_SECTIONS
 from study.setup.geometry import Indenter
 from study.setup.indentation import INDENTATION
 from study.setup.quantity import Length, integer
@@ -16,7 +17,11 @@ from study.setup.test_kind import Interface, Test, TestKind
 from study.setup.text import word
 
 #: every kind of test by its name in a file
-TEST_KINDS: Mapping[str, TestKind] = {"compression": COMPRESSION, "indentation": INDENTATION}
+TEST_KINDS: Mapping[str, TestKind] = {
+    "compression": COMPRESSION,
+    "indentation": INDENTATION,
+    **GAUGE_SECTIONS,
+}
 
 _CONDITIONS = "frictionless", "bonded"
 _SYNONYMS = {"lubricated": "frictionless"}

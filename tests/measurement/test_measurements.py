@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from study import tabular, text_file
+from study.design.diagnostics import Faults
+from study.design.sections.measurements import measurements_from
 from study.errors import InputError
 from study.measurement.reading import read_measurements
 from study.measurement.section import MeasurementSpec, Range
@@ -235,10 +236,13 @@ def test_a_unit_in_the_header_must_be_the_declared_one(tmp_path):
     assert read(tmp_path, text.replace("load_kN", "total_force"), plain).curve()
 
 
-def test_missing_unit():
-    # a specification without a unit cannot be made: of a file the fault says where and how
-    with pytest.raises(ValidationError, match=r"units\.force\n  Field required"):
-        Spec(units={"displacement": "mm"})
+def test_missing_unit(tmp_path):
+    # of a study file the fault says where and how (tests/design/test_faults.py)
+    faults = Faults()
+    columns = {"displacement": "d", "force": "f"}
+    table = {"file": "a.csv", "columns": columns, "units": {"displacement": "mm"}}
+    assert measurements_from(table, faults) is None
+    assert [f.where for f in faults] == ["measurements.units.force"]
 
 
 @pytest.mark.parametrize("label", ["=cmd|'/c calc'!A0", "@x", "a\u202eb", "x" * 201, ""])

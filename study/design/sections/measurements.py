@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from study.design.diagnostics import Faults, Table, read_table
+from study.measurement.quantities import KINEMATIC, KINETIC
 from study.measurement.section import MeasurementSpec, groups_of
 from study.setup.quantity import shown
 
@@ -30,10 +31,36 @@ def measurements_from(
     return None if len(faults) > before else found
 
 
+def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None:
+    """One column says how far, one how hard, and each has its unit."""
+    columns, units = table.get("columns"), table.get("units")
+    if not isinstance(columns, Mapping):
+        return
+    for quantities, usual in ((KINEMATIC, "displacement"), (KINETIC, "force")):
+        given = [key for key in quantities if key in columns]
+        if not given:
+            fault(f"columns.{usual}", "is missing", "displacement and force")
+        if len(given) > 1:
+            rule = f"stands beside {given[0]}"
+            fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
+        wanted = given[0] if given else usual
+        if isinstance(units, Mapping) and wanted not in units:
+            fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+
+
+_UNITS = {
+    **dict.fromkeys(KINEMATIC, "1"),
+    **dict.fromkeys(KINETIC, "kPa"),
+    "displacement": "mm",
+    "force": "N",
+}
+
+
 def _check_together(table: Table, path: str, faults: Faults) -> None:
     def fault(key: str, rule: str, mend: str) -> None:
         faults.add(f"{path}.{key}", rule, mend)
 
+    _check_columns(table, fault)
     given = [key for key in ("file", "files") if key in table]
     if len(given) != 1:
         rule = "stands beside file" if given else "is missing"

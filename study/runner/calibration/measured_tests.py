@@ -18,7 +18,7 @@ from study.measurement.measured_test import MeasuredTest, Measurements
 from study.measurement.reading import read_measurements
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
-from study.runner.tables import Tables
+from study.runner.tables import Tables, gauge_of
 from study.setup.setup import known_height_mm
 
 Role = Literal["fit", "held-out"]
@@ -96,7 +96,8 @@ def read_tests(tests: Sequence[Tables], root: Path) -> tuple[list[FitCurve], tup
 def _read(test: Tables, root: Path) -> Measurements:
     height = known_height_mm(test["specimen"])
     depth = test["test"].get("displacement_mm")
-    return read_measurements(test["measurements"], root, height, depth)
+    gauge = gauge_of(test["specimen"], test["test"])
+    return read_measurements(test["measurements"], root, height, depth, gauge)
 
 
 def _weight(asked: str | float, one: MeasuredTest, where: str) -> float | Array:

@@ -30,6 +30,7 @@ from study.runner.provenance import code_version
 from study.runner.tables import PROBLEM, CalibrationTable, Tables
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, Setup, problem_of, specimen_of
+from study.setup.test_section import TEST_KINDS
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -79,7 +80,8 @@ def fit_problem(tables: Tables) -> FitProblem:
     method = _method(section.method, merged)
     if method == "closed-form":
         merged.pop("model", None)
-        merged["test"] = {"kind": "compression", "interface": "frictionless"}
+        # its depth, steps and base do not enter
+        merged["test"] = {"kind": merged["test"]["kind"], "interface": "frictionless"}
     return FitProblem(method, merged, shared)
 
 
@@ -110,11 +112,12 @@ def _written(material: Tables) -> dict[str, object]:
 def _method(asked: str, tables: Tables) -> str:
     if asked == "none":
         return "none"
-    homogeneous = Setup.of(tables).is_homogeneous
+    setup = Setup.of(tables)
+    homogeneous = setup.is_homogeneous
     if asked == "analytic" and not homogeneous:
         rule = "method = 'analytic' needs compression with both faces frictionless"
         raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
-    if asked == "inverse-fem":
+    if asked == "inverse-fem" and not setup.has_no_elements:
         return "inverse-fem"
     return "closed-form" if homogeneous else "inverse-fem"
 
@@ -281,7 +284,8 @@ def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequenc
 
 
 def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
-    """Model of compression between frictionless plates, for the optimizer."""
+    """Model of a homogeneous test, for the optimizer."""
+    kind = TEST_KINDS[str(tables["test"]["kind"])]
     specimen, section = specimen_of(tables["specimen"]), MaterialSection.of(tables["material"])
 
     def predict(values: Array) -> list[Curve]:
@@ -291,7 +295,10 @@ def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
         curves = [
-            closed_form.compression(specimen, material, curve.displacement_mm) for curve in measured
+            closed_form.homogeneous(
+                specimen, material, curve.displacement_mm, kind.mode, kind.sense
+            )
+            for curve in measured
         ]
         if not all(np.all(np.isfinite(curve.force_N)) for curve in curves):
             raise EvaluationFailed("the material has no equilibrium state at these constants")

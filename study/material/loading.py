@@ -1,0 +1,109 @@
+"""Nominal stress of a homogeneous specimen in every loading that a measured test may have.
+
+A loading is a function of one measure: the stretch of the loaded direction, or the amount of
+shear. Where K is finite the free stretch is solved (:mod:`study.material.homogeneous`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.arrays import Array
+from study.errors import Fault, InputError
+from study.material.homogeneous import CONFINED, EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
+from study.material.material import Material
+from study.material.stress import first_piola_gradient
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Nominal stress of one loading.
+
+    Parameters
+    ----------
+    stress : ndarray, shape (n,)
+        Over the reference area, MPa; tension is positive. NaN where there is none.
+    gradient : mapping of str to ndarray, shape (n,)
+        Total derivative with respect to every constant.
+    """
+
+    stress: Array
+    gradient: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Loading:
+    """One way to deform a homogeneous specimen.
+
+    Parameters
+    ----------
+    nominal : callable
+        Material and measure, shape (n,), to :class:`Loaded`.
+    is_shear : bool
+        Whether the measure is the amount of shear, zero at rest, and not a stretch.
+    mode : Mode or None
+        Principal mode, for stability; None where a principal mode does not describe it.
+    """
+
+    nominal: Callable[[Material, Array], Loaded]
+    is_shear: bool = False
+    mode: Mode | None = None
+
+    def measure(self, share: Array) -> Array:
+        """Stretch or shear of an elongation (or offset) over the length of the specimen."""
+        return share if self.is_shear else 1.0 + share
+
+
+def _principal(mode: Mode) -> Loading:
+    def nominal(material: Material, stretch: Array) -> Loaded:
+        state = response(material, mode, stretch)
+        return Loaded(state.stress, state.gradient)
+
+    return Loading(nominal, mode=mode)
+
+
+def _simple_shear(material: Material, shear: Array) -> Loaded:
+    """Shear stress; the volume is kept, so that K does not enter."""
+    F = np.zeros((3, 3, shear.size))
+    F[[0, 1, 2], [0, 1, 2]], F[0, 1] = 1.0, shear
+    with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
+        gradient = first_piola_gradient(material, F)
+    return Loaded(
+        _sheared(material, shear), {name: slope[0, 1] for name, slope in gradient.items()}
+    )
+
+
+def _sheared(material: Material, shear: Array) -> Array:
+    """P_12 through the principal stretches of simple shear, l and 1/l with l - 1/l = shear."""
+    if material.small_strain:
+        return np.asarray(material.mu0 * shear)
+    longest = 0.5 * (np.abs(shear) + np.sqrt(shear**2 + 4))
+    bar = np.stack([longest, np.ones_like(longest), 1 / longest])
+    with np.errstate(all="ignore"):
+        principal = material.isochoric.principal_stress(material.constants, bar)
+    # tau_12 = (tau_1 - tau_3) / (l + 1/l), and P_12 = tau_12 where F^-T leaves it
+    return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + 1 / longest))
+
+
+def _volumetric(material: Material, stretch: Array) -> Loaded:
+    """Equal stretches on all sides: P = K (J - 1) l^2, compression negative."""
+    if material.incompressible:
+        rule = "an incompressible material cannot change its volume"
+        raise InputError(Fault("material", rule, "give poisson_ratio or bulk_modulus"))
+    shape = (stretch**3 - 1) * stretch**2
+    slopes = material.bulk_gradient()
+    return Loaded(material.bulk * shape, {n: slopes[n] * shape for n in material.names})
+
+
+#: every loading by its name
+LOADINGS: Mapping[str, Loading] = {
+    "uniaxial": _principal(UNIAXIAL),
+    "equibiaxial": _principal(EQUIBIAXIAL),
+    "planar": _principal(PLANAR),
+    "confined": _principal(CONFINED),
+    "simple-shear": Loading(_simple_shear, is_shear=True),
+    "volumetric": Loading(_volumetric),
+}
