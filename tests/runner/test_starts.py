@@ -169,14 +169,14 @@ def test_gentler_starts_stay_inside_the_bounds() -> None:
 def test_the_shipped_study_has_no_fit_that_fails_at_its_start(data_dir: Path) -> None:
     """The one of its 288 cases whose start, the fit of one order less, softens too much.
 
-    C20 = -0.42 kPa has no answer beyond 4.2 of 6 mm on the solid's mesh, without C30.
+    C20 = -0.42 kPa had no answer beyond 4.2 of 6 mm on the solid's mesh, without C30: the higher
+    constants were halved. Since steps are taken again in halves at a limit point it has one.
     """
     if not (data_dir / "ecoflex_compression").is_dir():
         pytest.skip("the Ecoflex measurements are not in the data folder (set STUDY_DATA)")
     work = expansion.expand(load(DESIGN), data_dir)
     solid, round_ = (_third_order_fit(work, space) for space in ("3d", "axisymmetric"))
     assert solid.status == "converged", solid.message
-    assert "was begun with the higher constants halved" in solid.message
     # the equivalent axisymmetric fit of the same curve: C10 to 0.1 %, and the same fit of it
     assert solid.constants["C10"] == pytest.approx(round_.constants["C10"], rel=2e-3)
     assert solid.constants["C20"] == pytest.approx(round_.constants["C20"], rel=0.1)
