@@ -15,6 +15,7 @@ _HOME = {
     "demo": "study.api.study",
     "plan": "study.api.planning.plan",
     "power": "study.api.planning.detection",
+    "run_sheet": "study.api.planning.run_sheet",
     "status": "study.api.planning.plan",
     "why": "study.api.planning.plan",
     "report": "study.api.study",

@@ -52,11 +52,20 @@ def plan(
     jobs: Jobs = None,
     settings: Set = None,
     results: Results = RESULTS,
+    run_sheet: Annotated[
+        Path | None, typer.Option(help="CSV to write: physical trials in random order.")
+    ] = None,
+    specimens: Annotated[
+        int, typer.Option(min=1, help="Specimens of the run sheet, measured once each.")
+    ] = 6,
     as_json: Json = False,
 ) -> None:
     """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
     from study import api
 
+    if run_sheet is not None:
+        sheet = api.run_sheet(design, specimens, path=run_sheet)
+        typer.echo(f"{len(sheet)} trials in random order: {run_sheet}", err=True)
     found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
     if as_json:
         output.warn(found.warnings)
