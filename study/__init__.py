@@ -20,6 +20,7 @@ _LAZY = {
     "export": "study.api",
     "require": "study.api",
     "anova": "study.api",
+    "mixed_model": "study.api",
     "ryan_joiner": "study.api",
     "bartlett": "study.api",
     "grid_convergence": "study.api",

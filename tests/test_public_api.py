@@ -18,6 +18,7 @@ PUBLIC = {
     "calibrate",
     "analyze",
     "contrasts",
+    "mixed_model",
     "converge",
     "report",
     "power",

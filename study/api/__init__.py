@@ -24,6 +24,7 @@ _HOME = {
     "analyze": "study.api.statistics.analysis",
     "contrasts": "study.api.statistics.analysis",
     "anova": "study.analysis.anova",
+    "mixed_model": "study.analysis.error.mixed_model",
     "ryan_joiner": "study.analysis.assumption.normality",
     "bartlett": "study.analysis.assumption.variance",
     "grid_convergence": "study.analysis.convergence.grid_convergence",
