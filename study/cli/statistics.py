@@ -96,11 +96,6 @@ def analyze(
         decimal=decimal,
         **options,
     )
-    compared = None
-    if reference is not None:
-        from study.api.statistics.analysis import against_reference
-
-        compared = against_reference(found, reference)
     page = None
     if report is not None:
         flags = {
@@ -112,6 +107,21 @@ def analyze(
             "--format": formats,
         }  # fmt: skip
         page = _write_page(found, source, report, formats, flags, reference)
+    _show(found, reference, page, practical, as_json=as_json)
+
+
+def _show(
+    found: AnalysisResult,
+    reference: str | None,
+    page: Path | None,
+    practical: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Print an analysis, its comparison with a reference level, and where its page is."""
+    from study.api.statistics.analysis import against_reference
+
+    compared = None if reference is None else against_reference(found, reference)
     if as_json:
         output.warn(found.notes)
         beside = (
