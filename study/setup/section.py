@@ -49,7 +49,10 @@ def section(declared: type[Kind]) -> type[Kind]:
         Pydantic dataclass; in Python its arguments have the names of the fields, in a file
         the keys have their aliases.
     """
-    config = ConfigDict(extra="forbid", validate_by_name=True, validate_by_alias=False)
+    # of 40 sections a file needs half: their validators are built when they are asked for
+    config = ConfigDict(
+        extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True
+    )
     made: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
     fields: Mapping[str, FieldInfo] = made.__pydantic_fields__  # type: ignore[attr-defined]
     _DECLARED[made] = tuple(_key(name, one) for name, one in fields.items())

@@ -104,7 +104,9 @@ def _terms(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str,
     alpha = _entries(given, "alpha", number(-30, 30, closed=True), faults, path)
     missing = [key for key in energy.list_keys if key not in given]
     if given and missing:
-        faults.add(f"{path}.{missing[0]}", "is missing", "give both lists, one entry a term")
+        faults.add(
+            f"{path}.{missing[0]}", "is missing", "give both lists, one entry for every term"
+        )
     if len(mu) != len(alpha) and mu and alpha:
         rule = f"has {len(alpha)} entries, mu has {len(mu)}"
         faults.add(f"{path}.alpha", rule, "one for every term")
