@@ -33,6 +33,8 @@ SMALLEST_STEP = 1e-7
 TOLD = 10
 #: Largest share by which the scatter may differ from first order where that is said to hold.
 LINEAR = 0.05
+#: Largest shift of the mean in standard deviations: an interval of k = 2 then still holds 94.8 %.
+SHIFTED = 0.25
 #: Smallest share of the tests that must have an answer.
 FEWEST = 0.9
 #: Fewest tests whose scatter can be told.
@@ -66,8 +68,8 @@ class Scatter:
 
     @property
     def is_linear(self) -> bool:
-        """Whether first order holds."""
-        return abs(self.ratio - 1) <= LINEAR
+        """Whether first order holds, for scatter and mean."""
+        return abs(self.ratio - 1) <= LINEAR and abs(self.bias) <= SHIFTED
 
 
 @dataclass(frozen=True)

@@ -177,7 +177,7 @@ def test_where_first_order_fails_it_says_so(tmp_path: Path) -> None:
     assert one["linear"] is False
     assert any("first order does not hold" in line for line in found["sentences"])
     assert "first order does not hold" in found["warnings"][0]
-    assert "take the scatter" in Path(found["report"]).read_text()
+    assert "take scatter and shift" in Path(found["report"]).read_text()
 
 
 def test_the_seed_decides_and_nothing_else(tmp_path: Path) -> None:

@@ -41,8 +41,8 @@ def write_requirement(found: SensorRequirement, out_dir: str | Path) -> Path:
 def warnings(found: SensorRequirement) -> list[str]:
     """Say where the answer, which is of first order, must not be trusted."""
     return [clean(note) for note in found.notes] + [
-        f"At {one.multiple:g} times the given errors first order does not hold: take the scatter "
-        "of the simulated tests there, not the map."
+        f"At {one.multiple:g} times the given errors first order does not hold: take scatter and "
+        "shift of the simulated tests there, not the map."
         for one in found.simulations
         if not one.is_linear
     ]
