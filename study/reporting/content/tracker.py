@@ -45,7 +45,7 @@ def _distance(found: DistanceResult, alpha: float) -> Iterator[str]:
             yield f"{text}; one visit does not tell how well that repeats."
         else:
             low, high = found.bias_interval_mm
-            clear = "which is no chance" if low > 0 or high < 0 else "which chance explains"
+            clear = "more than chance explains" if low > 0 or high < 0 else "within chance"
             ends = f"{level(alpha)} interval {interval(low, high, 'mm')}"
             yield f"{text}, {ends}: {clear}."
     if found.comparison is not None and found.comparison.effects:

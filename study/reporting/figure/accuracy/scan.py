@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.arrays import Array
 from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of, plain_ticks
 from study.shape_validation.deviation import ShapeDeviation
 
@@ -16,8 +17,15 @@ if TYPE_CHECKING:
 #: Points that the CSV beside the page and the figures hold at most.
 MOST_POINTS = 50_000
 
-#: Hexagons across a view: 40 show a dent of a fortieth of the body.
-HEXAGONS = 40
+#: Hexagons across a view: 40 show a dent of a fortieth of the body, fewer where points are few.
+FEWEST_HEXAGONS = 8
+MOST_HEXAGONS = 40
+
+#: Points that a hexagon holds on average.
+POINTS_IN_HEXAGON = 4
+
+#: Steps of color: from 50 on the color bar would be a bitmap, which the page does not load.
+COLORS = 31
 
 #: Percentile of the sizes at which the colors end, so that one stray point fades no picture.
 LAST_COLOR = 98
@@ -65,6 +73,9 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
 
 def draw_views(frame: pd.DataFrame) -> Canvas:
     """Draw the body from six sides, colored by the mean deviation of every hexagon."""
+    from matplotlib import colormaps
+
+    colors = colormaps["RdBu_r"].resampled(COLORS)
     figure = canvas(WIDTH_IN, 6.4)
     panels = figure.subplots(2, 3).ravel()
     places = frame[["x_mm", "y_mm", "z_mm"]].to_numpy()
@@ -80,11 +91,20 @@ def draw_views(frame: pd.DataFrame) -> Canvas:
             ax.text(0.5, 0.5, "not scanned", transform=ax.transAxes, ha="center", color=MUTED)
             continue
         drawn = ax.hexbin(
-            places[facing, right], places[facing, up], deviation[facing], gridsize=HEXAGONS,
-            cmap="RdBu_r", vmin=-end, vmax=end, linewidths=0.0,
+            places[facing, right], places[facing, up], deviation[facing],
+            gridsize=_hexagons(places[facing][:, [right, up]]),
+            cmap=colors, vmin=-end, vmax=end, linewidths=0.1, edgecolors="face",
         )  # fmt: skip
         if sign * (1 if sight != 1 else -1) < 0:
             ax.invert_xaxis()  # seen from the other side, right is left
     if drawn is not None:
         figure.colorbar(drawn, ax=list(panels), label="deviation (mm)", shrink=0.6)
     return figure
+
+
+def _hexagons(places: Array) -> tuple[int, int]:
+    """Count the regular hexagons to the right and up that hold a few points each."""
+    wide, high = np.maximum(np.ptp(places, axis=0), 1e-300)
+    across = np.sqrt(len(places) / POINTS_IN_HEXAGON * wide / high)
+    count = int(np.clip(across, FEWEST_HEXAGONS, MOST_HEXAGONS))
+    return count, max(int(count * high / wide / np.sqrt(3)), 2)
