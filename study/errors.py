@@ -88,10 +88,14 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     --------
     >>> nearest("hieght", ["height", "radius"])
     "did you mean 'height'? Valid: height, radius"
+    >>> nearest("RADIUS", ["height", "radius"])
+    "did you mean 'radius'? Valid: height, radius"
     >>> nearest("zzz", ["height", "radius"])
     'Valid: height, radius'
     """
     names = list(valid)
-    close = difflib.get_close_matches(name, names, n=1)
+    # a name in other letters, LIFE for life, shares no character with what was meant
+    same = [other for other in names if other.casefold() == name.casefold()]
+    close = same or difflib.get_close_matches(name, names, n=1)
     listed = "Valid: " + ", ".join(names)
     return f"did you mean {close[0]!r}? {listed}" if close else listed

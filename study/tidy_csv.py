@@ -92,6 +92,10 @@ def _check_names(
         faults.append(Fault("factors", "at least one factor is needed"))
     if len(set(factors)) < len(factors):
         faults.append(Fault("factors", f"a factor is named twice: {list(factors)}"))
+    for name in (*factors, *blocks):
+        if ":" in name:
+            rule = "a ':' joins the factors of an interaction, so no factor may hold one"
+            faults.append(Fault(f"{where}: column {name!r}", rule, "rename the column"))
     if response in factors or response in blocks:
         faults.append(Fault("response", f"{response!r} cannot also be a factor or the block"))
     for name in blocks:

@@ -241,6 +241,7 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
 def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     """Table and effects of one analysis, before the checks of its assumptions."""
     out = _start(table, request)
+    _require_positive(out.data, request)
     if float(np.ptp(out.data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(out.data.y)):
         return out.constant()
     notes = refuse_fake_replicates(
@@ -345,10 +346,11 @@ def _refuse_undeclared(out: Outcome) -> None:
     )
 
 
-def _transformed(data: Data, request: AnalysisRequest) -> Array:
-    if not request.scale.is_log:
-        return data.y
-    if data.y.min() <= 0:
+def _require_positive(data: Data, request: AnalysisRequest) -> None:
+    if request.scale.is_log and data.y.min() <= 0:
         rule = f"the log needs positive values, got {data.y.min():g}"
         raise InputError(Fault(f"response {request.response!r}", rule))
-    return np.asarray(np.log(data.y))
+
+
+def _transformed(data: Data, request: AnalysisRequest) -> Array:
+    return np.asarray(np.log(data.y)) if request.scale.is_log else data.y

@@ -72,10 +72,13 @@ def prepare(
     keep = np.isfinite(raw)
     warnings = _missing_warning(keep, response)
     if keep.sum() < 2:
-        raise InputError(Fault(f"response {response!r}", f"has {int(keep.sum())} values"))
+        rule = f"has {int(keep.sum())} values"
+        mend = "an analysis needs two rows with a response, and better more"
+        raise InputError(Fault(f"response {response!r}", rule, mend))
     faults, levels, codes = [], {}, {}
     for name, text in labels.items():
         order = _level_order(table[name], text)
+        warnings += _alike(order, name)
         present = set(text[keep])
         lost = [level for level in order if level not in present]
         if lost:
@@ -83,7 +86,10 @@ def prepare(
         order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name in blocks else "factor"
-            faults.append(Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}"))
+            mend = f"leave the {kind} out, or add rows with another level"
+            faults.append(
+                Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}", mend)
+            )
         index = {level: i for i, level in enumerate(order)}
         levels[name] = tuple(order)
         codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
@@ -113,7 +119,39 @@ def _response(table: pd.DataFrame, response: str) -> Array:
                 Fault(f"row {row}, column {response!r}", f"{column[row]!r} is not a number")
             )
         column = pd.to_numeric(column)
-    return np.asarray(column.to_numpy(dtype=float, na_value=math.nan), dtype=float)
+    values = np.asarray(column.to_numpy(dtype=float, na_value=math.nan), dtype=float)
+    _check_range(values, response)
+    return values
+
+
+#: Largest size and smallest spread of a response. Sphericity takes fourth powers of differences,
+#: which leave the range of doubles (1e-308 to 1e308) beyond 1e77 and below 1e-77.
+LARGEST = 1e60
+SMALLEST = 1e-60
+
+
+def _check_range(values: Array, response: str) -> None:
+    """Refuse numbers whose powers overflow or vanish.
+
+    Raises
+    ------
+    InputError
+        Naming the first of them.
+    """
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return
+    size = float(np.abs(known).max())
+    if size > LARGEST:
+        row = int(np.flatnonzero(np.abs(values) == size)[0]) + 1
+        rule = f"{size:.3g} is too large: the squares of such numbers overflow"
+        mend = f"write {response!r} in a larger unit, or correct the value"
+        raise InputError(Fault(f"row {row}, column {response!r}", rule, mend))
+    spread = float(np.ptp(known))
+    if 0 < spread < SMALLEST:
+        rule = f"the values differ by {spread:.3g} at most, and the squares of that vanish"
+        mend = f"write {response!r} in a smaller unit"
+        raise InputError(Fault(f"column {response!r}", rule, mend))
 
 
 def _missing_warning(keep: Flags, response: str) -> list[str]:
@@ -122,6 +160,19 @@ def _missing_warning(keep: Flags, response: str) -> list[str]:
         return []
     listed = ", ".join(str(i + 1) for i in lost[:10]) + (", ..." if lost.size > 10 else "")
     return [f"{response} is missing in {lost.size} of {keep.size} rows (rows {listed})"]
+
+
+def _alike(levels: Sequence[str], name: str) -> list[str]:
+    """Say which levels differ in capitals alone: they may be one level, written in two ways."""
+    by_letters: dict[str, list[str]] = {}
+    for level in levels:
+        by_letters.setdefault(level.casefold(), []).append(level)
+    return [
+        f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals alone and are "
+        "taken for two: write them the same way if they are one"
+        for same in by_letters.values()
+        if len(same) > 1
+    ]
 
 
 def _labels(column: pd.Series, name: str) -> Texts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,7 +13,12 @@ from study.cli.studies import RESULTS, Json, Results
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
+    from study.analysis.effects.comparisons import Comparisons
+    from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
+
+#: Flags as they were given; what was not given is None or empty.
+Flags = Mapping[str, str | None]
 
 Column = Annotated[str | None, typer.Option(help="Column of the response.")]
 Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
@@ -79,49 +84,21 @@ def analyze(
     from study import api
 
     _check_report(source, report, formats)
-
-    given: dict[str, Any] = {
-        "error": error, "type": kind, "practical": practical, "transform": transform,
-        "model": _model(model), "unit": unit, "replicates": replicates,
-        "whole_plot": _names(whole_plot) or None, "alpha": alpha,
+    flags = {
+        "--response": response, "--factors": factors, "--block": block, "--unit": unit,
+        "--whole-plot": whole_plot, "--replicates": replicates, "--error": error,
+        "--type": kind, "--model": model, "--practical": practical, "--transform": transform,
+        "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
+        "--decimal": None if decimal == "." else decimal,
+        "--report": None if report is None else str(report),
+        "--format": formats,
     }  # fmt: skip
-    options = {name: value for name, value in given.items() if value is not None}
-    blocks = _names(block)
     found = api.analyze(
-        source,
-        response,
-        _names(factors),
-        block=blocks if len(blocks) > 1 else next(iter(blocks), None),
-        results=results,
-        decimal=decimal,
-        **options,
-    )
-    page = None
-    if report is not None:
-        flags = {
-            "--response": response, "--factors": factors, "--block": block, "--unit": unit,
-            "--whole-plot": whole_plot, "--replicates": replicates, "--error": error,
-            "--type": kind, "--model": model, "--practical": practical, "--transform": transform,
-            "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
-            "--decimal": None if decimal == "." else decimal, "--report": str(report),
-            "--format": formats,
-        }  # fmt: skip
-        page = _write_page(found, source, report, formats, flags, reference)
-    _show(found, reference, page, practical, as_json=as_json)
-
-
-def _show(
-    found: AnalysisResult,
-    reference: str | None,
-    page: Path | None,
-    practical: str | None,
-    *,
-    as_json: bool,
-) -> None:
-    """Print an analysis, its comparison with a reference level, and where its page is."""
-    from study.api.statistics.analysis import against_reference
-
-    compared = None if reference is None else against_reference(found, reference)
+        source, response, _names(factors), results=results, decimal=decimal,
+        **_options(flags, alpha),
+    )  # fmt: skip
+    compared = _compared(found, reference)
+    page = None if report is None else _write_page(found, source, report, flags)
     if as_json:
         output.warn(found.notes)
         beside = (
@@ -139,6 +116,39 @@ def _show(
         print(f"\nreport: {page}")
 
 
+def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
+    """Options of the analysis that were given on the command line."""
+    blocks = _names(flags["--block"])
+    options: AnovaOptions = {"block": blocks if len(blocks) > 1 else next(iter(blocks), None)}
+    if unit := flags["--unit"]:
+        options["unit"] = unit
+    if plots := _names(flags["--whole-plot"]):
+        options["whole_plot"] = plots
+    if replicates := flags["--replicates"]:
+        options["replicates"] = replicates
+    if error := flags["--error"]:
+        options["error"] = error
+    if kind := flags["--type"]:
+        options["type"] = kind
+    if (model := _model(flags["--model"])) is not None:
+        options["model"] = model
+    if practical := flags["--practical"]:
+        options["practical"] = practical
+    if transform := flags["--transform"]:
+        options["transform"] = transform
+    if alpha is not None:
+        options["alpha"] = alpha
+    return options
+
+
+def _compared(found: AnalysisResult, reference: str | None) -> tuple[str, Comparisons] | None:
+    if reference is None:
+        return None
+    from study.api.statistics.comparisons import against_reference
+
+    return against_reference(found, reference)
+
+
 def _check_report(source: Path, report: Path | None, formats: str) -> None:
     """Refuse, before anything is computed, a page that could not be written."""
     if report is None and formats:
@@ -152,20 +162,12 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 
 
-def _write_page(
-    found: AnalysisResult,
-    source: Path,
-    report: Path,
-    formats: str,
-    flags: Mapping[str, str | None],
-    reference: str | None,
-) -> Path:
+def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
     from study.api.statistics.table_report import Source, write_page
 
-    given = {flag: value for flag, value in flags.items() if value}
-    wanted = tuple(_names(formats)) or ("html",)
-    at = Source(source, given)
-    return write_page(found, report, source=at, reference=reference, formats=wanted)
+    at = Source(source, {flag: value for flag, value in flags.items() if value})
+    wanted = tuple(_names(flags["--format"])) or ("html",)
+    return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
 
 
 VERBS: tuple[Callable[..., None], ...] = (analyze,)

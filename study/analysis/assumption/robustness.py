@@ -73,6 +73,10 @@ def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> Wald
     return _johansen(_Moments.of(cells), contrast, name)
 
 
+# Condition number beyond which the inverse of a covariance has no digit left (1 / 1e-16, less 2).
+_WORST_CONDITION = 1e14
+
+
 @dataclass(frozen=True)
 class _Moments:
     """Size, mean (shifted) and variance of every cell."""
@@ -98,7 +102,10 @@ def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
     if n.min() < 2 or cells.variance.min() <= 0:
         return WaldTest(name, None, None, None, "a cell has one value or zero variance")
     s = cells.variance / n
-    inner = np.linalg.inv((contrast * s) @ contrast.T)
+    covariance = (contrast * s) @ contrast.T
+    if np.linalg.cond(covariance) > _WORST_CONDITION:
+        return WaldTest(name, None, None, None, "the variances of the cells differ too much")
+    inner = np.linalg.inv(covariance)
     effect = contrast @ cells.mean
     t = float(effect @ inner @ effect)
     weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
@@ -151,7 +158,8 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     basis = span(matrix / np.linalg.norm(matrix, axis=0))
     if basis.shape[1] >= y.size:
         raise InputError(Fault("Box-Cox", "the model leaves no residual degrees of freedom"))
-    logs = np.log(y / np.exp(np.mean(np.log(y))))
+    logs = np.log(y)
+    logs = logs - logs.mean()
 
     def deviance(exponent: float) -> float:
         # with the response over its geometric mean the Jacobian of the power is one

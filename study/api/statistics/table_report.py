@@ -15,7 +15,7 @@ import study
 from study.analysis.post_hoc.coefficients import coefficient_table
 from study.analysis.post_hoc.pairwise import pairwise
 from study.analysis.post_hoc.unusual_observations import diagnosed_rows, unusual_observations
-from study.api.statistics.analysis import against_reference
+from study.api.statistics.comparisons import against_reference
 from study.errors import Fault, InputError
 from study.reporting.output.analysis_page import AnalysisReport, write_analysis
 from study.study_result.report_data import ReportData, ResponseAnalysis
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 #: Names that the rows of an analysis have for themselves.
 TAKEN = frozenset(
     ("row", "cell", "representative", "response", "block", "fitted", "residual", "leverage", "cook",
-     "standardized", "press", "score", "case_id", "status", "seconds", "mean", "n", "y")
+     "standardized", "press", "score", "case_id", "status", "seconds", "mean", "n", "y", "factor",
+     "level", "other", "other_level", "place", "number")
 )  # fmt: skip
 _PACKAGES = ("numpy", "scipy", "pandas", "statsmodels")
 
@@ -103,7 +104,8 @@ def write_page(
     _check_taken(found)
     given = source or Source()
     report = AnalysisReport(
-        _report_data(found, given),
+        found,
+        report_data(found, given),
         coefficient_table(found),
         pairwise(found),
         unusual_observations(found),
@@ -121,7 +123,8 @@ def _check_taken(found: AnalysisResult) -> None:
         raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
 
 
-def _report_data(found: AnalysisResult, source: Source) -> ReportData:
+def report_data(found: AnalysisResult, source: Source) -> ReportData:
+    """Gather what a report shows of one analysis: levels, rows, provenance."""
     request = found.request
     rows = found.data.residuals
     block = found.data.block

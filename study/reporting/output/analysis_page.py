@@ -41,6 +41,8 @@ class AnalysisReport:
 
     Parameters
     ----------
+    found : AnalysisResult
+        The analysis.
     data : ReportData
         Name, factors, rows and the one response.
     coefficients : CoefficientTable
@@ -55,19 +57,13 @@ class AnalysisReport:
         A factor whose levels are compared with one of them.
     """
 
+    found: AnalysisResult
     data: ReportData
     coefficients: CoefficientTable
     pairs: tuple[PairwiseDifference, ...]
     unusual: UnusualObservations | None
     rows: pd.DataFrame | None
     reference: tuple[str, Comparisons] | None = None
-
-    @property
-    def found(self) -> AnalysisResult:
-        """The analysis."""
-        result = self.data.responses[0].result
-        assert result is not None  # the page of a table is made of its analysis
-        return result
 
 
 def prepare(report: AnalysisReport) -> page.Contents:
