@@ -60,14 +60,17 @@ def resolve_problem(
     """
     at = {name: name for name in TABLES} | dict(places or {})
     specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
-    test = loading_from(tables.get("test", {}), faults, at["test"])
+    written = tables.get("test", {})
+    if specimen.shape == "homogeneous" and isinstance(written, Mapping):
+        written = {"interface": "frictionless", **written}  # nothing holds a gauge section
+    test = loading_from(written, faults, at["test"])
     material = material_from(tables.get("material", {}), faults, at["material"])
     model = model_from(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
     spec = None
     if "measurements" in tables:
-        written = tables["measurements"]
-        spec = measurements_from(written, faults, at["measurements"])
-        chosen = isinstance(written, Mapping) and "points" in written
+        table = tables["measurements"]
+        spec = measurements_from(table, faults, at["measurements"])
+        chosen = isinstance(table, Mapping) and "points" in table
         if spec is not None and specimen.shape == "homogeneous" and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     problem = CellProblem(specimen, test, material, model, spec)

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar, NamedTuple
 
+import numpy as np
+
 from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.compressibility import Compressibility
@@ -139,6 +141,22 @@ class Energy(ABC):
     @abstractmethod
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Return constants with the given mu0 (MPa) from which a fit starts, those not zero."""
+
+    def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
+        """Draw another start of a fit: plain numbers times or over up to 3, moduli as they are.
+
+        Parameters
+        ----------
+        start : mapping of str to float
+            Constants of the usual start.
+        rng : numpy.random.Generator
+            Where the draws come from.
+        """
+        factors = np.exp(rng.uniform(-np.log(3), np.log(3), len(start)))
+        return {
+            name: value * float(factor) if self.is_dimensionless(name) else value
+            for (name, value), factor in zip(start.items(), factors, strict=True)
+        }
 
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
         """Constants for Abaqus.

@@ -105,7 +105,10 @@ def displacement_and_force(
         shear = deformed / known.length_mm if kinematic == "displacement" else deformed
         force = resisted if kinetic == "force" else known.area_mm2 * resisted
         turned = np.where(shear < 0, -1.0, 1.0)
-        return turned * shear * known.length_mm, turned * force
+        if (turned > 0).all():
+            return shear * known.length_mm, force
+        order = np.argsort(np.abs(shear), kind="stable")
+        return np.abs(shear)[order] * known.length_mm, (turned * force)[order]
     stretch = _stretch(kinematic, deformed, known)
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"

@@ -368,11 +368,18 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
     rows = sorted({result.rows for result in done})
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
     notes.append(
-        f"{len(done)} tests of {several} rows in the range {rules.low_mm:.4g} to "
-        f"{rules.high_mm:.4g} mm, "
+        f"{len(done)} tests of {several} rows"
+        + _within(rules)
+        + ", "
         + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")
     )
     return notes
+
+
+def _within(rules: Rules) -> str:
+    if np.isinf(rules.high_mm):
+        return ""
+    return f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"
 
 
 def _capped(faults: Sequence[Fault]) -> list[Fault]:

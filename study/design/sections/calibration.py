@@ -8,7 +8,7 @@ from typing import Annotated
 from study import units
 from study.errors import nearest
 from study.material.registry import is_dimensionless
-from study.setup.quantity import shown
+from study.setup.quantity import integer, shown
 from study.setup.section import AsWritten, Bad, Reads, section
 from study.setup.text import choice
 
@@ -60,11 +60,17 @@ class Fitting:
         What is predicted by constants that were fitted without it.
     bounds
         As written; see :func:`bounds_of`.
+    starts : int
+        Starts of the fit: its own, and others that are drawn.
+    seed : int
+        Of the draws.
     """
 
     specimens: Annotated[str, Reads(choice("pooled", "each"))] = "pooled"
     leave_out: _LeaveOut = None
     bounds: AsWritten = None
+    starts: Annotated[int, Reads(integer(1, 1000))] = 1
+    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
 
 
 def bounds_of(names: Sequence[str]) -> Callable[[object], Bounds]:

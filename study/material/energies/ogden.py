@@ -114,6 +114,17 @@ class Ogden(IsochoricEnergy):
             f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
         }
 
+    def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
+        """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.
+
+        Terms that begin alike merge, and the fit is then one of fewer terms.
+        """
+        drawn = dict(start)
+        for k in range(self.order_of(tuple(start))):
+            size = rng.uniform(1, 4) if k < 2 else rng.uniform(4, 10)
+            drawn[f"alpha{k + 1}"] = float(size if k % 2 == 0 else -size)
+        return drawn
+
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
         """Abaqus has the same form."""
         bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))

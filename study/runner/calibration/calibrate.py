@@ -17,6 +17,8 @@ from study.calibration.profile_likelihood import profile
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
+from study.material.energy import DeclaredConstants
+from study.material.registry import ENERGIES
 from study.material.stability import check, stability
 from study.measurement.conditioning import SORTED
 from study.runner.calibration.measured_tests import (
@@ -29,6 +31,7 @@ from study.runner.calibration.measured_tests import (
     read_tests,
     warnings_of,
 )
+from study.runner.calibration.multistart import Starts, best, scattered
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import (
@@ -65,6 +68,8 @@ class _Setting:
     start: Array
     bounds: Sequence[tuple[float, float]] | None
     progress: Progress | None
+    #: what was done to a start outside the bounds, in words
+    moved: tuple[str, ...] = ()
 
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
@@ -108,7 +113,7 @@ def calibrate(
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = _setting(config, curves, progress, checkpoint)
-    done = setting.fitted(curves, checkpoint)
+    done, starts = _from_all_starts(setting, curves, setting.fitted(curves, checkpoint))
     found = done.fit
     specimens = tuple(_partial(setting, label, group) for label, group in own.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
@@ -119,7 +124,8 @@ def calibrate(
         same_constants_p=_same_constants(found, specimens),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
-        notes=notes,
+        starts=starts,
+        notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if SORTED in note), *result.warnings),
         seconds=time.perf_counter() - began,
     )
@@ -139,22 +145,55 @@ def _checkpoint(folder: Path | None, config: Tables, curves: Sequence[FitCurve])
 def _setting(
     config: Tables, curves: Sequence[FitCurve], progress: Progress | None, checkpoint: Checkpoint
 ) -> _Setting:
-    tests = config["tests"]
+    tests, given = config["tests"], config["calibration"]["bounds"]
     names, start = _start(tests, curves, progress, checkpoint)
-    given = config["calibration"]["bounds"]
-    bounds = [given.get(name, (-np.inf, np.inf)) for name in names]
-    outside = [
-        Fault(
-            f"calibration.bounds.{name}",
-            f"{low:g} to {high:g} excludes the start {value:.6g} (MPa; exponents plain)",
-            "widen them, or give constants inside them to start from",
-        )
-        for name, value, (low, high) in zip(names, start, bounds, strict=True)
-        if not low <= value <= high
-    ]
-    if outside:
-        raise InputError(outside)
-    return _Setting(config, tests, names, start, bounds if given else None, progress)
+    bounds = _bounds(config, names)
+    low, high = np.array(bounds).T
+    inside = np.clip(start, low, high)
+    outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
+    if outside and config["material"].get("constants"):
+        raise InputError([_outside(n, start[names.index(n)], given[n]) for n in outside])
+    moved = tuple(
+        f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
+        for n in outside
+    )
+    finite = np.isfinite(bounds).any()
+    return _Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
+
+
+def _bounds(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
+    """Bounds of the file; else those beyond which an energy is not defined."""
+    energy, given = ENERGIES[config["material"]["model"]], config["calibration"]["bounds"]
+    free = (-np.inf, np.inf)
+    declared = isinstance(energy, DeclaredConstants)
+    return [given.get(n) or (energy.bounds(n) if declared else free) for n in names]
+
+
+def _outside(name: str, value: float, bounds: tuple[float, float]) -> Fault:
+    return Fault(
+        f"calibration.bounds.{name}",
+        f"{bounds[0]:g} to {bounds[1]:g} excludes the start {value:.6g} (MPa; exponents plain)",
+        "widen them, or give constants inside them to start from",
+    )
+
+
+def _from_all_starts(
+    setting: _Setting, curves: Sequence[FitCurve], own: Staged
+) -> tuple[Staged, Starts | None]:
+    """Fit from the other starts that were asked for; the least sum of squares is the answer."""
+    asked = setting.config["calibration"]
+    count, seed = int(asked.get("starts", 1)), int(asked.get("seed", 0))
+    if count == 1:
+        return own, None
+    rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
+    energy, found = setting.config["material"]["model"], [own]
+    for _ in range(count - 1):
+        start = scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
+        found.append(replace(setting, start=start, progress=None).fitted(curves))
+    rss = tuple(one.fit.rss if one.fit.converged else None for one in found)
+    chosen = best(found)
+    evaluations = sum(one.evaluations for one in found if one is not chosen)
+    return replace(chosen, fruitless=chosen.fruitless + evaluations), Starts(seed, rss)
 
 
 def _start(

@@ -30,6 +30,12 @@ CANDIDATES = (
     ("reduced-polynomial", 2, "reduced-polynomial-2"),
     ("reduced-polynomial", 3, "reduced-polynomial-3"),
     ("ogden", 1, "ogden-1"),
+    ("arruda-boyce", None, "arruda-boyce"),
+    ("gent", None, "gent"),
+    ("fung", None, "fung"),
+    ("veronda-westmann", None, "veronda-westmann"),
+    ("van-der-waals", None, "van-der-waals"),
+    ("extended-tube", None, "extended-tube"),
 )
 
 
@@ -130,7 +136,7 @@ def _with_energy(config: Tables, model: str, order: int | None) -> Tables:
     """Make the same calibration of another energy; start, bounds and extra fits do not carry."""
     material = {**config["material"], "model": model, "order": order, "constants": {}}
     tests = [{**test, "material": material} for test in config["tests"]]
-    pooled: Tables = {"specimens": "pooled", "leave_out": None, "bounds": {}}
+    pooled: Tables = {"specimens": "pooled", "leave_out": None, "bounds": {}, "starts": 1}
     return {**config, "material": material, "tests": tests, "calibration": pooled}
 
 

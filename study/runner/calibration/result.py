@@ -15,6 +15,7 @@ from study.material.material import Material
 from study.measurement.measured_test import MeasuredTest
 from study.record.document import ParameterDocument
 from study.record.record import plain
+from study.runner.calibration.multistart import Starts
 from study.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
 from study.setup.setup import ResolvedTables
 
@@ -139,6 +140,8 @@ class CalibrationResult:
         Cautions, and what was done to the measured rows.
     tests : tuple of mapping
         Resolved tables of every test (mm, N, MPa), so that what was fitted can be simulated again.
+    starts : Starts, optional
+        What fits from other starts found, where asked.
     """
 
     name: str
@@ -161,6 +164,7 @@ class CalibrationResult:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     tests: tuple[ResolvedTables, ...] = ()
+    starts: Starts | None = None
 
     @property
     def converged(self) -> bool:
@@ -207,6 +211,7 @@ class CalibrationResult:
             "same_constants_p": self.same_constants_p,
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
+            **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
             "name": self.name,

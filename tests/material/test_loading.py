@@ -1,0 +1,79 @@
+"""Nominal stress of every loading of a homogeneous specimen, against formulas written anew."""
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.material.loading import LOADINGS
+from study.material.material import Material
+from study.material.stress import first_piola
+
+MR = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, poisson_ratio=0.49)
+SOLIDS = [
+    MR,
+    Material("gent", {"mu": 0.8, "Jm": 12.0}, poisson_ratio=0.49),
+    Material("ogden", {"mu1": 0.7, "alpha1": -4.0}, poisson_ratio=0.49),
+    Material("veronda-westmann", {"C1": 0.4, "C2": 1.7}, poisson_ratio=0.49),
+]
+
+
+def test_simple_shear_of_a_mooney_rivlin_solid_is_linear():
+    """P12 = 2 (C10 + C01) g at any K (Rivlin 1948), odd in g."""
+    shear = np.array([-0.9, -0.2, 0.0, 0.4, 1.3])
+    found = LOADINGS["simple-shear"].nominal(MR, shear)
+    assert found.stress == pytest.approx(1.0 * shear, abs=1e-14)
+    assert found.gradient["C10"] == pytest.approx(2 * shear, abs=1e-14)
+
+
+@pytest.mark.parametrize("material", SOLIDS, ids=lambda m: m.model)
+def test_simple_shear_is_that_of_the_full_stress_tensor(material):
+    for shear in (-0.6, 0.3, 1.1):
+        F = np.eye(3)
+        F[0, 1] = shear
+        found = LOADINGS["simple-shear"].nominal(material, np.array([shear]))
+        assert found.stress[0] == pytest.approx(first_piola(material, F)[0, 1], rel=1e-12)
+
+
+def test_volumetric_stress_is_the_pressure_on_its_face():
+    """Equal stretches: P = K (J - 1) l^2, and d/dC10 comes by K alone."""
+    stretch = np.array([0.95, 1.0, 1.02])
+    found = LOADINGS["volumetric"].nominal(MR, stretch)
+    expected = MR.bulk * (stretch**3 - 1) * stretch**2
+    assert found.stress == pytest.approx(expected, rel=1e-14, abs=1e-14)
+    assert found.gradient["C10"] == pytest.approx(2 * expected / MR.mu0, rel=1e-12, abs=1e-12)
+    for one in stretch:
+        tensor = first_piola(MR, one * np.eye(3))
+        assert LOADINGS["volumetric"].nominal(MR, np.array([one])).stress[0] == pytest.approx(
+            tensor[0, 0], rel=1e-12, abs=1e-13
+        )
+
+
+def test_an_incompressible_solid_has_no_volumetric_test():
+    fixed = Material("neo-hookean", {"C10": 0.5}, incompressible=True)
+    with pytest.raises(InputError, match="poisson_ratio"):
+        LOADINGS["volumetric"].nominal(fixed, np.array([0.9]))
+
+
+@pytest.mark.parametrize("material", SOLIDS, ids=lambda m: m.model)
+@pytest.mark.parametrize("name", LOADINGS)
+def test_gradients_against_central_differences(name, material):
+    loading = LOADINGS[name]
+    measure = loading.measure(np.array([-0.15, 0.1, 0.3]))
+    found = loading.nominal(material, measure)
+    for constant, value in material.constants.items():
+        h = 1e-5 * value
+        ahead, behind = (
+            loading.nominal(material.with_constants({constant: value + s * h}), measure).stress
+            for s in (1, -1)
+        )
+        # truncation 1e-10, rounding 1e-11 of the largest stress
+        slope = (ahead - behind) / (2 * h)
+        size = np.abs(found.stress).max() / abs(value)
+        assert found.gradient[constant] == pytest.approx(slope, abs=1e-8 * size), constant
+
+
+def test_beyond_the_end_of_chains_there_is_nothing():
+    short = Material("gent", {"mu": 0.8, "Jm": 1.0}, poisson_ratio=0.49)
+    found = LOADINGS["simple-shear"].nominal(short, np.array([0.5, 1.5]))
+    assert np.isfinite(found.stress[0])
+    assert np.isnan(found.stress[1])

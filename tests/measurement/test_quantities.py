@@ -1,0 +1,84 @@
+"""One state, recorded in every way that a file may record it, is one curve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.measurement.plain_text import Layout
+from study.measurement.quantities import Gauge, displacement_and_force
+from study.measurement.reading import read_measurements
+from study.measurement.section import Columns, MeasurementSpec, Units
+
+PULLED = Gauge(area_mm2=4.0, length_mm=20.0, mode="uniaxial", sense=1.0, is_homogeneous=True)
+#: elongation 5 mm and 12 N of a gauge section of 20 mm and 4 mm^2: l = 1.25, P = 3 MPa
+DEFORMED = {"displacement": 5.0, "stretch": 1.25, "strain": 0.25, "true_strain": np.log(1.25)}
+RESISTED = {"force": 12.0, "stress": 3.0, "true_stress": 3.0 * 1.25}
+
+
+@pytest.mark.parametrize("kinetic", RESISTED)
+@pytest.mark.parametrize("kinematic", DEFORMED)
+def test_every_pair_of_columns_is_the_same_curve(kinematic: str, kinetic: str) -> None:
+    d, f = displacement_and_force(
+        kinematic, np.array([DEFORMED[kinematic]]), kinetic, np.array([RESISTED[kinetic]]),
+        PULLED, "a.csv",
+    )  # fmt: skip
+    assert d == pytest.approx([5.0], rel=1e-14)
+    assert f == pytest.approx([12.0], rel=1e-14)
+
+
+def test_volume_and_pressure() -> None:
+    """J = 0.729 is a stretch of 0.9; a pressure of 2 MPa on faces of 0.81 x 4 mm^2 is 6.48 N."""
+    pressed = Gauge(4.0, 20.0, "volumetric", -1.0, True)
+    d, f = displacement_and_force(
+        "volume_ratio", np.array([0.729]), "pressure", np.array([2.0]), pressed, "a.csv"
+    )
+    assert d == pytest.approx([2.0], rel=1e-12)
+    assert f == pytest.approx([6.48], rel=1e-12)
+
+
+def test_shear_to_the_left_is_turned() -> None:
+    sheared = Gauge(4.0, 20.0, "simple-shear", 1.0, True)
+    shear, stress = np.array([-0.2, 0.1]), np.array([-3.0, 1.0])
+    d, f = displacement_and_force("strain", shear, "stress", stress, sheared, "a.csv")
+    # in order, as a test to the right would have been recorded
+    assert d == pytest.approx([2.0, 4.0])
+    assert f == pytest.approx([4.0, 12.0])
+
+
+@pytest.mark.parametrize(
+    ("kinematic", "kinetic", "gauge", "words"),
+    [
+        ("stretch", "pressure", PULLED, "belongs to volumetric"),
+        ("volume_ratio", "stress", PULLED, "no meaning in uniaxial loading"),
+        ("stretch", "stress", None, "the same everywhere"),
+        ("stretch", "stress", Gauge(4.0, 20.0, "uniaxial", -1.0, False), "bonded"),
+    ],
+)
+def test_columns_without_meaning_are_refused(
+    kinematic: str, kinetic: str, gauge: Gauge | None, words: str
+) -> None:
+    one = np.array([1.1])
+    with pytest.raises(InputError, match=words):
+        displacement_and_force(kinematic, one, kinetic, one, gauge, "a.csv")
+
+
+def test_rows_as_measured_of_a_text_with_comments(tmp_path: Path) -> None:
+    """Every row counts once, at its own place; nothing is interpolated."""
+    text = "digitised 1944\n# UT\nl P\n1.0 0.0\n1.3 0.31\n# a gap\n1.1 0.1\n2.0 0.55\n"
+    (tmp_path / "ut.txt").write_text(text)
+    spec = MeasurementSpec(
+        Columns(stretch="l", stress="P"), Units(stretch="1", stress="kPa"), file="ut.txt",
+        points="raw", skip_lines=1, comment="#", delimiter="space",
+    )  # fmt: skip
+    curve = read_measurements(spec, tmp_path, gauge=PULLED).curve().curve
+    assert curve.displacement_mm == pytest.approx([0.0, 2.0, 6.0, 20.0], rel=1e-12)
+    assert curve.force_N == pytest.approx([0.0, 0.4e-3, 1.24e-3, 2.2e-3], rel=1e-12)
+
+
+def test_a_layout_leaves_a_plain_file_alone() -> None:
+    assert Layout().plain("a,b\n# 1,2\n", ".") == "a,b\n# 1,2\n"
+    assert Layout(delimiter="semicolon").plain("a;b\n1,5;2,5", ",") == "a;b\n1,5;2,5"

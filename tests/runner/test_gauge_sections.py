@@ -1,0 +1,234 @@
+"""Constants from tests of material: virtual ones of every kind, Treloar's rubber, human brain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.api import single
+from study.errors import InputError
+from study.forward import closed_form
+from study.material.loading import LOADINGS
+from study.material.material import Material
+from study.setup.geometry import Cylinder
+from study.setup.test_section import TEST_KINDS
+from tests.cli.small import study
+
+GENT = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
+#: kind -> measures in the sense of the test
+RANGES = {
+    "tension": np.linspace(1.0, 2.2, 15),
+    "equibiaxial": np.linspace(1.0, 1.6, 12),
+    "planar": np.linspace(1.0, 1.9, 11),
+    "simple-shear": np.linspace(-1.0, 1.0, 21),
+    "volumetric": np.linspace(1.0, 0.98, 6),
+    "confined-compression": np.linspace(1.0, 0.97, 6),
+    "compression": np.linspace(1.0, 0.7, 10),
+}
+
+
+def written(folder: Path, kind: str, material: Material) -> str:
+    """Table of a virtual test; shortened specimens record tension positive, so sign = negative."""
+    measure = RANGES[kind]
+    stress = LOADINGS[TEST_KINDS[kind].mode].nominal(material, measure).stress
+    rows = [f"{m:.12g},{1e3 * p:.12g}" for m, p in zip(measure, stress, strict=True)]
+    (folder / f"{kind}.csv").write_text("\n".join(["m,P", *rows]) + "\n")
+    column = "strain" if kind == "simple-shear" else "stretch"
+    sign = "negative" if TEST_KINDS[kind].sense < 0 else "positive"
+    return (
+        f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
+        f'measurements = {{ file = "{kind}.csv", columns = {{ {column} = "m", stress = "P" }}, '
+        f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
+    )
+
+
+def case(folder: Path, tests: str, material: str, more: str = "") -> Path:
+    path = folder / "case.toml"
+    head = f'schema = 1\n[specimen]\nshape = "homogeneous"\n[material]\n{material}\n'
+    path.write_text(head + more + tests)
+    return path
+
+
+@pytest.mark.parametrize("kind", [k for k in RANGES if k not in ("volumetric",)])
+def test_the_modulus_comes_back_from_every_kind_of_test(tmp_path: Path, kind: str) -> None:
+    solid = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
+    path = case(tmp_path, written(tmp_path, kind, solid),
+                'model = "neo-hookean"\npoisson_ratio = 0.49')  # fmt: skip
+    found = single.calibrate(path, data=tmp_path)
+    assert found.fit.values == pytest.approx([0.02], rel=1e-8)
+    assert (
+        found.fit.n == np.unique(np.abs(RANGES[kind]).round(9)).size
+    )  # rows of +g and -g are averaged
+
+
+def test_all_kinds_share_one_set_of_constants(tmp_path: Path) -> None:
+    """Through the command, with --json: two constants of Gent's from seven tests."""
+    tests = "".join(written(tmp_path, kind, GENT) for kind in RANGES)
+    path = case(tmp_path, tests, 'model = "gent"\npoisson_ratio = 0.495')
+    answer = study("calibrate", str(path), "--data", str(tmp_path), "--json")
+    assert answer.code == 0, answer.err
+    found = answer.json
+    assert found["status"] == "converged"
+    assert found["parameters"]["mu"]["value"] == pytest.approx(30.0, rel=1e-6)
+    assert found["parameters"]["Jm"]["value"] == pytest.approx(8.0, rel=1e-6)
+    assert len(found["curves"]) == 7
+
+
+def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) -> None:
+    """Tension in closed form and bonded compression by finite elements, one set of constants."""
+    truth = Material("fung", {"mu": 0.02, "b": 1.0}, poisson_ratio=0.49)
+    pulled = written(tmp_path, "tension", truth)
+    problem = tmp_path / "truth.toml"
+    shape = 'shape = "cylinder"\nradius = "10 mm"\nheight = "10 mm"'
+    problem.write_text(
+        f'schema = 1\n[specimen]\n{shape}\n[material]\nmodel = "fung"\nmu = "20 kPa"\nb = 1.0\n'
+        'poisson_ratio = 0.49\n[model]\nmesh = "coarse"\n'
+        '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "2 mm"\n'
+    )
+    curve = single.solve(problem, gradients=False).curve
+    rows = zip(curve.displacement_mm, curve.force_N, strict=True)
+    lines = ["d,f", "0,0", *(f"{d:.9g},{f:.9g}" for d, f in rows)]
+    (tmp_path / "pressed.csv").write_text("\n".join(lines) + "\n")
+    pressed = (
+        '[[tests]]\ntest = { kind = "compression", interface = "bonded" }\n'
+        'specimen = { shape = "cylinder", radius = "10 mm", height = "10 mm" }\n'
+        'measurements = { file = "pressed.csv", columns = { displacement = "d", force = "f" }, '
+        'units = { displacement = "mm", force = "N" }, range = ["0.2 mm", "2 mm"], points = 10 }\n'
+    )
+    more = '[model]\nmesh = "coarse"\n'
+    path = case(tmp_path, pulled + pressed, 'model = "fung"\npoisson_ratio = 0.49', more)
+    found = single.calibrate(path, data=tmp_path)
+    assert found.converged, found.message
+    # the curve of elements is interpolated between ten steps
+    assert found.fit.values == pytest.approx([0.02, 1.0], rel=2e-3)
+
+
+def test_a_gauge_section_is_solved_in_closed_form(tmp_path: Path) -> None:
+    path = tmp_path / "pull.toml"
+    path.write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "4 mm^2"\nlength = "20 mm"\n'
+        '[test]\nkind = "tension"\ndisplacement = "20 mm"\n'
+        '[material]\nmodel = "gent"\nmu = "30 kPa"\nJm = 8.0\nincompressible = true\n'
+    )
+    answer = study("solve", str(path), "--json")
+    assert answer.code == 0, answer.err
+    # Gent's P = mu Jm / (Jm - I1 + 3) (l - l^-2) at l = 2: I1 = 5
+    assert answer.json["force_N"][-1] == pytest.approx(4 * 0.03 * 8 / 6 * 1.75, rel=1e-12)
+    assert answer.json["solver"] == "closed form"
+    beyond = study("solve", str(path), "-s", 'test.displacement="60 mm"', "--json")
+    assert beyond.code == 1
+    assert beyond.json["status"] == "unstable"
+    assert np.isfinite(beyond.json["force_N"]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("homogeneous", "cylinder"), "gauge section"),
+        (("tension", "indentation"), "the same everywhere"),
+        (('"tension"', '"tension", interface = "bonded"'), "bonded faces"),
+        (("stretch =", "displacement ="), "units.displacement"),
+    ],
+)
+def test_what_does_not_go_together_is_told(
+    tmp_path: Path, change: tuple[str, str], words: str
+) -> None:
+    path = case(
+        tmp_path, written(tmp_path, "tension", GENT), 'model = "gent"\npoisson_ratio = 0.49'
+    )
+    path.write_text(path.read_text().replace(*change, 1))
+    with pytest.raises(InputError, match=words):
+        single.calibrate(path, data=tmp_path)
+
+
+def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
+    """Columns of strain also serve specimens with a shape, where nothing holds their ends."""
+    truth = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
+    d = np.linspace(0.5, 6, 12)
+    force = closed_form.compression(Cylinder(10, 20), truth, d).force_N
+    area = np.pi * 10**2
+    rows = [f"{100 * x / 20:.12g},{1e3 * f / area:.12g}" for x, f in zip(d, force, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["e,P", *rows]) + "\n")
+    path = tmp_path / "case.toml"
+    path.write_text(
+        'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "10 mm"\nheight = "20 mm"\n'
+        '[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.49\n'
+        '[[tests]]\ntest = { kind = "compression", interface = "frictionless" }\n'
+        'measurements = { file = "a.csv", columns = { strain = "e", stress = "P" }, '
+        'units = { strain = "%", stress = "kPa" }, points = "raw" }\n'
+    )
+    # a strain of compression is negative; this file has its amount, as force would be
+    with pytest.raises(InputError, match="sign"):
+        single.calibrate(path, data=tmp_path)
+    signed = [f"-{row.replace(',', ',-')}" for row in rows]
+    (tmp_path / "a.csv").write_text("\n".join(["e,P", *signed]) + "\n")
+    path.write_text(path.read_text().replace('points = "raw"', 'points = "raw", sign = "negative"'))
+    assert single.calibrate(path, data=tmp_path).fit.values == pytest.approx([0.02], rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def classic(data_dir: Path) -> Path:
+    folder = data_dir / "rubber_and_brain"
+    if not folder.is_dir():
+        pytest.skip(f"no measurements of rubber and brain in {data_dir}")
+    return folder
+
+
+def digitised(source: Path, target: Path, header: str, delimiter: str | None) -> None:
+    """CSV with a header of a table of two columns."""
+    lines = source.read_text().split("\n")
+    rows = [",".join(x.strip() for x in line.split(delimiter)) for line in lines if line.strip()]
+    target.write_text("\n".join([header, *rows]) + "\n")
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_treloar(classic: Path, tmp_path: Path) -> None:
+    """Three terms of Ogden's, 53 points of three tests: sum of squares 0.2085 MPa^2, 25 starts."""
+    tests = ""
+    for kind, folder in (("tension", "UT"), ("equibiaxial", "ET"), ("planar", "PS")):
+        source = classic / "Treloar_1944" / folder / "stress_stretch.txt"
+        digitised(source, tmp_path / f"{folder}.csv", "P,l", None)
+        tests += (
+            f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
+            f'measurements = {{ file = "{folder}.csv", '
+            'columns = { stretch = "l", stress = "P" }, '
+            'units = { stretch = "1", stress = "MPa" } }\n'
+        )
+    path = case(tmp_path, tests, 'model = "ogden"\norder = 3\nincompressible = true',
+                "[calibration]\nstarts = 25\nseed = 1\n")  # fmt: skip
+    found = single.calibrate(path, data=tmp_path)
+    assert found.fit.n == 53
+    assert found.fit.rss <= 0.2085
+    assert found.starts is not None
+    assert len(found.starts.rss) == 25
+    assert found.starts.at_best >= 20
+
+
+@pytest.mark.parametrize(("region", "share"), [("cortex", 0.35), ("corona_radiata", 0.35)])
+def test_human_brain(classic: Path, tmp_path: Path, region: str, share: float) -> None:
+    """One term of Ogden's for compression, tension and shear (Budday et al. 2017): alpha < 0."""
+    folder = classic / "elastic-brain-tissue-data"
+    tests = ""
+    for kind, place, column, sign in (
+        ("compression", "compression", "stretch", "negative"),
+        ("tension", "uniaxial_tension", "stretch", "positive"),
+        ("simple-shear", "simple-shear", "strain", "positive"),
+    ):
+        digitised(folder / place / f"{region}.txt", tmp_path / f"{kind}.csv", "m,P", ",")
+        tests += (
+            f'[[tests]]\ntest = {{ kind = "{kind}" }}\n'
+            f'measurements = {{ file = "{kind}.csv", columns = {{ {column} = "m", stress = "P" }}, '
+            f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
+        )
+    path = case(tmp_path, tests, 'model = "ogden"\norder = 1\nincompressible = true')
+    found = single.calibrate(path, data=tmp_path)
+    assert found.converged, found.message
+    mu, alpha = found.fit.values
+    assert 1e-4 < mu < 2e-3
+    # compression is stiffer than tension: large negative exponents, -10 to -30 in the paper
+    assert -30 < alpha < -8
+    errors = {c.file: c.as_dict()["relative_rms_force_error"] for c in found.curves}
+    assert all(isinstance(e, float) and e < 100 * share for e in errors.values()), errors
