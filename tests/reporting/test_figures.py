@@ -10,7 +10,8 @@ from scipy import stats
 
 from study.analysis.unreplicated import pseudo_standard_error
 from study.reporting.content.recommendation import cost_front
-from study.reporting.figure import constants, curves, diagnostics, effects, style
+from study.reporting.figure import constants, curves, effects, style
+from study.reporting.figure.residuals import diagnostics
 from study.reporting.output.page import build
 from study.reporting.report import cells, facts
 from study.study_result.report_data import ReportData

@@ -13,7 +13,8 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 
-from study.reporting.figure import diagnostics, effects, interactions, style
+from study.reporting.figure import effects, interactions, style
+from study.reporting.figure.residuals import diagnostics
 from study.reporting.report import Facts, facts
 from study.study_result.report_data import ReportData
 from tests.reporting.example import unreplicated

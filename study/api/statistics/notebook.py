@@ -14,7 +14,8 @@ from study.reporting.report import facts
 
 if TYPE_CHECKING:
     import pandas as pd
-    from matplotlib.figure import Figure
+
+    from study.reporting.figure.style import Drawing
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Analysis(AnalysisResult):
         )
         return "\n".join(tables)
 
-    def plot(self) -> Figure:
+    def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters.
 
         Returns

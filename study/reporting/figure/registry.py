@@ -19,12 +19,12 @@ from study.reporting.figure import (
     cost,
     curves,
     depth,
-    diagnostics,
     effects,
     interactions,
     style,
     validation,
 )
+from study.reporting.figure.residuals import diagnostics
 from study.reporting.numbers import clean, name_of
 from study.reporting.report import Facts, cells, practical_of
 from study.study_result.report_data import ReportData

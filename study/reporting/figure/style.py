@@ -7,7 +7,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree import ElementTree
 
 from study.reporting.numbers import clean
@@ -15,6 +15,9 @@ from study.reporting.numbers import clean
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
+
+    #: what a figure is to those who only hand it on
+    Drawing: TypeAlias = Canvas
 
 INK = "#1b1f24"
 MUTED = "#6a737d"

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 from study.reporting.content import analysis_tables, glossary, methods, sentences, tables, verdicts
 from study.reporting.content.table import Table
-from study.reporting.figure import registry, residual_plots
+from study.reporting.figure import registry
 from study.reporting.figure.registry import Drawn, Figure, make, slug
+from study.reporting.figure.residuals import residual_plots
 from study.reporting.numbers import clean, count, listing, p_phrase, sentence
 from study.reporting.output import page, write
 from study.reporting.report import Facts, facts

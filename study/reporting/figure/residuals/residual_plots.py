@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.diagnostics import _against_factors, envelope
+from study.reporting.figure.residuals.diagnostics import _against_factors, envelope
 from study.reporting.figure.style import (
     BAND,
     INK,

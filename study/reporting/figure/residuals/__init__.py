@@ -1,0 +1,1 @@
+"""Figures of residuals: four in one, against factors, influence."""
