@@ -20,7 +20,7 @@ def tracking(
 ) -> None:
     """Judge a tracker: fixed distances, commanded displacements, a better instrument."""
     from study import api
-    from study.reporting.content.tracker import answers
+    from study.reporting.accuracy.tracker import answers
 
     found = api.tracking(file, data=data, reports=reports)
     if as_json:
@@ -53,7 +53,7 @@ def shape(
 ) -> None:
     """Compare a simulated, deformed body with a scan of the real one."""
     from study import api
-    from study.reporting.content.scan import answers
+    from study.reporting.accuracy.scan import answers
     from study.shape_validation.deviation import Options
 
     found = api.shape(

@@ -79,8 +79,8 @@ class Drift:
 
     Parameters
     ----------
-    per_hour_mm : float
-        Slope; per thousand samples where there is no time.
+    slope : float
+        Per hour, or per thousand samples where there is no time.
     interval : tuple of float
         Of the slope, at the level 1 - alpha.
     p : float

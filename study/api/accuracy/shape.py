@@ -9,8 +9,8 @@ from pathlib import Path
 from study.api.single import solve
 from study.design.load import default_name
 from study.errors import Fault, InputError
+from study.reporting.accuracy.page import shape_page, write_accuracy
 from study.reporting.figure.registry import slug
-from study.reporting.output.accuracy_page import shape_page, write_accuracy
 from study.shape_validation.boundary import DeformedMesh
 from study.shape_validation.deviation import Options, ShapeDeviation, judge_shape
 from study.shape_validation.scan import read_markers, read_scan

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from study.api.folders import data_root
 from study.design.load import default_name
+from study.reporting.accuracy.page import tracker_page, write_accuracy
 from study.reporting.figure.registry import slug
-from study.reporting.output.accuracy_page import tracker_page, write_accuracy
 from study.tracker_accuracy.result import TrackerAccuracy, judge_tracker
 from study.tracker_accuracy.section import load_tracking
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.reporting.content import scan as scan_content
-from study.reporting.content import tracker as tracker_content
+from study.reporting.accuracy import scan as scan_content
+from study.reporting.accuracy import scan_figure, tracker_figure
+from study.reporting.accuracy import tracker as tracker_content
 from study.reporting.content.table import Table
-from study.reporting.figure.accuracy import scan as scan_figures
-from study.reporting.figure.accuracy import tracker as tracker_figures
 from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
@@ -119,33 +118,33 @@ def tracker_page(found: TrackerAccuracy) -> AccuracyPage:
 
 
 def _distance(found: DistanceResult) -> Drawn:
-    frame = tracker_figures.distance_points(found)
+    frame = tracker_figure.distance_points(found)
     dashed = " Dashed: the standard." if found.standard else ""
     caption = f"Histograms of all samples, a panel a stage. Line: mean over visits.{dashed}"
-    return frame, lambda: tracker_figures.draw_distances(frame, found), caption
+    return frame, lambda: tracker_figure.draw_distances(frame, found), caption
 
 
 def _displacement(found: DisplacementResult) -> Drawn:
-    frame = tracker_figures.displacement_points(found)
+    frame = tracker_figure.displacement_points(found)
     caption = (
         "Left: every stop and the line with errors in both. Right: differences against means, "
         "bias and limits of agreement (dashed) with their intervals."
     )
-    return frame, lambda: tracker_figures.draw_displacement(frame, found), caption
+    return frame, lambda: tracker_figure.draw_displacement(frame, found), caption
 
 
 def _poses(found: ReferenceResult) -> Drawn:
-    frame = tracker_figures.reference_points(found)
+    frame = tracker_figure.reference_points(found)
     caption = (
         "Left: residuals of the registration over the workspace. Right: what is left at every "
         "pose, and the error of a pose predicted from all others."
     )
-    return frame, lambda: tracker_figures.draw_reference(frame, found), caption
+    return frame, lambda: tracker_figure.draw_reference(frame, found), caption
 
 
 def shape_page(found: ShapeDeviation) -> AccuracyPage:
     """Page of a scanned surface."""
-    frame = scan_figures.deviation_points(found)
+    frame = scan_figure.deviation_points(found)
     return AccuracyPage(
         kicker="Shape deviation",
         name=found.name,
@@ -163,9 +162,9 @@ def shape_page(found: ShapeDeviation) -> AccuracyPage:
 
 def _histogram(frame: pd.DataFrame) -> Drawn:
     caption = "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %."
-    return frame, lambda: scan_figures.draw_histogram(frame), caption
+    return frame, lambda: scan_figure.draw_histogram(frame), caption
 
 
 def _views(frame: pd.DataFrame) -> Drawn:
     caption = "Mean deviation of the points in every hexagon that face the viewer."
-    return frame, lambda: scan_figures.draw_views(frame), caption
+    return frame, lambda: scan_figure.draw_views(frame), caption

@@ -1,1 +1,0 @@
-"""Figures of accuracy: a tracker against its references, a surface against a scan."""
