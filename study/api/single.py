@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
-from study.design.load import load, load_calibration, load_problem, loads
+from study.design.load import load, load_calibration, load_problem, loads, template
 from study.errors import Fault, InputError
 from study.forward import closed_form
 from study.material.stability import check
@@ -19,6 +19,7 @@ from study.reporting.figure.meshes import picture
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.model_selection import choose
+from study.runner.virtual.gauge_section import write_tests
 from study.runner.virtual.specimens import usual_generator, write_virtual
 from study.setup.setup import Problem, ResolvedTables, problem_of
 
@@ -197,6 +198,33 @@ def virtual(
     return write_virtual(
         design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
     )
+
+
+def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:
+    """Write a commented file to start from.
+
+    Parameters
+    ----------
+    file : str or Path
+        Its name; nothing is overwritten.
+    calibration : bool
+        Whether it is a calibration, with virtual measurements in ``tests-of-material/`` beside
+        it, instead of a design.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    FileExistsError
+        If one of the files exists.
+    """
+    path = Path(file)
+    with path.open("x", encoding="utf-8") as stream:
+        stream.write(template("calibration" if calibration else "template"))
+    return [path, *(write_tests(path.parent / "tests-of-material") if calibration else ())]
 
 
 def calibrate(

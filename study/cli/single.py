@@ -21,21 +21,25 @@ if TYPE_CHECKING:
 
 
 def new(
-    file: Annotated[Path, typer.Argument(help="Design file to be written.")],
+    file: Annotated[Path, typer.Argument(help="File to be written.")],
+    calibration: Annotated[
+        bool, typer.Option(help="A calibration, with virtual measurements beside it.")
+    ] = False,
 ) -> None:
-    """Write a commented design to start from."""
-    from study.design.load import template
+    """Write a commented design, or calibration, to start from."""
+    from study.api.single import new_file
 
     try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(template())
-    except FileExistsError:
+        new_file(file, calibration=calibration)
+    except FileExistsError as error:
         rule = "exists already"
-        raise InputError(Fault(str(file), rule, "choose another name")) from None
+        where = str(error.filename or file)
+        raise InputError(Fault(where, rule, "choose another name")) from None
     except OSError as error:
         rule = f"cannot be written ({error.strerror or error})"
         raise InputError(Fault(str(file), rule)) from None
-    print(f"{file}: edit it, then: study plan {file}")
+    verb = "calibrate" if calibration else "plan"
+    print(f"{file}: edit it, then: study {verb} {file}")
 
 
 def solve(

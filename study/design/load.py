@@ -357,12 +357,17 @@ def _uncertainty(table: object, faults: Faults) -> dict[str, float]:
     return found
 
 
-def template() -> str:
-    """Text of a commented, valid design to start from.
+def template(name: str = "template") -> str:
+    """Text of a commented, valid file to start from.
+
+    Parameters
+    ----------
+    name : {"template", "calibration"}
+        A design, or a calibration.
 
     Examples
     --------
     >>> template().startswith("# A study")
     True
     """
-    return resources.files("study.design").joinpath("template.toml").read_text(encoding="utf-8")
+    return resources.files("study.design").joinpath(f"{name}.toml").read_text(encoding="utf-8")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.api import single
+from study.design.load import template
 from study.errors import InputError
 from study.forward import closed_form
 from study.material.loading import LOADINGS
@@ -232,3 +233,27 @@ def test_human_brain(classic: Path, tmp_path: Path, region: str, share: float) -
     assert -30 < alpha < -8
     errors = {c.file: c.as_dict()["relative_rms_force_error"] for c in found.curves}
     assert all(isinstance(e, float) and e < 100 * share for e in errors.values()), errors
+
+
+def test_new_calibration_writes_one_that_runs(tmp_path: Path) -> None:
+    """The truth is mu = 30 kPa and Jm = 8; noise is 0.5 kPa."""
+    path = tmp_path / "mine.toml"
+    assert study("new", str(path), "--calibration").code == 0
+    assert study("new", str(path), "--calibration").code == 2
+    answer = study("calibrate", str(path), "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["status"] == "converged"
+    for name, truth in (("mu", 30.0), ("Jm", 8.0)):
+        found = answer.json["parameters"][name]
+        assert found["value"] == pytest.approx(truth, rel=0.05)
+        # these draws lie 2.4 standard errors off; three hold 99.7 % of all
+        assert abs(found["value"] - truth) < 3 * found["standard_error"]
+    assert answer.json["starts"] == {
+        "count": 5, "seed": 1, "at_best": 5,
+        "rss": pytest.approx([answer.json["rss"]] * 5, rel=1e-6),
+    }  # fmt: skip
+
+
+def test_the_shipped_calibration_is_the_template() -> None:
+    shipped = Path(__file__).resolve().parents[2] / "designs" / "tests-of-material.toml"
+    assert shipped.read_text() == template("calibration")
