@@ -137,6 +137,20 @@ def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> N
     assert (tmp_path / f"{page.stem}-data" / "figure-yield-four-in-one.svg").is_file()
 
 
+def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
+    """Where each effect has its own error no p rests on the residuals, yet they are shown."""
+    answer = study("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
+                   "--block", "s", "--report", tmp_path)  # fmt: skip
+    assert answer.code == 0, answer.err
+    page = (tmp_path / "blocked-y.html").read_text(encoding="utf-8")
+    assert "versus order" in page
+    assert "No p of this page rests on them" in page
+    with (tmp_path / "blocked-y-data" / "rows.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    # additive fit of 6 cells and 5 blocks: leverage 1/6 + 1/5 - 1/30 in every row
+    assert {round(float(row["leverage"]), 9) for row in rows} == {round(1 / 3, 9)}
+
+
 def refused(*arguments: object) -> Answer:
     answer = study("analyze", *arguments)
     assert answer.code == 2

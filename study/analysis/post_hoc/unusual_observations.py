@@ -58,16 +58,22 @@ def diagnosed_rows(found: AnalysisResult) -> pd.DataFrame | None:
     DataFrame or None
         The rows of the analysis with ``standardized`` and ``press`` added, in their order.
     """
-    rows, summary = found.data.residuals, found.variation.summary
-    if summary is None or "leverage" not in rows or not summary.s > 0:
+    rows = found.data.residuals
+    if "leverage" not in rows:
         return None
     leverage = rows["leverage"].to_numpy(float)
     residual = rows["residual"].to_numpy(float)
+    df = len(rows) - float(leverage.sum())
+    rss = float(residual @ residual)
+    # half a degree of freedom is rounding of the sum of the leverages
+    if df < 0.5 or rss <= 0:
+        return None
+    s = math.sqrt(rss / df)
     # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
     left = np.where(leverage < EXACT, 1 - leverage, np.nan)
     return rows.assign(
         row=rows["row"] + 1,
-        standardized=residual / summary.s / np.sqrt(left),
+        standardized=residual / s / np.sqrt(left),
         press=residual / left,
     )
 
@@ -86,7 +92,7 @@ def unusual_observations(found: AnalysisResult) -> UnusualObservations | None:
         None where nothing was left over by the model.
     """
     rows = diagnosed_rows(found)
-    if rows is None or found.variation.summary is None:
+    if rows is None:
         return None
     limit = None if found.assumptions.influence is None else found.assumptions.influence.limit
     leverage = rows["leverage"]
@@ -94,11 +100,13 @@ def unusual_observations(found: AnalysisResult) -> UnusualObservations | None:
     known = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
     listed = rows[list(known)].assign(why=why)[np.array([bool(text) for text in why])]
     order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
-    share = found.variation.summary.r_sq_pred
+    summary = found.variation.summary
     press = float(np.sum(rows["press"].to_numpy(float) ** 2))
-    predicted = math.isfinite(press) and share is not None
     return UnusualObservations(
-        listed.loc[order].reset_index(drop=True), press if predicted else None, share, limit
+        listed.loc[order].reset_index(drop=True),
+        press if math.isfinite(press) else None,
+        None if summary is None else summary.r_sq_pred,
+        limit,
     )
 
 

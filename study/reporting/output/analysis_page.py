@@ -209,6 +209,7 @@ def render(report: AnalysisReport, contents: page.Contents) -> str:
         what_if=verdicts.WHAT_IF,
         glossary=glossary.TERMS,
         warnings=_warnings(report),
+        own_interactions=any(row.p_gg is not None for row in report.found.anova.rows),
         provenance=page._provenance(data),
     )  # fmt: skip
     return clean(text)
