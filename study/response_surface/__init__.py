@@ -1,0 +1,1 @@
+"""Responses over numeric factors: quadratic surfaces and Gaussian-process emulators."""

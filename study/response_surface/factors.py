@@ -1,0 +1,170 @@
+"""Numeric factors and the runs that were made at their settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.arrays import Array, Ints
+from study.errors import Fault, InputError, nearest
+
+#: settings closer than this in coded units are one setting: far above rounding, far below a step
+SAME_SETTING = 1e-9
+
+
+@dataclass(frozen=True)
+class NumericFactor:
+    """A factor whose settings are numbers.
+
+    Parameters
+    ----------
+    name : str
+        Column of the factor.
+    low, high : float
+        Settings that are coded -1 and 1, in the factor's own unit.
+    log : bool
+        Whether settings are coded by their logarithm.
+
+    Raises
+    ------
+    InputError
+        If the range is empty or, for a logarithm, not positive.
+    """
+
+    name: str
+    low: float
+    high: float
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            rule = f"its range {self.low:g}..{self.high:g} is empty"
+            mend = "a constant column is no factor: leave it out of --numeric"
+            raise InputError(Fault(f"factor {self.name!r}", rule, mend))
+        if self.log and self.low <= 0:
+            rule = f"a logarithm needs positive settings, the lowest is {self.low:g}"
+            raise InputError(Fault(f"factor {self.name!r}", rule, "leave ' log' out"))
+
+    def coded(self, settings: Array) -> Array:
+        """Coded settings: -1 at ``low``, 1 at ``high``, without unit and of the same shape."""
+        low, high = self._ends()
+        values = np.log(settings) if self.log else np.asarray(settings)
+        return np.asarray(2.0 * (values - 0.5 * (low + high)) / (high - low))
+
+    def setting(self, coded: float) -> float:
+        """Give the setting in the factor's own unit at a coded value."""
+        low, high = self._ends()
+        value = 0.5 * (low + high) + 0.5 * coded * (high - low)
+        return float(np.exp(value)) if self.log else float(value)
+
+    def _ends(self) -> tuple[float, float]:
+        if self.log:
+            return float(np.log(self.low)), float(np.log(self.high))
+        return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Responses at settings of numeric factors.
+
+    Parameters
+    ----------
+    name : str
+        Name of the response.
+    factors : tuple of NumericFactor
+        The k factors.
+    coded : array, shape (n, k)
+        Coded settings.
+    response : array, shape (n,)
+        One value a run, in the response's unit.
+    blocks : tuple of str
+        Block of each run; empty without blocks.
+    u_num : array, shape (n,), optional
+        Numerical standard uncertainty of each run, in the response's unit.
+
+    Raises
+    ------
+    InputError
+        If a factor never changes.
+    """
+
+    name: str
+    factors: tuple[NumericFactor, ...]
+    coded: Array
+    response: Array
+    blocks: tuple[str, ...] = ()
+    u_num: Array | None = None
+
+    def __post_init__(self) -> None:
+        constant = [
+            f for f, column in zip(self.factors, self.coded.T, strict=True) if _same(column)
+        ]
+        if constant:
+            mend = "leave it out of --numeric, or run other settings"
+            raise InputError(
+                [
+                    Fault(f"factor {f.name!r}", "has one setting in every run", mend)
+                    for f in constant
+                ]
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the factors."""
+        return tuple(factor.name for factor in self.factors)
+
+    def levels(self) -> tuple[int, ...]:
+        """Count the different settings of each factor."""
+        return tuple(len(np.unique(np.round(c / SAME_SETTING))) for c in self.coded.T)
+
+    def settings(self, coded: Array) -> dict[str, float]:
+        """Give settings by name, in their own units, of one coded point of shape (k,)."""
+        return {f.name: f.setting(float(x)) for f, x in zip(self.factors, coded, strict=True)}
+
+    def point(self, at: Mapping[str, float]) -> Array:
+        """Coded point, shape (k,), of settings given by name.
+
+        Raises
+        ------
+        InputError
+            If a factor is missing or unknown, a setting is no number, or the point lies
+            outside the settings that were run.
+        """
+        faults = [
+            Fault(n, "no such factor", nearest(n, self.names)) for n in at if n not in self.names
+        ]
+        faults += [
+            Fault(n, "has no setting", "give every factor one") for n in self.names if n not in at
+        ]
+        if faults:
+            raise InputError(faults)
+        point = np.array([float(f.coded(np.array(float(at[f.name])))) for f in self.factors])
+        outside = ~(point >= self.coded.min(0) - SAME_SETTING) | ~(
+            point <= self.coded.max(0) + SAME_SETTING
+        )
+        if outside.any():
+            raise InputError([self._outside(int(j), at) for j in np.flatnonzero(outside)])
+        return point
+
+    def distinct(self) -> tuple[Array, Ints]:
+        """Different settings, shape (m, k), and which of them each run has, shape (n,)."""
+        rounded = np.round(self.coded / SAME_SETTING)
+        _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)  # in the order of the runs
+        rank = np.empty_like(order)
+        rank[order] = np.arange(order.size)
+        return self.coded[first[order]], rank[np.ravel(which)]
+
+    def _outside(self, j: int, at: Mapping[str, float]) -> Fault:
+        factor = self.factors[j]
+        low, high = (
+            factor.setting(float(x)) for x in (self.coded[:, j].min(), self.coded[:, j].max())
+        )
+        rule = f"{at[factor.name]:g} lies outside the settings that were run, {low:g} to {high:g}"
+        return Fault(factor.name, rule, "ask inside this range, or run settings beyond it")
+
+
+def _same(column: Array) -> bool:
+    return bool(np.ptp(column) <= SAME_SETTING)

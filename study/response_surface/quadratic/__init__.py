@@ -1,0 +1,1 @@
+"""Second-order response surfaces (Box and Wilson 1951; Myers and Montgomery 2016)."""

@@ -1,0 +1,277 @@
+"""Quadratic surfaces against a textbook, closed forms and simulated coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from study.arrays import Array
+from study.errors import InputError, RefusedError
+from study.response_surface.extremes import box_points
+from study.response_surface.factors import NumericFactor, Runs
+from study.response_surface.quadratic.hypotheses import against_blocks
+from study.response_surface.quadratic.least_squares import factorize, leave_one_out
+from study.response_surface.quadratic.polynomial import Polynomial, second_order
+from study.response_surface.quadratic.stationary import in_region
+from study.response_surface.quadratic.surface import fit_quadratic
+
+# Montgomery 2017, example 11.2: yield of a chemical process, coded time and temperature
+A = 2**0.5
+TIME = [-1, -1, 1, 1, 0, 0, 0, 0, 0, A, -A, 0, 0]
+TEMPERATURE = [-1, 1, -1, 1, 0, 0, 0, 0, 0, 0, 0, A, -A]
+YIELD = [76.5, 77.0, 78.0, 79.5, 79.9, 80.3, 80.0, 79.7, 79.8, 78.4, 75.6, 78.5, 77.0]
+
+
+def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:
+    factors = tuple(NumericFactor(f"x{j + 1}", -1.0, 1.0) for j in range(coded.shape[1]))
+    return Runs("y", factors, coded, response, blocks)
+
+
+def face_centred(k: int) -> Array:
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * k)).reshape(k, -1).T
+    return np.vstack([corners, np.eye(k), -np.eye(k), np.zeros((1, k))])
+
+
+def test_montgomery_example_11_2() -> None:
+    coded = np.column_stack([TIME, TEMPERATURE]).astype(float)
+    found = fit_quadratic(unit_runs(coded, np.array(YIELD)))
+    printed = {"1": 79.94, "x1": 0.995, "x2": 0.515, "x1:x2": 0.25, "x1^2": -1.376, "x2^2": -1.001}
+    for term in found.terms:
+        assert term.coefficient == pytest.approx(printed[term.term], abs=1e-3)
+    assert found.error == "replicates"
+    assert found.lack_of_fit is not None
+    assert found.lack_of_fit.f == pytest.approx(1.78, abs=0.01)
+    assert found.lack_of_fit.p == pytest.approx(0.2897, abs=2e-3)
+    assert found.stationary is not None
+    assert found.stationary.kind == "maximum"
+    assert found.stationary.at == pytest.approx([0.389, 0.306], abs=1e-3)
+    assert found.stationary.value == pytest.approx(80.21, abs=0.005)
+    assert found.stationary.eigenvalues == pytest.approx([-1.4141, -0.9634], abs=3e-4)
+
+
+@pytest.mark.parametrize(
+    ("eigenvalues", "kind"),
+    [
+        ((-2.0, -1.0), "maximum"),
+        ((1.0, 3.0), "minimum"),
+        ((-1.0, 2.0), "saddle"),
+        ((-4.0, 0.1), "ridge"),
+    ],
+)
+def test_constructed_surface_is_found_again(eigenvalues: tuple[float, float], kind: str) -> None:
+    angle, at = 0.4, np.array([0.3, -0.2])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    matrix = turn @ np.diag(eigenvalues) @ turn.T
+    coded = face_centred(2)
+    response = 5.0 + np.einsum("ni,ij,nj->n", coded - at, matrix, coded - at)
+    found = fit_quadratic(unit_runs(coded, response))
+    assert found.stationary is not None
+    assert found.stationary.kind == kind
+    assert found.stationary.inside
+    assert found.stationary.at == pytest.approx(at, abs=1e-9)
+    assert found.stationary.eigenvalues == pytest.approx(sorted(eigenvalues), abs=1e-9)
+    assert found.loo is not None
+    assert found.loo.q2 == pytest.approx(1.0, abs=1e-12)
+
+
+def test_deterministic_surface_has_no_p_and_counts_copies_once() -> None:
+    coded = face_centred(2)
+    response = np.exp(coded[:, 0]) + coded[:, 1]
+    once = fit_quadratic(unit_runs(coded, response))
+    copied = fit_quadratic(
+        unit_runs(
+            np.vstack([coded, coded[-1:], coded[-1:]]), np.append(response, response[[-1, -1]])
+        )
+    )
+    assert all(term.p is None and term.interval is None for term in copied.terms)
+    assert copied.lack_of_fit is None
+    assert [t.coefficient for t in copied.terms] == pytest.approx(
+        [t.coefficient for t in once.terms]
+    )
+    assert copied.loo == once.loo
+    assert "2 copies of deterministic runs count once" in copied.notes
+
+
+def test_leave_one_out_is_what_fitting_without_the_run_says() -> None:
+    coded = face_centred(3)
+    response = np.exp(coded @ [0.5, 0.3, -0.7])
+    terms = second_order((3, 3, 3))
+    found = leave_one_out(factorize(terms, coded), response)
+    errors = []
+    for i in range(len(coded)):
+        rest = np.delete(np.arange(len(coded)), i)
+        fit = factorize(terms, coded[rest]).coefficients(response[rest])
+        errors.append(response[i] - Polynomial(terms, fit, 3).value(coded[i : i + 1])[0])
+    assert found is not None
+    assert found.rms == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-9)
+    assert found.largest == pytest.approx(np.abs(errors).max(), rel=1e-9)
+    press = np.sum(np.square(errors))
+    assert found.q2 == pytest.approx(
+        1 - press / ((response - response.mean()) ** 2).sum(), rel=1e-9
+    )
+
+
+def test_terms_that_cannot_be_told_are_listed() -> None:
+    coded = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1], [0, 0]], dtype=float)
+    found = fit_quadratic(unit_runs(coded, np.arange(5.0) ** 2))
+    assert found.aliases == ("x2^2 = x1^2",)
+    assert found.stationary is None
+    assert found.loo is None  # five coefficients of five runs
+    assert any("add runs" in note for note in found.notes)
+
+
+def test_collinear_factors_are_aliases_of_each_other() -> None:
+    x = np.linspace(-1, 1, 9)
+    found = fit_quadratic(unit_runs(np.column_stack([x, -x]), x + x**2))
+    assert "x2 = -1 x1" in found.aliases
+
+
+def test_two_settings_are_linear_only() -> None:
+    coded = np.array([[a, b] for a in (-1.0, 0.0, 1.0) for b in (-1.0, 1.0)])
+    found = fit_quadratic(unit_runs(coded, coded[:, 0] ** 2 + coded[:, 1]))
+    assert "x2^2" not in [term.term for term in found.terms]
+    assert "x2 has two settings: linear only" in found.notes
+    assert found.stationary is None
+
+
+def test_one_column_against_blocks_is_the_paired_t_test() -> None:
+    rng = np.random.default_rng(3)
+    table = rng.normal(0.3, 1.0, (2, 7))
+    found = against_blocks(np.array([[-1.0], [1.0]]) / 2**0.5, table)
+    t = stats.ttest_rel(table[0], table[1])
+    assert found is not None
+    assert found.f == pytest.approx(t.statistic**2)
+    assert found.p == pytest.approx(t.pvalue)
+
+
+def block_runs(rng: np.random.Generator, coded: Array, true: Polynomial, blocks: int) -> Runs:
+    """Every block with its own quadratic, and no misfit."""
+    response, names = [], []
+    for b in range(blocks):
+        own = true.coefficients + rng.normal(0.0, 0.3, len(true.terms))
+        response.append(Polynomial(true.terms, own, true.k).value(coded))
+        names += [f"b{b}"] * len(coded)
+    return unit_runs(np.tile(coded, (blocks, 1)), np.concatenate(response), tuple(names))
+
+
+def test_blocks_give_intervals_tests_and_a_region() -> None:
+    rng = np.random.default_rng(1)
+    true = Polynomial(second_order((3, 3)), np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5]), 2)
+    runs = block_runs(rng, face_centred(2), true, 8)
+    runs = Runs(
+        runs.name, runs.factors, runs.coded, runs.response + rng.normal(0, 0.05, 72), runs.blocks
+    )
+    found = fit_quadratic(runs)
+    squares = {t.term: t for t in found.terms}["x1^2"]
+    assert squares.p is not None
+    assert squares.p < 0.001
+    assert found.factor_tests["x1"].p < 0.01
+    assert found.lack_of_fit is not None
+    assert found.lack_of_fit.p > 0.05
+    assert found.stationary is not None
+    region = found.stationary.region
+    assert region is not None
+    assert not region.leaves
+    assert (region.low < found.stationary.at).all()
+    assert (region.high > found.stationary.at).all()
+
+
+def test_incomplete_blocks_are_left_out_or_refused() -> None:
+    coded = face_centred(2)
+    true = Polynomial(second_order((3, 3)), np.arange(6.0), 2)
+    runs = block_runs(np.random.default_rng(2), coded, true, 3)
+    part = Runs(runs.name, runs.factors, runs.coded[:-1], runs.response[:-1], runs.blocks[:-1])
+    assert "left out, with settings that lack a run: b2" in fit_quadratic(part).notes
+    with pytest.raises(RefusedError, match="complete the blocks"):
+        fit_quadratic(
+            Runs("y", runs.factors, runs.coded[1:17], runs.response[1:17], runs.blocks[1:17])
+        )
+
+
+def test_best_point_on_the_boundary() -> None:
+    coded = face_centred(2)
+    found = fit_quadratic(unit_runs(coded, 1.0 + 2.0 * coded[:, 0] - (coded[:, 1] - 0.5) ** 2))
+    assert found.largest.on_boundary
+    assert found.largest.at == pytest.approx([1.0, 0.5], abs=1e-4)
+    assert found.largest.value == pytest.approx(3.0, abs=1e-8)
+
+
+def test_coding_and_bad_input() -> None:
+    factor = NumericFactor("time", 1.0, 100.0, log=True)
+    assert factor.coded(np.array([1.0, 10.0, 100.0])) == pytest.approx([-1.0, 0.0, 1.0])
+    assert factor.setting(0.5) == pytest.approx(10**1.5)
+    with pytest.raises(InputError, match="positive"):
+        NumericFactor("time", 0.0, 1.0, log=True)
+    with pytest.raises(InputError, match="empty"):
+        NumericFactor("time", 3.0, 3.0)
+    coded = face_centred(2)
+    with pytest.raises(InputError, match="one setting in every run"):
+        unit_runs(coded * [1.0, 0.0], coded[:, 0])
+    runs = unit_runs(coded, coded[:, 0])
+    assert runs.point({"x1": 0.5, "x2": -1.0}) == pytest.approx([0.5, -1.0])
+    for at, said in [({"x1": 2.0, "x2": 0.0}, "outside"), ({"x1": 0.0}, "no setting"),
+                     ({"x1": 0.0, "x2": 0.0, "x3": 0.0}, "no such factor"),
+                     ({"x1": float("nan"), "x2": 0.0}, "outside")]:  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            runs.point(at)
+
+
+def share_in_interval(rng: np.random.Generator, designs: int) -> float:
+    """Share of the box within 2 LOO rms of smooth surfaces that are no quadratics."""
+    coded = face_centred(3)
+    points = box_points(3, 512)
+    shares = []
+    for _ in range(designs):
+        a, b = rng.normal(0, 0.8, 3), rng.normal(0, 0.8, 3)
+
+        def truth(x: Array, a: Array = a, b: Array = b) -> Array:
+            return np.asarray(np.exp(0.5 * x @ a) + np.sin(x @ b))
+
+        values, half = fit_quadratic(unit_runs(coded, truth(coded))).predict(points)
+        shares.append(float(np.mean(np.abs(values - truth(points)) <= half)))
+    return float(np.mean(shares))
+
+
+def region_coverage(rng: np.random.Generator, n: int) -> float:
+    """Share of regions that hold the true stationary point, 6 blocks, 2 factors."""
+    terms = second_order((3, 3))
+    true = np.array([5.0, 0.3, -0.2, 0.1, -2.0, -1.5])
+    surface = Polynomial(terms, true, 2)
+    at = -0.5 * np.linalg.solve(surface.quadratic(), surface.linear())
+    hits = 0
+    for _ in range(n):
+        each = [Polynomial(terms, true + rng.normal(0, 0.4, 6), 2) for _ in range(6)]
+        hits += bool(in_region(each, at[None, :])[0])
+    return hits / n
+
+
+def lack_of_fit_size(rng: np.random.Generator, n: int, blocks: int) -> float:
+    """Share of false alarms of lack of fit where every block is a quadratic with noise."""
+    columns = factorize(second_order((3, 3, 3)), face_centred(3))
+    open_columns = columns.complement()
+    found = 0
+    for _ in range(n):
+        test = against_blocks(open_columns, rng.normal(0, 1, (15, blocks)))
+        found += test is not None and test.p < 0.05
+    return found / n
+
+
+def test_bar_10_in_short() -> None:
+    rng = np.random.default_rng(10)
+    assert share_in_interval(rng, 30) >= 0.95
+    assert 0.92 <= region_coverage(rng, 400) <= 0.98
+    assert lack_of_fit_size(rng, 400, 6) <= 0.08
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_bar_10() -> None:
+    rng = np.random.default_rng(11)
+    share = share_in_interval(rng, 400)
+    coverage = region_coverage(rng, 4000)
+    sizes = {b: lack_of_fit_size(rng, 4000, b) for b in (5, 6, 9)}
+    print(f"box within 2 LOO rms {share:.3f}; region covers {coverage:.3f}; lack of fit {sizes}")
+    assert share >= 0.97
+    assert 0.935 <= coverage <= 0.965
+    assert max(sizes.values()) <= 0.06
