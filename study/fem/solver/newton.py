@@ -112,7 +112,7 @@ def solve_step(
         state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
         assembly = system.assemble(state)
         if not assembly.min_j > 0:
-            return NewtonResult(state, False, iteration, "an element is inverted", ())
+            return NewtonResult(state, False, iteration, _invalid(J), ())
         right = -assembly.residual[free]
         if lift.size:
             right -= system.lift_product(lift)
@@ -172,6 +172,13 @@ def _solved(
     # of a linear body the first solve is the last
     rough = _AT_LAST * settings.tolerance if system.small_strain else _ROUGH
     return system.solve_afresh(right, rough)
+
+
+def _invalid(J: Array) -> str:
+    """Why a state has no stress: its volume ratios tell an inverted element."""
+    if (J > 0).all():
+        return "a point is stretched beyond what the energy reaches, such as the end of its chains"
+    return "an element is inverted"
 
 
 def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:
