@@ -263,6 +263,7 @@ class AnalysisResult:
                 "U_needed": plain(effect.u_needed),
                 "p_holm": plain(effect.p_holm),
                 "lost_without": plain(effect.lost_without),
+                "of_components": effect.of_components or None,
                 "simple_effects": plain(effect.simple_effects),
             }
             for effect in self.effects

@@ -110,7 +110,7 @@ def analyze(
     analysis_tables.print_analysis(found)
     if compared is not None:
         analysis_tables.print_reference(*compared)
-    if all(effect.verdict == "cannot tell" for effect in found.effects):
+    if all(effect.verdict == "cannot tell" for effect in found.effects if effect.is_main):
         _hint_practical(practical)
     if page is not None:
         print(f"\nreport: {page}")
