@@ -175,9 +175,11 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
     """Draw Cook's distance by row, and standardized residual against leverage."""
     figure = canvas(WIDTH_IN, 3.2)
     cook, leverage = figure.subplots(1, 2)
-    shown = thinned(points, data.seed)
+    # a row that is fitted exactly has leverage one, and no Cook's distance
+    drawn = thinned(points, data.seed)
+    shown = drawn[np.isfinite(drawn["cook"].to_numpy(float))]
     cook.vlines(shown["row"], 0, shown["cook"], color=color_of(0), linewidth=1.0)
-    largest = float(np.nanmax(shown["cook"].to_numpy(float)))
+    largest = float(np.nanmax(shown["cook"].to_numpy(float), initial=0.0))
     if limit is not None and limit <= 3 * largest:
         cook.axhline(limit, color=INK, linewidth=0.8, linestyle="--")
     for row in shown.nlargest(NAMED, "cook").itertuples():
