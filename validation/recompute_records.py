@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from study.errors import InputError
+from study.record.document import CurveKey
 
 Config = Mapping[str, Any]
 
@@ -75,13 +76,13 @@ def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any,
 
     places = () if data is None else (data.resolve(),)
     return {
-        _name(case.levels, case.block, extra): located(case.config, places)
-        for case, extra in mesh_seeded(cases(design, blocks), design)
+        _name(case.levels, case.block, origin.mesh_seed): located(case.config, places)
+        for case, origin in mesh_seeded(cases(design, blocks), design)
     }
 
 
-def _name(levels: Mapping[str, str], block: str | None, extra: Mapping[str, Any]) -> Any:
-    return tuple(sorted(levels.items())), block, extra.get("mesh_seed")
+def _name(levels: Mapping[str, str], block: str | None, mesh_seed: int | None) -> Any:
+    return tuple(sorted(levels.items())), block, mesh_seed
 
 
 def _job(
@@ -92,7 +93,7 @@ def _job(
     if why:
         left_out[why] += 1
         return None
-    config = configs.get(_name(record.levels, record.block, record.extra))
+    config = configs.get(_name(record.levels, record.block, record.extra.get("mesh_seed")))
     if config is None:
         raise InputError(f"case {record.case_id}: the stored design has no such cell")
     return Job(
@@ -126,7 +127,9 @@ def _unfit(record: Any) -> str:
     if record.extra.get("noise_seed"):
         return "fits to resampled noise, which hold no curve"
     facts = record.extra.get("directions") or ()
-    if not facts or not all(f"predicted:{fact['score']}" in record.curves for fact in facts):
+    if not facts or not all(
+        CurveKey("predicted", fact["score"]) in record.curves for fact in facts
+    ):
         return "without a predicted curve"
     fits = [fact["fit"] or "all" for fact in facts]
     if record.fit is not None and len(set(fits)) < len(fits):
@@ -135,7 +138,7 @@ def _unfit(record: Any) -> str:
 
 
 def _plain(config: Config) -> dict[str, Any]:
-    from study.design.cases import plain
+    from study.design.sections.content import plain
 
     made: dict[str, Any] = plain(config)
     return made
@@ -145,7 +148,7 @@ def _directions(record: Any, config: Config, data: Path | None) -> Iterator[Dire
     for number, fact in enumerate(record.extra["directions"]):
         label = fact["score"]
         fit = None if record.fit is None else record.fit[fact["fit"] or "all"]
-        measured = record.curves[f"measured:{label}"]
+        measured = record.curves[CurveKey("measured", label)]
         if data is not None:
             measured = _read(config, record.block, data, number)
         yield Direction(
@@ -153,7 +156,7 @@ def _directions(record: Any, config: Config, data: Path | None) -> Iterator[Dire
             {name: float(found["value"]) for name, found in fact["responses"].items()},
             None if fit is None else dict(fit["values"]),
             _lists(measured),
-            _lists(record.curves[f"predicted:{label}"]),
+            _lists(record.curves[CurveKey("predicted", label)]),
         )
 
 

@@ -190,7 +190,7 @@ def _uncertainty(
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
     from study.runner.numerical.formal_order import formal_order
-    from study.runner.numerical.study_refinement import (
+    from study.runner.numerical.series_uncertainty import (
         ratio_of,
         series_uncertainty,
         two_mesh_uncertainty,

@@ -116,12 +116,13 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
-    if setup.kind.mode in _VOLUMETRIC:  # the volume is all that changes
+    mode = setup.kind.mode
+    if mode in _VOLUMETRIC:  # the volume is all that changes
         volume = MaterialSection.of(config["material"]).compressibility
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
-        return homogeneous(setup.specimen, unit, d, setup.kind.mode, setup.kind.sense).force_N
+        return homogeneous(setup.specimen, unit, d, mode, setup.kind.sense).force_N
     nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(
