@@ -276,7 +276,7 @@ def test_low_and_high_are_coded_by_the_factor() -> None:
     settings = np.column_stack([10.0 ** (2.0 * x[:, 0]), 2.0 * x[:, 1]])
     coded = np.column_stack([f.coded(c) for f, c in zip(factors, settings.T, strict=True)])
     found = fit_emulator(Runs("y", factors, coded, np.log10(settings[:, 0]) + settings[:, 1]))
-    at = found.runs.point({"a": 10.0, "b": 1.0})
-    value, half = found.predict(at[None, :])
+    at = found.runs.points({"a": 10.0, "b": 1.0})
+    value, half = found.predict(at)
     assert value[0] == pytest.approx(2.0, abs=1e-3)
     assert half[0] < 1e-2

@@ -209,12 +209,14 @@ def test_coding_and_bad_input() -> None:
     with pytest.raises(InputError, match="one setting in every run"):
         unit_runs(coded * [1.0, 0.0], coded[:, 0])
     runs = unit_runs(coded, coded[:, 0])
-    assert runs.point({"x1": 0.5, "x2": -1.0}) == pytest.approx([0.5, -1.0])
+    assert runs.points({"x1": [0.5, 0.0], "x2": -1.0}) == pytest.approx(
+        np.array([[0.5, -1.0], [0.0, -1.0]])
+    )
     for at, said in [({"x1": 2.0, "x2": 0.0}, "outside"), ({"x1": 0.0}, "no setting"),
                      ({"x1": 0.0, "x2": 0.0, "x3": 0.0}, "no such factor"),
                      ({"x1": float("nan"), "x2": 0.0}, "outside")]:  # fmt: skip
         with pytest.raises(InputError, match=said):
-            runs.point(at)
+            runs.points(at)
 
 
 def share_in_interval(rng: np.random.Generator, designs: int) -> float:
