@@ -103,7 +103,7 @@ def analyze(
         surface_tables.show(source, _names(numeric), surface, flags, as_json)
         return
     found = api.analyze(
-        source, response, _names(factors), results=results, decimal=decimal,
+        source, response, [*_names(factors), *_names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
     compared = _compared(found, reference)

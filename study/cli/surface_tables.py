@@ -82,14 +82,15 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
 
 def print_surface(found: SurfaceAnalysis) -> None:
     """Print model, error, factors and extremes of a surface."""
-    from study.response_surface.emulator.emulator import Emulator
+    from study.response_surface.quadratic.surface import QuadraticSurface
 
     model = found.model
-    if not isinstance(model, Emulator):
+    if isinstance(model, QuadraticSurface):
         _print_quadratic(model)
     else:
-        print(f"Gaussian process, {model.process.found.kernel.family} kernel, ", end="")
-        print(f"{model.runs.response.size} runs of {len(model.runs.factors)} factors")
+        runs = model.runs
+        blocks = f", one emulator for each of {len(set(runs.blocks))} blocks" if runs.blocks else ""
+        print(f"Gaussian process: {runs.response.size} runs of {len(runs.factors)} factors{blocks}")
         print(f"leave-one-out: rms {output.number(model.loo_rms)}, Q2 {model.q2:.3f}\n")
         _print_sensitivity(found)
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):

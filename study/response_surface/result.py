@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.arrays import Array
+from study.response_surface.emulator.blocked import BlockedEmulator
 from study.response_surface.emulator.effect_ranges import EffectRange
 from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.emulator.sobol_indices import SobolIndex
@@ -46,7 +47,7 @@ class SurfaceAnalysis:
 
     Parameters
     ----------
-    model : QuadraticSurface or Emulator
+    model : QuadraticSurface, Emulator or BlockedEmulator
         What was fitted.
     sensitivity : tuple of Sensitivity
         One entry a factor; empty for a quadratic surface, or where Q2 refuses it.
@@ -56,7 +57,7 @@ class SurfaceAnalysis:
         What a reader must know.
     """
 
-    model: QuadraticSurface | Emulator
+    model: QuadraticSurface | Emulator | BlockedEmulator
     sensitivity: tuple[Sensitivity, ...]
     smallest: Extreme
     largest: Extreme
@@ -70,7 +71,7 @@ class SurfaceAnalysis:
     @property
     def kind(self) -> str:
         """Either ``quadratic`` or ``emulator``."""
-        return "emulator" if isinstance(self.model, Emulator) else "quadratic"
+        return "quadratic" if isinstance(self.model, QuadraticSurface) else "emulator"
 
     def predict(self, at: Mapping[str, ArrayLike]) -> Prediction:
         """Predict at settings that were not run, inside those that were.
@@ -128,17 +129,25 @@ class SurfaceAnalysis:
 
     def _emulator(self) -> Document:
         found = self.model
-        if not isinstance(found, Emulator):
+        if isinstance(found, QuadraticSurface):
             return {}
-        kernel = found.process.found.kernel
+        own: Document
+        if isinstance(found, Emulator):
+            own = self._process(found)
+        else:
+            own = {"blocks": {name: self._process(e) for name, e in found.emulators.items()}}
         return {
-            "kernel": kernel.family,
-            "lengths": dict(zip(self.runs.names, kernel.lengths.tolist(), strict=True)),
+            **own,
             "loo_rms": found.loo_rms,
             "loo_max": float(np.abs(found.loo_errors).max()),
             "q2": found.q2,
             "indices": found.gate,
         }
+
+    def _process(self, found: Emulator) -> Document:
+        kernel = found.process.found.kernel
+        lengths = dict(zip(self.runs.names, kernel.lengths.tolist(), strict=True))
+        return {"kernel": kernel.family, "lengths": lengths, "q2": found.q2}
 
     def _stationary(self, point: StationaryPoint | None) -> Document | None:
         if point is None:
@@ -205,12 +214,14 @@ def analysis_of_quadratic(found: QuadraticSurface) -> SurfaceAnalysis:
     return SurfaceAnalysis(found, (), found.smallest, found.largest, tuple(said))
 
 
-def analysis_of_emulator(found: Emulator, practical: float | None) -> SurfaceAnalysis:
+def analysis_of_emulator(
+    found: Emulator | BlockedEmulator, practical: float | None
+) -> SurfaceAnalysis:
     """Ask an emulator for all that its Q2 allows.
 
     Parameters
     ----------
-    found : Emulator
+    found : Emulator or BlockedEmulator
         Fitted to the runs.
     practical : float or None
         Smallest difference that matters, in the response's unit.
@@ -240,7 +251,7 @@ def analysis_of_emulator(found: Emulator, practical: float | None) -> SurfaceAna
     return SurfaceAnalysis(found, told, low, high, tuple(notes))
 
 
-def _with_interval(found: Emulator, extreme: Extreme) -> Extreme:
+def _with_interval(found: Emulator | BlockedEmulator, extreme: Extreme) -> Extreme:
     _, half = found.predict(extreme.at[None, :])
     return Extreme(extreme.at, extreme.value, float(half[0]))
 

@@ -118,6 +118,41 @@ def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
     assert second["verdict"] == "no practical difference"
 
 
+def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
+    x = functions.hypercube(2, 25, 1)
+    slopes = [9.0, 10.0, 11.0, 10.5]
+    y = [s * x[:, 0] + np.sin(3 * x[:, 1]) for s in slopes]
+    columns: dict[str, object] = {
+        "x1": np.tile(x[:, 0], 4), "x2": np.tile(x[:, 1], 4),
+        "b": np.repeat(["p", "q", "r", "s"], 25), "y": np.concatenate(y),
+    }  # fmt: skip
+    path = write(tmp_path / "t.csv", columns)
+    found = analyze(path, "x1=0..1,x2=0..1", "--block", "b", "--practical", "5", "--json").json
+    first, second = found["sensitivity"]
+    # the range along x1 is the slope of each block: their mean, and t with three degrees
+    t = 3.182 * np.std(slopes, ddof=1) / 2.0
+    assert first["range"] == pytest.approx(np.mean(slopes), abs=0.05)
+    assert first["range_bound"] == pytest.approx(t, abs=0.1)
+    assert first["verdict"] == "matters"
+    assert second["range"] == pytest.approx(1.0, abs=0.05)  # the sine has its top inside
+    share = np.array(slopes) ** 2 / 12
+    share /= share + np.var(np.sin(3 * np.linspace(0, 1, 100_001)))
+    assert first["S"] == pytest.approx(share.mean(), abs=0.01)
+    assert list(found["surface"]["blocks"]) == ["p", "q", "r", "s"]
+    two = write(tmp_path / "two.csv", {name: np.asarray(c)[:50] for name, c in columns.items()})
+    answer = analyze(two, "x1,x2", "--block", "b")
+    assert answer.code == 3
+    assert "one block at a time" in answer.err
+
+
+def test_no_surface_is_the_table_of_levels(tmp_path: Path) -> None:
+    levels = np.repeat([1.0, 2.0, 3.0], 4)
+    y = levels + np.random.default_rng(1).normal(0, 0.1, 12)
+    path = write(tmp_path / "t.csv", {"a": levels, "y": y})
+    found = analyze(path, "a", "--surface", "none", "--json").json
+    assert found == study("analyze", path, "--response", "y", "--factors", "a", "--json").json
+
+
 def test_prediction_from_python(chemical: Path) -> None:
     found = public.fit_surface(chemical, "yield", ["time", "temp"])
     at = found.predict({"time": [85.0, 86.95], "temp": [175.0, 176.53]})
@@ -152,6 +187,7 @@ def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) 
         ("tima", (), 2, "did you mean 'time'"),
         ("time,time", (), 2, "stands twice"),
         ("time=9..8", (), 2, "is empty"),
+        ("time=0..40", (), 2, "not extrapolated: time=0..23"),
         ("time=a..b", (), 2, "cannot read the range"),
         ("flat", (), 2, "range 1..1 is empty"),
         ("time", ("--surface", "quadratc"), 2, "did you mean 'quadratic'"),

@@ -12,7 +12,8 @@ import numpy as np
 from study import tabular
 from study.analysis.request import threshold
 from study.arrays import Array
-from study.errors import Fault, InputError, RefusedError, nearest
+from study.errors import Fault, InputError, nearest
+from study.response_surface.emulator.blocked import fit_blocks
 from study.response_surface.emulator.emulator import (
     GRID_LEVELS,
     LARGEST,
@@ -33,6 +34,10 @@ Surface = Literal["auto", "quadratic", "emulator", "none"]
 
 #: most factors of a quadratic surface that is chosen by itself
 FEW = 5
+
+#: how far a range may go beyond the runs, in coded units: a Latin hypercube of ten runs has its
+#: outermost settings at most .2 inside of its range
+BEYOND = 0.2 + 1e-9
 
 #: seconds from which a fit is announced
 LONG = 5.0
@@ -66,7 +71,8 @@ def fit_surface(
     surface : {"auto", "quadratic", "emulator", "none"}
         By itself an emulator for more than five factors, or settings that fill the box.
     block : str, optional
-        Column of the blocks, each with a run at every setting.
+        Column of the blocks; a quadratic needs a run of each at every setting, an
+        emulator three blocks.
     practical : float or str, optional
         Smallest difference that matters: a number, or "5 % of mean".
     decimal : {".", ","}
@@ -95,19 +101,19 @@ def fit_surface(
     kind = _chosen(runs) if surface == "auto" else surface
     if kind == "quadratic":
         found = analysis_of_quadratic(fit_quadratic(runs))
+        if practical is not None:
+            left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
     else:
-        if len(set(runs.blocks)) > 1:
-            rule = "an emulator of several blocks would mix them"
-            mend = "analyze one block at a time, or --surface quadratic"
-            raise RefusedError(str(Fault("--block", rule, mend)))
         _announce(runs, announce)
-        found = analysis_of_emulator(fit_emulator(runs), _difference(practical, runs.response))
+        model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+        found = analysis_of_emulator(model, _difference(practical, runs.response))
     return _with_notes(found, (*table.notes, *left_out))
 
 
 def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
-    seconds = expected_seconds(runs.response.size)
-    if announce is not None and seconds > LONG and runs.response.size <= LARGEST:
+    own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+    seconds = sum(expected_seconds(n) for n in own)
+    if announce is not None and seconds > LONG and max(own) <= LARGEST:
         announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
 
 
@@ -181,4 +187,10 @@ def _factor(
         raise InputError(Fault(f"factor {name!r}", rule, "leave ' log' out"))
     first = float(settings.min()) if low is None else low
     last = float(settings.max()) if high is None else high
-    return NumericFactor(name, first, last, log)
+    factor = NumericFactor(name, first, last, log)
+    run = factor.coded(np.array([settings.min(), settings.max()]))
+    if run[0] > -1.0 + BEYOND or run[1] < 1.0 - BEYOND:
+        rule = f"the range {first:g}..{last:g} goes beyond the settings that were run"
+        mend = f"a surface is not extrapolated: {name}={settings.min():g}..{settings.max():g}"
+        raise InputError(Fault(f"factor {name!r}", rule, mend))
+    return factor
