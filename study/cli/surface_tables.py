@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -17,6 +18,12 @@ if TYPE_CHECKING:
 
 #: flags of `study analyze` that a surface has a use for
 USED = frozenset({"--response", "--block", "--practical", "--decimal"})
+
+#: what to do instead of a flag; every other one is left out
+MEND = {
+    "--report": "surfaces have no page yet: --json holds all that was found",
+    "--alpha": "intervals are 95 %: leave it out",
+}
 
 
 def show(
@@ -72,7 +79,11 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
         mend = "keep the rows of one combination of labels, or name a column in --numeric"
         faults.append(Fault("--factors", rule, mend))
     faults += [
-        Fault(flag, "has no meaning for a surface over numeric factors", "leave it out")
+        Fault(
+            flag,
+            "has no meaning for a surface over numeric factors",
+            MEND.get(flag, "leave it out"),
+        )
         for flag, value in flags.items()
         if value and flag not in USED | {"--factors"}
     ]
@@ -148,7 +159,10 @@ def _share(value: float, interval: tuple[float, float]) -> str:
 
 def _extreme(found: SurfaceAnalysis, extreme: Extreme) -> str:
     at = _settings(found.runs.settings(extreme.at))
-    return f"{extreme.value:.4g} +- {extreme.half_width:.2g} at {at}"
+    # NaN where no run can be left out
+    known = math.isfinite(extreme.half_width)
+    error = f" +- {extreme.half_width:.2g}" if known else ", error unknown,"
+    return f"{extreme.value:.4g}{error} at {at}"
 
 
 def _settings(settings: Mapping[str, float]) -> str:

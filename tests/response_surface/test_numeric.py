@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +12,11 @@ import study as public
 from study.arrays import Array
 from study.errors import InputError
 from tests.cli.small import Answer, study
+from tests.conftest import ROOT
 from tests.response_surface import functions
-from tests.response_surface.test_quadratic import TEMPERATURE, TIME, YIELD
+
+#: Montgomery, 8th ed., example 11.2: yield over time and temperature
+CHEMICAL = ROOT / "validation" / "statistics" / "chemical_process.csv"
 
 
 def write(path: Path, columns: dict[str, object]) -> Path:
@@ -23,14 +25,6 @@ def write(path: Path, columns: dict[str, object]) -> Path:
     lines = [",".join(names), *(",".join(str(cell) for cell in row) for row in rows)]
     path.write_text("\n".join(lines) + "\n")
     return path
-
-
-@pytest.fixture
-def chemical(tmp_path: Path) -> Path:
-    """Montgomery 2017, example 11.2, in min and degrees Fahrenheit."""
-    time = 85 + 5 * np.array(TIME)
-    temperature = 175 + 5 * np.array(TEMPERATURE)
-    return write(tmp_path / "t.csv", {"time": time, "temp": temperature, "yield": YIELD})
 
 
 def table(path: Path, function: Callable[[Array], Array], k: int, n: int) -> Path:
@@ -43,19 +37,29 @@ def analyze(path: Path, numeric: str, *more: object) -> Answer:
     return study("analyze", path, "--response", "y", "--numeric", numeric, *more)
 
 
-def test_montgomery_through_the_verb(chemical: Path) -> None:
-    asked = ("analyze", chemical, "--response", "yield", "--numeric", "time=80..90,temp=170..180")
+def test_montgomery_example_11_2() -> None:
+    numeric = "time_min=80..90,temperature_F=170..180"
+    asked = ("analyze", CHEMICAL, "--response", "yield", "--numeric", numeric)
     found = study(*asked, "--json").json
     surface = found["surface"]
     assert surface["kind"] == "quadratic"
-    coefficients = {t["term"]: t["coefficient"] for t in surface["terms"]}
-    assert coefficients["time^2"] == pytest.approx(-1.376, abs=1e-3)
-    assert surface["stationary"]["at"] == pytest.approx({"time": 86.95, "temp": 176.53}, abs=0.01)
-    assert surface["stationary"]["established"]
+    told = {t["term"].replace("time_min", "t"): t["coefficient"] for t in surface["terms"]}
+    told = {term.replace("temperature_F", "T"): value for term, value in told.items()}
+    printed = {"1": 79.94, "t": 0.995, "T": 0.515, "t:T": 0.25, "t^2": -1.376, "T^2": -1.001}
+    assert told == pytest.approx(printed, abs=1e-3)
+    assert surface["error"] == "replicates"
+    assert surface["lack_of_fit"]["F"] == pytest.approx(1.78, abs=0.01)
     assert surface["lack_of_fit"]["p"] == pytest.approx(0.2897, abs=2e-3)
+    point = surface["stationary"]
+    assert point["kind"] == "maximum"
+    assert point["coded"] == pytest.approx([0.389, 0.306], abs=1e-3)
+    assert point["at"] == pytest.approx({"time_min": 86.95, "temperature_F": 176.53}, abs=0.01)
+    assert point["value"] == pytest.approx(80.21, abs=0.005)
+    assert point["eigenvalues"] == pytest.approx([-1.4141, -0.9634], abs=4e-4)
+    assert point["established"]
     assert found["sensitivity"] == []
-    text = study(*asked).out
-    assert "stationary point (maximum): 80.21 at time = 86.95, temp = 176.5" in text
+    said = "stationary point (maximum): 80.21 at time_min = 86.95, temperature_F = 176.5"
+    assert said in study(*asked).out
 
 
 def test_no_p_is_printed_of_a_deterministic_surface(tmp_path: Path) -> None:
@@ -153,13 +157,13 @@ def test_no_surface_is_the_table_of_levels(tmp_path: Path) -> None:
     assert found == study("analyze", path, "--response", "y", "--factors", "a", "--json").json
 
 
-def test_prediction_from_python(chemical: Path) -> None:
-    found = public.fit_surface(chemical, "yield", ["time", "temp"])
-    at = found.predict({"time": [85.0, 86.95], "temp": [175.0, 176.53]})
+def test_prediction_from_python() -> None:
+    found = public.fit_surface(CHEMICAL, "yield", ["time_min", "temperature_F"])
+    at = found.predict({"time_min": [85.0, 86.95], "temperature_F": [175.0, 176.53]})
     assert at.value == pytest.approx([79.94, 80.21], abs=0.01)
     assert (at.low < at.value).all()
-    with pytest.raises(InputError, match=r"lies outside.*77.9.* to 92.07"):
-        found.predict({"time": 95.0, "temp": 175.0})
+    with pytest.raises(InputError, match=r"lies outside.*77.93 to 92.07"):
+        found.predict({"time_min": 95.0, "temperature_F": 175.0})
 
 
 def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:
@@ -193,6 +197,8 @@ def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) 
         ("time", ("--surface", "quadratc"), 2, "did you mean 'quadratic'"),
         ("time", ("--factors", "temp"), 2, "labels are never read as numbers"),
         ("time", ("--unit", "temp"), 2, "has no meaning for a surface"),
+        ("time", ("--report", "out"), 2, "surfaces have no page yet"),
+        ("time", ("--alpha", "0.1"), 2, "intervals are 95 %"),
         ("word", (), 2, "must be a finite number, got 'a'"),
         ("zero log", (), 2, "a logarithm needs positive settings"),
         ("two,time", ("--surface", "emulator"), 3, "has 2 settings"),
@@ -219,6 +225,10 @@ def test_ten_thousand_runs_are_refused_with_what_to_do(tmp_path: Path) -> None:
     assert "every 5th row" in answer.err
 
 
-def test_json_is_strict(chemical: Path) -> None:
-    out = study("analyze", chemical, "--response", "yield", "--numeric", "time,temp", "--json").out
-    assert json.loads(out)["surface"]["best"]["largest"]["half_width"] > 0
+def test_a_saturated_surface_has_no_error_and_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path / "t.csv", {"x": [1.0, 2.0, 3.0], "y": [1.0, 4.0, 9.0]})
+    answer = analyze(path, "x", "--json")
+    assert answer.json["surface"]["best"]["largest"]["half_width"] is None
+    assert answer.json["surface"]["q2"] is None
+    assert "as many coefficients as runs" in answer.err
+    assert "nan" not in analyze(path, "x").out
