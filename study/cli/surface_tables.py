@@ -147,10 +147,14 @@ def _print_sensitivity(found: SurfaceAnalysis) -> None:
         row.append(_share(index.first, index.first_interval))
         row.append(_share(index.total, index.total_interval))
         row.append(f"{effect.value:.4g} +- {effect.bound:.2g}")
-        rows.append([*row, effect.verdict])
+        rows.append([*row, f"{effect.verdict}, if confirmed" if effect.claims else effect.verdict])
     if found.sensitivity:
         output.table(rows, f"Sensitivity: {found.runs.name}")
         print()
+    for item in found.sensitivity:
+        if item.range is not None and item.range.claims:
+            ends = [_settings(found.runs.settings(point)) for point in item.range.confirm]
+            print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
 
 
 def _share(value: float, interval: tuple[float, float]) -> str:

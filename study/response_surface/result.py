@@ -192,9 +192,9 @@ class SurfaceAnalysis:
             "range": None if effect is None else effect.value,
             "range_bound": None if effect is None else effect.bound,
             "verdict": "cannot tell" if effect is None else effect.verdict,
-            "confirm": []
-            if effect is None
-            else [self.runs.settings(point) for point in effect.confirm],
+            "confirm": [self.runs.settings(point) for point in effect.confirm]
+            if effect is not None and effect.claims
+            else [],
         }
 
 

@@ -120,6 +120,12 @@ def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
     assert first["verdict"] == "matters"
     assert len(first["confirm"]) == 2
     assert second["verdict"] == "no practical difference"
+    assert second["confirm"] == []
+    low, high = (10 * at["x1"] + at["x1"] ** 3 for at in first["confirm"])
+    assert high - low == pytest.approx(first["range"], abs=first["range_bound"])
+    text = analyze(path, "x1,x2", "--practical", "2").out
+    assert "matters, if confirmed" in text
+    assert "confirm x1: run x1 = " in text
 
 
 def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:

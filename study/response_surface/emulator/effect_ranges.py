@@ -49,6 +49,11 @@ class EffectRange:
     verdict: Verdict
     confirm: Array
 
+    @property
+    def claims(self) -> bool:
+        """Whether the factor is said to matter, which two runs are to confirm."""
+        return self.verdict == "matters"
+
 
 def effect_range(
     mean: Callable[[Array], Array], k: int, j: int, bound: float, small: Small
