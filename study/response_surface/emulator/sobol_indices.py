@@ -83,7 +83,7 @@ def sobol_indices(
         Number of factors.
     q2 : float
         Leave-one-out Q2: what the emulator leaves unexplained widens every interval, because
-        paths alone covered a true index in no more than 0 to 67 % of the cases at few runs.
+        paths alone scatter too little where there are few runs.
     seed : int
         Of the sample.
     """
