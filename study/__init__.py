@@ -15,6 +15,7 @@ _LAZY = {
     "analyze": "study.api",
     "converge": "study.api",
     "report": "study.api",
+    "fit_surface": "study.api",
     "contrasts": "study.api",
     "power": "study.api",
     "export": "study.api",

@@ -17,6 +17,7 @@ PUBLIC = {
     "solve",
     "calibrate",
     "analyze",
+    "fit_surface",
     "contrasts",
     "mixed_model",
     "converge",

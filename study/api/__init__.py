@@ -22,6 +22,7 @@ _HOME = {
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
     "analyze": "study.api.statistics.analysis",
+    "fit_surface": "study.api.statistics.response_surface",
     "contrasts": "study.api.statistics.analysis",
     "anova": "study.analysis.anova",
     "mixed_model": "study.analysis.error.mixed_model",

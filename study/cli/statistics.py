@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import analysis_tables, output
+from study.cli import analysis_tables, output, surface_tables
 from study.cli.studies import RESULTS, Json, Results
 from study.errors import Fault, InputError
 
@@ -57,6 +57,10 @@ ReportFolder = Annotated[
 Formats = Annotated[
     str, typer.Option("--format", help="With --report: html, pdf, tex, csv, with commas.")
 ]
+Numeric = Annotated[
+    str, typer.Option(help="Columns of numeric factors: time,temp or 'time=80..90,temp log'.")
+]
+Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emulator, none.")]
 
 
 def analyze(
@@ -77,6 +81,8 @@ def analyze(
     reference: Reference = None,
     report: ReportFolder = None,
     formats: Formats = "",
+    numeric: Numeric = "",
+    surface: Surface = "auto",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -93,8 +99,11 @@ def analyze(
         "--report": None if report is None else str(report),
         "--format": formats,
     }  # fmt: skip
+    if numeric and surface != "none":
+        surface_tables.show(source, _names(numeric), surface, flags, as_json)
+        return
     found = api.analyze(
-        source, response, _names(factors), results=results, decimal=decimal,
+        source, response, [*_names(factors), *_names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
     compared = _compared(found, reference)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
@@ -123,13 +124,13 @@ class Runs:
         """Give settings by name, in their own units, of one coded point of shape (k,)."""
         return {f.name: f.setting(float(x)) for f, x in zip(self.factors, coded, strict=True)}
 
-    def point(self, at: Mapping[str, float]) -> Array:
-        """Coded point, shape (k,), of settings given by name.
+    def points(self, at: Mapping[str, ArrayLike]) -> Array:
+        """Coded points, shape (m, k), of settings given by name, one or m of each.
 
         Raises
         ------
         InputError
-            If a factor is missing or unknown, a setting is no number, or the point lies
+            If a factor is missing or unknown, a setting is no number, or a point lies
             outside the settings that were run.
         """
         faults = [
@@ -140,13 +141,14 @@ class Runs:
         ]
         if faults:
             raise InputError(faults)
-        point = np.array([float(f.coded(np.array(float(at[f.name])))) for f in self.factors])
-        outside = ~(point >= self.coded.min(0) - SAME_SETTING) | ~(
-            point <= self.coded.max(0) + SAME_SETTING
-        )
-        if outside.any():
-            raise InputError([self._outside(int(j), at) for j in np.flatnonzero(outside)])
-        return point
+        settings = [np.atleast_1d(np.asarray(at[n], dtype=np.float64)) for n in self.names]
+        columns = [f.coded(s) for f, s in zip(self.factors, settings, strict=True)]
+        outside = [
+            self._outside(j, s, c) for j, (s, c) in enumerate(zip(settings, columns, strict=True))
+        ]
+        if any(outside):
+            raise InputError([fault for fault in outside if fault is not None])
+        return np.column_stack(np.broadcast_arrays(*columns))
 
     def distinct(self) -> tuple[Array, Ints]:
         """Different settings, shape (m, k), and which of them each run has, shape (n,)."""
@@ -157,12 +159,15 @@ class Runs:
         rank[order] = np.arange(order.size)
         return self.coded[first[order]], rank[np.ravel(which)]
 
-    def _outside(self, j: int, at: Mapping[str, float]) -> Fault:
-        factor = self.factors[j]
-        low, high = (
-            factor.setting(float(x)) for x in (self.coded[:, j].min(), self.coded[:, j].max())
-        )
-        rule = f"{at[factor.name]:g} lies outside the settings that were run, {low:g} to {high:g}"
+    def _outside(self, j: int, settings: Array, coded: Array) -> Fault | None:
+        """Fault of the first setting that would have to be extrapolated."""
+        factor, run = self.factors[j], self.coded[:, j]
+        inside = (coded >= run.min() - SAME_SETTING) & (coded <= run.max() + SAME_SETTING)
+        if inside.all():  # a NaN is never inside
+            return None
+        low, high = (factor.setting(float(x)) for x in (run.min(), run.max()))
+        first = settings[~inside][0]
+        rule = f"{first:g} lies outside the settings that were run, {low:g} to {high:g}"
         return Fault(factor.name, rule, "ask inside this range, or run settings beyond it")
 
 

@@ -16,12 +16,6 @@ from study.response_surface.quadratic.polynomial import Polynomial, second_order
 from study.response_surface.quadratic.stationary import in_region
 from study.response_surface.quadratic.surface import fit_quadratic
 
-# Montgomery 2017, example 11.2: yield of a chemical process, coded time and temperature
-A = 2**0.5
-TIME = [-1, -1, 1, 1, 0, 0, 0, 0, 0, A, -A, 0, 0]
-TEMPERATURE = [-1, 1, -1, 1, 0, 0, 0, 0, 0, 0, 0, A, -A]
-YIELD = [76.5, 77.0, 78.0, 79.5, 79.9, 80.3, 80.0, 79.7, 79.8, 78.4, 75.6, 78.5, 77.0]
-
 
 def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:
     factors = tuple(NumericFactor(f"x{j + 1}", -1.0, 1.0) for j in range(coded.shape[1]))
@@ -31,23 +25,6 @@ def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Ru
 def face_centred(k: int) -> Array:
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * k)).reshape(k, -1).T
     return np.vstack([corners, np.eye(k), -np.eye(k), np.zeros((1, k))])
-
-
-def test_montgomery_example_11_2() -> None:
-    coded = np.column_stack([TIME, TEMPERATURE]).astype(float)
-    found = fit_quadratic(unit_runs(coded, np.array(YIELD)))
-    printed = {"1": 79.94, "x1": 0.995, "x2": 0.515, "x1:x2": 0.25, "x1^2": -1.376, "x2^2": -1.001}
-    for term in found.terms:
-        assert term.coefficient == pytest.approx(printed[term.term], abs=1e-3)
-    assert found.error == "replicates"
-    assert found.lack_of_fit is not None
-    assert found.lack_of_fit.f == pytest.approx(1.78, abs=0.01)
-    assert found.lack_of_fit.p == pytest.approx(0.2897, abs=2e-3)
-    assert found.stationary is not None
-    assert found.stationary.kind == "maximum"
-    assert found.stationary.at == pytest.approx([0.389, 0.306], abs=1e-3)
-    assert found.stationary.value == pytest.approx(80.21, abs=0.005)
-    assert found.stationary.eigenvalues == pytest.approx([-1.4141, -0.9634], abs=3e-4)
 
 
 @pytest.mark.parametrize(
@@ -209,12 +186,14 @@ def test_coding_and_bad_input() -> None:
     with pytest.raises(InputError, match="one setting in every run"):
         unit_runs(coded * [1.0, 0.0], coded[:, 0])
     runs = unit_runs(coded, coded[:, 0])
-    assert runs.point({"x1": 0.5, "x2": -1.0}) == pytest.approx([0.5, -1.0])
+    assert runs.points({"x1": [0.5, 0.0], "x2": -1.0}) == pytest.approx(
+        np.array([[0.5, -1.0], [0.0, -1.0]])
+    )
     for at, said in [({"x1": 2.0, "x2": 0.0}, "outside"), ({"x1": 0.0}, "no setting"),
                      ({"x1": 0.0, "x2": 0.0, "x3": 0.0}, "no such factor"),
                      ({"x1": float("nan"), "x2": 0.0}, "outside")]:  # fmt: skip
         with pytest.raises(InputError, match=said):
-            runs.point(at)
+            runs.points(at)
 
 
 def share_in_interval(rng: np.random.Generator, designs: int) -> float:

@@ -170,6 +170,8 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     )
     lost = [name for name, kept in zip(names, whole, strict=True) if not kept]
     notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
+    if blocks <= len(runs.factors):
+        notes.append("no region of the stationary point: it needs more blocks than factors")
     found = _surface(
         runs, columns, table.mean(axis=1), terms, "blocks",
         lack=against_blocks(columns.complement(), table), notes=notes,

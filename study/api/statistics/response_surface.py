@@ -1,0 +1,196 @@
+"""Responses over numeric factors: a table in, a surface with what it means out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+
+from study import tabular
+from study.analysis.request import threshold
+from study.arrays import Array
+from study.errors import Fault, InputError, nearest
+from study.response_surface.emulator.blocked import fit_blocks
+from study.response_surface.emulator.emulator import (
+    GRID_LEVELS,
+    LARGEST,
+    expected_seconds,
+    fit_emulator,
+)
+from study.response_surface.factors import NumericFactor, Runs
+from study.response_surface.quadratic.surface import fit_quadratic
+from study.response_surface.result import (
+    SurfaceAnalysis,
+    analysis_of_emulator,
+    analysis_of_quadratic,
+)
+from study.tabular import CsvTable
+from study.tidy_csv import MISSING
+
+Surface = Literal["auto", "quadratic", "emulator", "none"]
+
+#: most factors of a quadratic surface that is chosen by itself
+FEW = 5
+
+#: how far a range may go beyond the runs, in coded units: a Latin hypercube of ten runs has its
+#: outermost settings at most .2 inside of its range
+BEYOND = 0.2 + 1e-9
+
+#: seconds from which a fit is announced
+LONG = 5.0
+
+#: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
+_NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
+
+
+def fit_surface(
+    source: str | Path,
+    response: str,
+    numeric: Sequence[str],
+    *,
+    surface: Surface = "auto",
+    block: str | None = None,
+    practical: float | str | None = None,
+    decimal: str = ".",
+    announce: Callable[[str], None] | None = None,
+) -> SurfaceAnalysis:
+    """Fit a response over numeric factors, and say what they do.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
+        and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        By itself an emulator for more than five factors, or settings that fill the box.
+    block : str, optional
+        Column of the blocks; a quadratic needs a run of each at every setting, an
+        emulator three blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean".
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        The model, what it says of every factor, and ``predict``.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column, all faults at once.
+    RefusedError
+        If the runs cannot carry what is asked.
+    """
+    if surface not in get_args(Surface) or surface == "none":
+        words = [word for word in get_args(Surface) if word != "none"]
+        mend = nearest(surface, words) if surface != "none" else "leave --numeric out for a table"
+        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
+    table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
+    runs, left_out = _runs(table, response, numeric, block)
+    kind = _chosen(runs) if surface == "auto" else surface
+    if kind == "quadratic":
+        found = analysis_of_quadratic(fit_quadratic(runs))
+        if practical is not None:
+            left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
+    else:
+        _announce(runs, announce)
+        model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+        found = analysis_of_emulator(model, _difference(practical, runs.response))
+    return _with_notes(found, (*table.notes, *left_out))
+
+
+def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
+    own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+    seconds = sum(expected_seconds(n) for n in own)
+    if announce is not None and seconds > LONG and max(own) <= LARGEST:
+        announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
+
+
+def _difference(practical: float | str | None, response: Array) -> float | None:
+    asked = threshold(practical)
+    return None if asked is None else asked.on_scale(float(response.mean()), "none")
+
+
+def _with_notes(found: SurfaceAnalysis, notes: tuple[str, ...]) -> SurfaceAnalysis:
+    return SurfaceAnalysis(
+        found.model, found.sensitivity, found.smallest, found.largest, (*notes, *found.notes)
+    )
+
+
+def _chosen(runs: Runs) -> Literal["quadratic", "emulator"]:
+    """Choose by the design: composite designs have three or five settings a factor."""
+    fills = max(runs.levels()) > GRID_LEVELS
+    return "emulator" if len(runs.factors) > FEW or fills else "quadratic"
+
+
+def _runs(
+    table: CsvTable, response: str, numeric: Sequence[str], block: str | None
+) -> tuple[Runs, list[str]]:
+    """Rows that have a response, and what is to be said of the others."""
+    if not numeric:
+        raise InputError(Fault("--numeric", "is missing", "name the columns of the factors"))
+    values = table.numbers(response, missing=MISSING)
+    kept = np.isfinite(values)
+    notes = []
+    if not kept.all():
+        rows = ", ".join(str(table.lines[k]) for k in np.flatnonzero(~kept)[:10])
+        notes.append(f"{int((~kept).sum())} runs without a response are left out: lines {rows}")
+    if kept.sum() < 2:
+        raise InputError(Fault(table.source, "has fewer than two runs with a response"))
+    asked = [_asked(item, table) for item in numeric]
+    names = [name for name, _, _, _ in asked]
+    if len({*names, response, block}) < len(names) + 2:
+        rule = f"a column stands twice among {', '.join(names)}, the response and the block"
+        raise InputError(Fault("--numeric", rule, "name every column once"))
+    columns = {name: table.numbers(name)[kept] for name in names}
+    factors = tuple(_factor(columns[name], name, low, high, log) for name, low, high, log in asked)
+    coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
+    labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
+    return Runs(response, factors, coded, values[kept], labels), notes
+
+
+def _asked(item: str, table: CsvTable) -> tuple[str, float | None, float | None, bool]:
+    """Column, ends of the range if given, and whether its logarithm is coded."""
+    text = item.strip()
+    if text in table.columns:
+        return text, None, None, False
+    parts = _NUMERIC.fullmatch(text)
+    name = text if parts is None else parts["name"].strip()
+    table.text(name)  # refuses what is no column, with the nearest one
+    if parts is None or parts["low"] is None:
+        return name, None, None, parts is not None and parts["log"] is not None
+    try:
+        low, high = float(parts["low"]), float(parts["high"])
+    except ValueError as error:
+        rule = f"cannot read the range of {text!r}"
+        raise InputError(Fault("--numeric", rule, f"write {name}=80..90")) from error
+    return name, low, high, parts["log"] is not None
+
+
+def _factor(
+    settings: Array, name: str, low: float | None, high: float | None, log: bool
+) -> NumericFactor:
+    """Make a factor whose ends are those asked for, or those that were run."""
+    if log and settings.min() <= 0:
+        rule = f"a logarithm needs positive settings, the lowest is {settings.min():g}"
+        raise InputError(Fault(f"factor {name!r}", rule, "leave ' log' out"))
+    first = float(settings.min()) if low is None else low
+    last = float(settings.max()) if high is None else high
+    factor = NumericFactor(name, first, last, log)
+    run = factor.coded(np.array([settings.min(), settings.max()]))
+    if run[0] > -1.0 + BEYOND or run[1] < 1.0 - BEYOND:
+        rule = f"the range {first:g}..{last:g} goes beyond the settings that were run"
+        mend = f"a surface is not extrapolated: {name}={settings.min():g}..{settings.max():g}"
+        raise InputError(Fault(f"factor {name!r}", rule, mend))
+    return factor

@@ -1,0 +1,173 @@
+"""Surfaces over numeric factors as the terminal shows them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from study.cli import output
+from study.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.api.statistics.response_surface import Surface
+    from study.response_surface.extremes import Extreme
+    from study.response_surface.quadratic.surface import QuadraticSurface
+    from study.response_surface.result import SurfaceAnalysis
+
+#: flags of `study analyze` that a surface has a use for
+USED = frozenset({"--response", "--block", "--practical", "--decimal"})
+
+#: what to do instead of a flag; every other one is left out
+MEND = {
+    "--report": "surfaces have no page yet: --json holds all that was found",
+    "--alpha": "intervals are 95 %: leave it out",
+}
+
+
+def show(
+    source: Path,
+    numeric: Sequence[str],
+    surface: str,
+    flags: Mapping[str, str | None],
+    as_json: bool,
+) -> None:
+    """Fit a surface and print it.
+
+    Parameters
+    ----------
+    source : Path
+        Tidy CSV.
+    numeric : sequence of str
+        Numeric factors as they were written.
+    surface : str
+        Kind of the surface.
+    flags : mapping of str to str or None
+        Other flags of the command, as they were given.
+    as_json : bool
+        Whether a program reads it.
+    """
+    from study import api
+
+    _check(source, flags)
+    found = api.fit_surface(
+        source,
+        cast(str, flags["--response"]),
+        numeric,
+        surface=cast("Surface", surface),
+        block=flags["--block"],
+        practical=flags["--practical"],
+        decimal=flags["--decimal"] or ".",
+        announce=lambda said: output.warn([said]),
+    )
+    output.warn(found.notes)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    print_surface(found)
+
+
+def _check(source: Path, flags: Mapping[str, str | None]) -> None:
+    faults = []
+    if source.is_dir() or source.suffix == ".toml":
+        faults.append(Fault("--numeric", "reads a table, one row a run", "name a CSV"))
+    if not flags["--response"]:
+        faults.append(Fault("--response", "is missing", "name the column of the response"))
+    if flags["--factors"]:
+        rule = "a surface takes numbers alone, labels are never read as numbers"
+        mend = "keep the rows of one combination of labels, or name a column in --numeric"
+        faults.append(Fault("--factors", rule, mend))
+    faults += [
+        Fault(
+            flag,
+            "has no meaning for a surface over numeric factors",
+            MEND.get(flag, "leave it out"),
+        )
+        for flag, value in flags.items()
+        if value and flag not in USED | {"--factors"}
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def print_surface(found: SurfaceAnalysis) -> None:
+    """Print model, error, factors and extremes of a surface."""
+    from study.response_surface.quadratic.surface import QuadraticSurface
+
+    model = found.model
+    if isinstance(model, QuadraticSurface):
+        _print_quadratic(model)
+    else:
+        runs = model.runs
+        blocks = f", one emulator for each of {len(set(runs.blocks))} blocks" if runs.blocks else ""
+        print(f"Gaussian process: {runs.response.size} runs of {len(runs.factors)} factors{blocks}")
+        print(f"leave-one-out: rms {output.number(model.loo_rms)}, Q2 {model.q2:.3f}\n")
+        _print_sensitivity(found)
+    for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
+        print(f"{word} predicted: {_extreme(found, extreme)}")
+
+
+def _print_quadratic(model: QuadraticSurface) -> None:
+    judged = model.error != "none"
+    rows = [["Term (coded)", "Coefficient", *(["95 % interval", "P-Value"] if judged else [])]]
+    for term in model.terms:
+        row = [term.term, output.number(term.coefficient)]
+        if judged:
+            ends = term.interval
+            row += ["-" if ends is None else f"{ends[0]:.4g} to {ends[1]:.4g}"]
+            row += [output.number(term.p, 3)]
+        rows.append(row)
+    output.table(rows, f"Quadratic surface: {model.runs.name}")
+    for alias in model.aliases:
+        print(f"alias: {alias}")
+    if model.loo is not None:
+        loo = model.loo
+        print(f"\nleave-one-out: rms {loo.rms:.4g}, largest {loo.largest:.4g}, Q2 {loo.q2:.3f}")
+    if model.lack_of_fit is not None:
+        test = model.lack_of_fit
+        print(
+            f"lack of fit: F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}, p = {test.p:.3g}"
+        )
+    point = model.stationary
+    if point is not None and point.established:
+        values = ", ".join(output.number(float(v)) for v in point.eigenvalues)
+        at = _settings(model.runs.settings(point.at))
+        print(f"stationary point ({point.kind}): {point.value:.4g} at {at}; eigenvalues {values}")
+
+
+def _print_sensitivity(found: SurfaceAnalysis) -> None:
+    rows = [["Rank", "Factor", "S", "T", "Range", "Verdict"]]
+    for item in sorted(found.sensitivity, key=lambda item: item.rank):
+        row = [str(item.rank), item.factor]
+        if item.index is None or item.range is None:
+            rows.append([*row, "-", "-", "-", "cannot tell"])
+            continue
+        index, effect = item.index, item.range
+        row.append(_share(index.first, index.first_interval))
+        row.append(_share(index.total, index.total_interval))
+        row.append(f"{effect.value:.4g} +- {effect.bound:.2g}")
+        rows.append([*row, f"{effect.verdict}, if confirmed" if effect.claims else effect.verdict])
+    if found.sensitivity:
+        output.table(rows, f"Sensitivity: {found.runs.name}")
+        print()
+    for item in found.sensitivity:
+        if item.range is not None and item.range.claims:
+            ends = [_settings(found.runs.settings(point)) for point in item.range.confirm]
+            print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
+
+
+def _share(value: float, interval: tuple[float, float]) -> str:
+    return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
+
+
+def _extreme(found: SurfaceAnalysis, extreme: Extreme) -> str:
+    at = _settings(found.runs.settings(extreme.at))
+    # NaN where no run can be left out
+    known = math.isfinite(extreme.half_width)
+    error = f" +- {extreme.half_width:.2g}" if known else ", error unknown,"
+    return f"{extreme.value:.4g}{error} at {at}"
+
+
+def _settings(settings: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} = {value:.4g}" for name, value in settings.items())

@@ -1,0 +1,212 @@
+"""An emulator of a response: prediction, its error, and what the factors do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from study.arrays import Array
+from study.errors import Fault, RefusedError
+from study.response_surface.emulator.effect_ranges import (
+    ERRORS,
+    EffectRange,
+    Small,
+    effect_range,
+)
+from study.response_surface.emulator.gaussian_process import GaussianProcess, fit_process
+from study.response_surface.emulator.kernels import FAMILIES
+from study.response_surface.emulator.posterior_paths import draw_paths
+from study.response_surface.emulator.sobol_indices import SobolIndex, sobol_indices
+from study.response_surface.factors import Runs
+
+#: Q2 at which indices and effects are given, and at which factors are at least ranked
+GIVEN = 0.9
+RANKED = 0.7
+
+#: most runs: the work grows with the cube, 1,000 runs take about a minute, 2,000 about ten
+LARGEST = 2000
+
+#: seconds of a fit with 1,000 runs on one core, for the estimate that is said beforehand
+SECONDS_1000 = 90.0
+
+#: fewest runs a factor where a design does not fill the box
+RUNS_A_FACTOR = 10
+
+#: designs with at most this many settings a factor are grids, not space-filling
+GRID_LEVELS = 5
+
+#: factors more alike than this cannot be told apart
+COLLINEAR = 1.0 - 1e-9
+
+Gate = Literal["given", "ranking only", "refused"]
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """A fitted emulator.
+
+    Parameters
+    ----------
+    runs : Runs
+        What it was fitted to, copies averaged.
+    process : GaussianProcess
+        In the unit box, for standardized responses.
+    centre, scale : float
+        Mean and standard deviation of the responses, in their unit.
+    seed : int
+        Of everything random.
+    """
+
+    runs: Runs
+    process: GaussianProcess
+    centre: float
+    scale: float
+    seed: int
+
+    @cached_property
+    def loo_errors(self) -> Array:
+        """Leave-one-out errors, shape (n,), in the response's unit."""
+        return np.asarray(self.scale * self.process.loo_errors)
+
+    @property
+    def loo_rms(self) -> float:
+        """Root mean square leave-one-out error, in the response's unit."""
+        return float(np.sqrt(np.mean(self.loo_errors**2)))
+
+    @property
+    def q2(self) -> float:
+        """Share of the responses' variance that is predicted from the other runs."""
+        return _q2(self.process)
+
+    @property
+    def gate(self) -> Gate:
+        """What may be said: indices and effects, a ranking, or nothing."""
+        if self.q2 >= GIVEN:
+            return "given"
+        return "ranking only" if self.q2 >= RANKED else "refused"
+
+    @cached_property
+    def widening(self) -> float:
+        """Factor that makes the process' deviations as large as leave-one-out errors."""
+        ratios = np.abs(self.process.loo_errors / self.process.loo_deviations)
+        rms = float(np.sqrt(np.mean(ratios**2)))
+        return max(1.0, rms, float(np.quantile(ratios, 0.95)) / 1.96)
+
+    def predict(self, coded: Array) -> tuple[Array, Array]:
+        """Predictions and half widths of 95 % intervals, shape (m,) each, at coded points."""
+        x = 0.5 * (coded + 1.0)
+        deviation = self.scale * self.widening * self.process.deviation(x)
+        return self.value(coded), 1.96 * np.maximum(deviation, self.loo_rms)
+
+    def value(self, coded: Array) -> Array:
+        """Predictions, shape (m,), at coded points of shape (m, k)."""
+        return self.centre + self.scale * self.process.mean(0.5 * (coded + 1.0))
+
+    def indices(self) -> tuple[SobolIndex, ...]:
+        """Sobol indices of every factor.
+
+        Raises
+        ------
+        RefusedError
+            If Q2 is below .7: the emulator does not know the function well enough.
+        """
+        if self.gate == "refused":
+            rule = f"Q2 is {self.q2:.2f}, below {RANKED}: no indices"
+            mend = f"add runs: {2 * self.runs.response.size} in all"
+            raise RefusedError(str(Fault("emulator", rule, mend)))
+        paths = draw_paths(self.process, self.seed)
+        return sobol_indices(paths.values, len(self.runs.factors), self.q2, self.seed)
+
+    def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
+        """Range of the response along every factor.
+
+        Parameters
+        ----------
+        practical : float or None
+            Smallest difference that matters, in the response's unit.
+        u : float
+            Numerical uncertainty of a difference, in the same unit, common to all runs.
+        """
+        bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
+        small = Small(practical, float(np.ptp(self.runs.response)))
+        k = len(self.runs.factors)
+        return tuple(
+            effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small) for j in range(k)
+        )
+
+
+def expected_seconds(n: int) -> float:
+    """Seconds that a fit of n runs takes on one core."""
+    return SECONDS_1000 * (n / 1000.0) ** 3
+
+
+def fit_emulator(runs: Runs, seed: int = 0) -> Emulator:
+    """Fit both kernels and keep the one that predicts left-out runs better.
+
+    Parameters
+    ----------
+    runs : Runs
+        Responses of one block.
+    seed : int
+        Of the random starts, paths and samples.
+
+    Raises
+    ------
+    RefusedError
+        If there are too many or too few runs, too few settings of a factor, or factors that
+        change together; the message says what to do.
+    """
+    _check(runs)
+    single, u = _averaged(runs)
+    centre = float(single.response.mean())
+    scale = float(single.response.std())
+    if scale <= 1e-12 * abs(centre):
+        rule = f"the response {runs.name!r} is the same in every run"
+        raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
+    x = 0.5 * (single.coded + 1.0)
+    y = (single.response - centre) / scale
+    fits = [fit_process(x, y, (u / scale) ** 2, family, seed) for family in FAMILIES]
+    return Emulator(single, max(fits, key=_q2), centre, scale, seed)
+
+
+def _q2(process: GaussianProcess) -> float:
+    return 1.0 - float((process.loo_errors**2).sum() / (process.y**2).sum())
+
+
+def _averaged(runs: Runs) -> tuple[Runs, Array]:
+    """Average copies: a run is no test of its own copy."""
+    settings, which = runs.distinct()
+    counts = np.bincount(which)
+    response = np.bincount(which, weights=runs.response) / counts
+    u = np.zeros(counts.size)
+    if runs.u_num is not None:
+        u = np.sqrt(np.bincount(which, weights=runs.u_num**2) / counts)
+    return Runs(runs.name, runs.factors, settings, response), u
+
+
+def _check(runs: Runs) -> None:
+    n = len(runs.distinct()[0])
+    k = len(runs.factors)
+    levels = runs.levels()
+    if runs.response.size > LARGEST:
+        rule = f"{runs.response.size} runs, at most {LARGEST}: the work grows with their cube"
+        mend = f"take every {-(-runs.response.size // LARGEST)}th row, or --surface quadratic"
+        raise RefusedError(str(Fault("emulator", rule, mend)))
+    for name, count in zip(runs.names, levels, strict=True):
+        if count < 4:
+            rule = f"factor {name!r} has {count} settings, an emulator needs at least 4"
+            mend = "--surface quadratic, or run more settings"
+            raise RefusedError(str(Fault("emulator", rule, mend)))
+    needed = RUNS_A_FACTOR * k if max(levels) <= GRID_LEVELS else 3 * k
+    if n < needed:
+        rule = f"{n} different runs of {k} factors, at least {needed} are needed"
+        raise RefusedError(str(Fault("emulator", rule, "add runs, or --surface quadratic")))
+    alike = np.abs(np.atleast_2d(np.corrcoef(runs.coded, rowvar=False))) - np.eye(k)
+    i, j = np.unravel_index(int(alike.argmax()), alike.shape)
+    if k > 1 and alike[i, j] > COLLINEAR:
+        rule = f"{runs.names[i]!r} and {runs.names[j]!r} change together in every run"
+        mend = "leave one of them out, or run settings that part them"
+        raise RefusedError(str(Fault("emulator", rule, mend)))

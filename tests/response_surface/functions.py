@@ -1,0 +1,57 @@
+"""Functions with known indices, and designs to run them at."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import qmc
+
+from study.arrays import Array
+from study.response_surface.factors import NumericFactor, Runs
+
+ISHIGAMI_S = np.array([0.3139, 0.4424, 0.0])
+ISHIGAMI_T = np.array([0.5576, 0.4424, 0.2437])
+#: uniform inputs, 131,072 points
+BOREHOLE_S = np.array([0.829, 0.0, 0.0, 0.041, 0.0, 0.041, 0.039, 0.010])
+BOREHOLE_T = np.array([0.867, 0.0, 0.0, 0.054, 0.0, 0.054, 0.052, 0.013])
+
+
+def ishigami(x: Array) -> Array:
+    """Ishigami and Homma 1990, a = 7, b = .1, on the unit box."""
+    z = np.pi * (2.0 * x - 1.0)
+    return np.asarray(np.sin(z[:, 0]) * (1 + 0.1 * z[:, 2] ** 4) + 7.0 * np.sin(z[:, 1]) ** 2)
+
+
+def borehole(x: Array) -> Array:
+    """Morris, Mitchell and Ylvisaker 1993, m^3/yr, on the unit box."""
+    low = np.array([0.05, 100.0, 63070.0, 990.0, 63.1, 700.0, 1120.0, 9855.0])
+    high = np.array([0.15, 50000.0, 115600.0, 1110.0, 116.0, 820.0, 1680.0, 12045.0])
+    rw, r, tu, hu, tl, hl, length, kw = (low + x * (high - low)).T
+    ratio = np.log(r / rw)
+    return np.asarray(
+        2
+        * np.pi
+        * tu
+        * (hu - hl)
+        / (ratio * (1 + 2 * length * tu / (ratio * rw**2 * kw) + tu / tl))
+    )
+
+
+def sobol_g(x: Array, a: tuple[float, ...] = (0.0, 1.0, 4.5, 9.0)) -> Array:
+    """Sobol' 1993, on the unit box."""
+    return np.asarray(np.prod((np.abs(4.0 * x - 2.0) + a) / (1.0 + np.array(a)), axis=1))
+
+
+def friedman(x: Array) -> Array:
+    """Friedman 1991 without noise, five inputs on the unit box."""
+    wave = 10.0 * np.sin(np.pi * x[:, 0] * x[:, 1])
+    return np.asarray(wave + 20.0 * (x[:, 2] - 0.5) ** 2 + 10.0 * x[:, 3] + 5.0 * x[:, 4])
+
+
+def hypercube(k: int, n: int, seed: int) -> Array:
+    """Latin hypercube in the unit box, improved for centred discrepancy."""
+    return np.asarray(qmc.LatinHypercube(k, seed=seed, optimization="random-cd").random(n))
+
+
+def unit_runs(x: Array, response: Array) -> Runs:
+    factors = tuple(NumericFactor(f"x{j + 1}", 0.0, 1.0) for j in range(x.shape[1]))
+    return Runs("y", factors, 2.0 * x - 1.0, response)

@@ -1,0 +1,282 @@
+"""The emulator against other codes, closed forms and functions with known indices."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from SALib.analyze import sobol as salib
+from scipy import optimize
+from scipy.stats import qmc
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
+
+from study.arrays import Array
+from study.errors import RefusedError
+from study.response_surface.emulator.effect_ranges import Small
+from study.response_surface.emulator.emulator import Emulator, fit_emulator
+from study.response_surface.emulator.gaussian_process import (
+    condition,
+    fit_process,
+    hyperparameters,
+    log_likelihood,
+)
+from study.response_surface.emulator.kernels import FAMILIES, Family
+from study.response_surface.emulator.posterior_paths import draw_paths
+from study.response_surface.emulator.sobol_indices import SAMPLE, jansen
+from study.response_surface.factors import NumericFactor, Runs
+from tests.response_surface import functions
+
+THETA = np.log([0.4, 0.7, 1.3, 1.7, 1e-4])
+
+
+def standardized(n: int = 40) -> tuple[Array, Array]:
+    x = functions.hypercube(3, n, 4)
+    y = functions.ishigami(x)
+    return x, (y - y.mean()) / y.std()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_gradient_is_that_of_finite_differences(family: Family) -> None:
+    x, y = standardized()
+    noise = np.full(y.size, 1e-3)
+    _, slope = log_likelihood(THETA, x, y, noise, family)
+    numeric = optimize.approx_fprime(
+        THETA, lambda t: log_likelihood(t, x, y, noise, family)[0], 1e-6
+    )
+    assert slope == pytest.approx(numeric, rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_likelihood_and_prediction_are_those_of_scikit_learn(family: Family) -> None:
+    """A constant with a wide prior is the mean by least squares, up to a constant likelihood."""
+    x, y = standardized()
+    wide, steps = 1e5, []
+    points = np.random.default_rng(1).random((20, 3))
+    well = THETA + [0.0, 0.0, 0.0, 0.0, 5.0]  # a nugget that rounding cannot touch
+    for theta in (well, well + [0.1, -0.2, 0.3, 0.2, 1.0]):
+        found = hyperparameters(theta, family)
+        lengths = found.kernel.lengths
+        shape = RBF(lengths) if family == "Gaussian" else Matern(lengths, nu=2.5)
+        kernel = ConstantKernel(wide) + ConstantKernel(found.variance) * shape
+        both = kernel + WhiteKernel(found.variance * found.nugget)
+        other = GaussianProcessRegressor(both, alpha=1e-14, optimizer=None).fit(x, y)
+        ours, _ = log_likelihood(theta, x, y, np.zeros(y.size), family)
+        steps.append(ours - other.log_marginal_likelihood_value_)
+        process = condition(x, y, np.zeros(y.size), found)
+        mean, deviation = other.predict(points, return_std=True)
+        assert process.mean(points) == pytest.approx(mean, abs=1e-5)
+        latent = np.sqrt(deviation**2 - found.variance * found.nugget)
+        assert process.deviation(points) == pytest.approx(latent, rel=1e-4, abs=1e-4)
+    assert steps[0] == pytest.approx(steps[1], abs=1e-4)
+
+
+def test_leave_one_out_is_what_conditioning_without_the_run_says() -> None:
+    x, y = standardized(30)
+    noise = np.full(y.size, 1e-3)
+    found = hyperparameters(THETA, "Matern 5/2")
+    process = condition(x, y, noise, found)
+    for i in (0, 7, 29):
+        rest = np.delete(np.arange(y.size), i)
+        without = condition(x[rest], y[rest], noise[rest], found)
+        own = noise[i] + found.variance * found.nugget
+        deviation = np.sqrt(without.deviation(x[i : i + 1])[0] ** 2 + own)
+        assert process.loo_errors[i] == pytest.approx(
+            y[i] - without.mean(x[i : i + 1])[0], rel=1e-7
+        )
+        assert process.loo_deviations[i] == pytest.approx(deviation, rel=1e-7)
+
+
+def test_paths_scatter_as_the_posterior_says() -> None:
+    x, y = standardized(30)
+    process = condition(x, y, np.zeros(y.size), hyperparameters(THETA, "Gaussian"))
+    points = np.random.default_rng(2).random((25, 3))
+    values = draw_paths(process, 3, paths=4000).values(points)
+    assert values[:, 0] == pytest.approx(process.mean(points), abs=1e-10)
+    deviation = process.deviation(points)
+    assert np.abs(values[:, 1:].mean(axis=1) - values[:, 0]).max() < 0.08 * deviation.max()
+    assert values[:, 1:].std(axis=1) == pytest.approx(deviation, rel=0.15)
+
+
+def test_jansen_on_sobols_function() -> None:
+    a = np.array([0.0, 1.0, 4.5, 9.0])
+    parts = 1.0 / (3.0 * (1.0 + a) ** 2)
+    variance = np.prod(1.0 + parts) - 1.0
+    first, total = jansen(lambda x: functions.sobol_g(x)[:, None], 4, seed=1)
+    assert first[:, 0] == pytest.approx(parts / variance, abs=0.005)
+    others = np.array([np.prod(np.delete(1.0 + parts, j)) for j in range(4)])
+    assert total[:, 0] == pytest.approx(parts * others / variance, abs=0.005)
+
+
+def test_total_indices_are_those_of_salib() -> None:
+    sample = qmc.Sobol(6, seed=2).random(SAMPLE)
+    a = sample[:, :3]
+    b = sample[:, 3:]
+    mixed = [np.where(np.arange(3) == j, b, a) for j in range(3)]
+    rows = np.stack([a, *mixed, b], axis=1).reshape(-1, 3)
+    problem = {"num_vars": 3, "names": ["x1", "x2", "x3"], "bounds": [[0, 1]] * 3}
+    other = salib.analyze(
+        problem, functions.ishigami(rows), calc_second_order=False, num_resamples=2, seed=1
+    )
+    first, total = jansen(lambda x: functions.ishigami(x)[:, None], 3, seed=2)
+    assert total[:, 0] == pytest.approx(other["ST"], abs=1e-10)
+    assert first[:, 0] == pytest.approx(other["S1"], abs=0.01)  # another estimator
+
+
+def emulated(function: Callable[[Array], Array], k: int, n: int, seed: int) -> Emulator:
+    x = functions.hypercube(k, n, seed)
+    return fit_emulator(functions.unit_runs(x, function(x)), seed)
+
+
+def on_other_points(function: Callable[[Array], Array], found: Emulator) -> tuple[float, float]:
+    """Q2 and share of 2,000 other points within their intervals."""
+    x = np.random.default_rng(99).random((2000, len(found.runs.factors)))
+    y = function(x)
+    values, half = found.predict(2.0 * x - 1.0)
+    q2 = 1.0 - ((values - y) ** 2).sum() / ((y - y.mean()) ** 2).sum()
+    return float(q2), float(np.mean(np.abs(values - y) <= half))
+
+
+def errors_of_indices(found: Emulator, s: Array, t: Array) -> tuple[float, float, float]:
+    """Largest errors of S and T, and the share of intervals that hold the truth."""
+    indices = found.indices()
+    first = np.array([i.first for i in indices])
+    total = np.array([i.total for i in indices])
+    held = [
+        i.first_interval[0] <= v <= i.first_interval[1] for i, v in zip(indices, s, strict=True)
+    ]
+    held += [
+        i.total_interval[0] <= v <= i.total_interval[1] for i, v in zip(indices, t, strict=True)
+    ]
+    return float(np.abs(first - s).max()), float(np.abs(total - t).max()), float(np.mean(held))
+
+
+def test_borehole_of_50_runs() -> None:
+    found = emulated(functions.borehole, 8, 50, 1)
+    q2, cover = on_other_points(functions.borehole, found)
+    s, t, held = errors_of_indices(found, functions.BOREHOLE_S, functions.BOREHOLE_T)
+    assert q2 >= 0.995
+    assert cover >= 0.9
+    assert max(s, t) <= 0.01
+    assert held == 1.0
+
+
+def test_friedman_gives_the_range_of_its_additive_inputs() -> None:
+    found = emulated(functions.friedman, 5, 100, 1)
+    assert found.gate == "given"
+    ranges = found.ranges(practical=3.0)
+    for j, truth in ((2, 5.0), (3, 10.0), (4, 5.0)):
+        assert abs(ranges[j].value - truth) <= ranges[j].bound
+        low, high = functions.friedman(0.5 * (ranges[j].confirm + 1.0))
+        assert high - low == pytest.approx(truth, abs=ranges[j].bound)
+
+
+def test_few_runs_of_ishigami_refuse_indices() -> None:
+    found = emulated(functions.ishigami, 3, 50, 1)
+    assert found.q2 < 0.7
+    with pytest.raises(RefusedError, match="100 in all"):
+        found.indices()
+
+
+def test_verdict_of_a_range() -> None:
+    small = Small(practical=1.0, response_range=10.0)
+    assert small.verdict(1.5, 0.4) == "matters"
+    assert small.verdict(1.3, 0.4) == "cannot tell"
+    assert small.verdict(0.5, 0.2) == "no practical difference"
+    assert small.verdict(0.7, 0.2) == "cannot tell"  # 2 % of 10 is added
+    assert Small(None, 10.0).verdict(5.0, 0.1) == "cannot tell"
+
+
+def test_copies_are_no_test_of_themselves() -> None:
+    x = functions.hypercube(3, 40, 2)
+    y = functions.ishigami(x)
+    once = fit_emulator(functions.unit_runs(x, y))
+    twice = fit_emulator(functions.unit_runs(np.vstack([x, x]), np.append(y, y)))
+    assert twice.q2 == pytest.approx(once.q2, abs=1e-9)
+
+
+def test_known_numerical_uncertainty_widens_deviations() -> None:
+    x, y = standardized()
+    exact = fit_process(x, y, np.zeros(y.size), "Gaussian")
+    noisy = condition(x, y, np.full(y.size, 0.05), exact.found)
+    assert (noisy.deviation(x) > exact.deviation(x)).all()
+
+
+def refused(runs: Runs, match: str) -> None:
+    with pytest.raises(RefusedError, match=match):
+        fit_emulator(runs)
+
+
+def test_what_no_emulator_can_be_made_of_is_refused() -> None:
+    x = functions.hypercube(2, 30, 1)
+    refused(
+        functions.unit_runs(np.column_stack([x[:, 0], 1 - x[:, 0]]), x[:, 0]), "change together"
+    )
+    refused(functions.unit_runs(x, np.ones(30)), "same in every run")
+    refused(functions.unit_runs(np.round(x), x[:, 0]), "has 2 settings")
+    refused(functions.unit_runs(x[:5], x[:5, 0]), "at least 20")
+    eight = functions.hypercube(3, 8, 1)
+    refused(functions.unit_runs(eight, eight[:, 0]), "at least 9")
+    many = np.random.default_rng(1).random((10_000, 2))
+    refused(functions.unit_runs(many, many[:, 0]), "every 5th row")
+
+
+def test_same_seed_gives_the_same_answer() -> None:
+    first, again = (emulated(functions.borehole, 8, 50, 3).indices() for _ in range(2))
+    assert first == again
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_bar_11() -> None:
+    cases = [
+        (functions.borehole, 8, 50, functions.BOREHOLE_S, functions.BOREHOLE_T),
+        (functions.ishigami, 3, 100, functions.ISHIGAMI_S, functions.ISHIGAMI_T),
+        (functions.ishigami, 3, 200, functions.ISHIGAMI_S, functions.ISHIGAMI_T),
+    ]
+    limits = [(0.995, 0.01, 0.01), (0.85, np.inf, 0.12), (0.98, 0.02, 0.02)]
+    for (function, k, n, s, t), limit in zip(cases, limits, strict=True):
+        found = [emulated(function, k, n, seed) for seed in range(5)]
+        q2, cover = np.median([on_other_points(function, f) for f in found], axis=0)
+        told = [errors_of_indices(f, s, t) for f in found if f.gate != "refused"]
+        first, total, _ = np.median(told, axis=0)
+        held = np.mean([h for _, _, h in told])
+        print(f"{function.__name__} {n}: Q2 {q2:.4f}, S {first:.4f}, T {total:.4f}")
+        print(f"intervals {held:.3f}, points {cover:.3f}, {len(told)} of 5 gave indices")
+        assert q2 >= limit[0]
+        assert first <= limit[1]
+        assert total <= limit[2]
+        assert held >= 0.95
+        assert cover >= 0.9
+    few = [emulated(functions.ishigami, 3, 50, seed) for seed in range(5)]
+    assert sum(f.gate == "refused" for f in few) >= 4
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_a_thousand_runs() -> None:
+    began = time.perf_counter()
+    tracemalloc.start()
+    found = emulated(functions.borehole, 8, 1000, 1)
+    found.indices()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    seconds = time.perf_counter() - began
+    print(f"1,000 runs: {seconds:.0f} s, {peak / 1e9:.2f} GB")
+    assert peak < 2e9
+    assert seconds < 180
+
+
+def test_low_and_high_are_coded_by_the_factor() -> None:
+    x = functions.hypercube(2, 30, 1)
+    factors = (NumericFactor("a", 1.0, 100.0, log=True), NumericFactor("b", 0.0, 2.0))
+    settings = np.column_stack([10.0 ** (2.0 * x[:, 0]), 2.0 * x[:, 1]])
+    coded = np.column_stack([f.coded(c) for f, c in zip(factors, settings.T, strict=True)])
+    found = fit_emulator(Runs("y", factors, coded, np.log10(settings[:, 0]) + settings[:, 1]))
+    at = found.runs.points({"a": 10.0, "b": 1.0})
+    value, half = found.predict(at)
+    assert value[0] == pytest.approx(2.0, abs=1e-3)
+    assert half[0] < 1e-2

@@ -1,0 +1,240 @@
+"""Numeric factors through the verb: a textbook, known functions, and whatever a table may hold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import study as public
+from study.arrays import Array
+from study.errors import InputError
+from tests.cli.small import Answer, study
+from tests.conftest import ROOT
+from tests.response_surface import functions
+
+#: Montgomery, 8th ed., example 11.2: yield over time and temperature
+CHEMICAL = ROOT / "validation" / "statistics" / "chemical_process.csv"
+
+
+def write(path: Path, columns: dict[str, object]) -> Path:
+    names = list(columns)
+    rows = zip(*[np.asarray(c).tolist() for c in columns.values()], strict=True)
+    lines = [",".join(names), *(",".join(str(cell) for cell in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def table(path: Path, function: Callable[[Array], Array], k: int, n: int) -> Path:
+    x = functions.hypercube(k, n, 1)
+    columns: dict[str, object] = {f"x{j + 1}": x[:, j] for j in range(k)}
+    return write(path, columns | {"y": function(x)})
+
+
+def analyze(path: Path, numeric: str, *more: object) -> Answer:
+    return study("analyze", path, "--response", "y", "--numeric", numeric, *more)
+
+
+def test_montgomery_example_11_2() -> None:
+    numeric = "time_min=80..90,temperature_F=170..180"
+    asked = ("analyze", CHEMICAL, "--response", "yield", "--numeric", numeric)
+    found = study(*asked, "--json").json
+    surface = found["surface"]
+    assert surface["kind"] == "quadratic"
+    told = {t["term"].replace("time_min", "t"): t["coefficient"] for t in surface["terms"]}
+    told = {term.replace("temperature_F", "T"): value for term, value in told.items()}
+    printed = {"1": 79.94, "t": 0.995, "T": 0.515, "t:T": 0.25, "t^2": -1.376, "T^2": -1.001}
+    assert told == pytest.approx(printed, abs=1e-3)
+    assert surface["error"] == "replicates"
+    assert surface["lack_of_fit"]["F"] == pytest.approx(1.78, abs=0.01)
+    assert surface["lack_of_fit"]["p"] == pytest.approx(0.2897, abs=2e-3)
+    point = surface["stationary"]
+    assert point["kind"] == "maximum"
+    assert point["coded"] == pytest.approx([0.389, 0.306], abs=1e-3)
+    assert point["at"] == pytest.approx({"time_min": 86.95, "temperature_F": 176.53}, abs=0.01)
+    assert point["value"] == pytest.approx(80.21, abs=0.005)
+    assert point["eigenvalues"] == pytest.approx([-1.4141, -0.9634], abs=4e-4)
+    assert point["established"]
+    assert found["sensitivity"] == []
+    said = "stationary point (maximum): 80.21 at time_min = 86.95, temperature_F = 176.5"
+    assert said in study(*asked).out
+
+
+def test_no_p_is_printed_of_a_deterministic_surface(tmp_path: Path) -> None:
+    x = np.array([[a, b] for a in (1.0, 2.0, 3.0) for b in (1.0, 2.0, 3.0)])
+    path = write(tmp_path / "t.csv", {"a": x[:, 0], "b": x[:, 1], "y": np.exp(x[:, 0]) + x[:, 1]})
+    answer = analyze(path, "a,b")
+    assert "P-Value" not in answer.out
+    assert "no p: a deterministic surface has misfit, not noise" in answer.err
+    terms = analyze(path, "a,b", "--json").json["surface"]["terms"]
+    assert [t["p"] for t in terms] == [None] * 6
+
+
+@pytest.mark.parametrize(
+    ("function", "k", "n", "s"),
+    [
+        (functions.ishigami, 3, 200, functions.ISHIGAMI_S),
+        (functions.borehole, 8, 50, functions.BOREHOLE_S),
+        # parts 100 * .1487, 20^2/180, 10^2/12, 5^2/12: only the additive inputs are closed forms
+        (functions.friedman, 5, 100, None),
+    ],
+)
+def test_sensitivity_through_the_verb(
+    tmp_path: Path, function: Callable[[Array], Array], k: int, n: int, s: Array | None
+) -> None:
+    path = table(tmp_path / "t.csv", function, k, n)
+    found = analyze(path, ",".join(f"x{j + 1}" for j in range(k)), "--json").json
+    assert found["surface"]["kind"] == "emulator"
+    assert found["surface"]["q2"] > 0.9
+    told = [item["S"] for item in found["sensitivity"]]
+    if s is not None:
+        assert told == pytest.approx(s, abs=0.03)
+    else:
+        # inputs 4 and 5 are linear, with variances 10^2/12 and 5^2/12
+        assert told[3] / told[4] == pytest.approx(4.0, rel=0.1)
+
+
+def test_intervals_of_sobols_function_hold_the_closed_form(tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", functions.sobol_g, 4, 60)
+    found = analyze(path, "x1,x2,x3,x4", "--json").json["sensitivity"]
+    parts = 1.0 / (3.0 * (1.0 + np.array([0.0, 1.0, 4.5, 9.0])) ** 2)
+    truth = parts / (np.prod(1.0 + parts) - 1.0)
+    for item, s in zip(found, truth, strict=True):
+        low, high = item["S_interval"]
+        assert low <= s <= high
+
+
+def test_few_runs_give_no_indices(tmp_path: Path) -> None:
+    answer = analyze(table(tmp_path / "t.csv", functions.ishigami, 3, 50), "x1,x2,x3", "--json")
+    assert answer.json["sensitivity"] == []
+    assert answer.json["surface"]["indices"] == "refused"
+    assert "add runs, 100 in all" in answer.err
+
+
+def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
+    path = table(tmp_path / "t.csv", lambda x: 10 * x[:, 0] + 0.1 * x[:, 1] + x[:, 0] ** 3, 2, 40)
+    answer = analyze(path, "x1,x2", "--practical", "2", "--json").json
+    first, second = answer["sensitivity"]
+    assert first["verdict"] == "matters"
+    assert len(first["confirm"]) == 2
+    assert second["verdict"] == "no practical difference"
+    assert second["confirm"] == []
+    low, high = (10 * at["x1"] + at["x1"] ** 3 for at in first["confirm"])
+    assert high - low == pytest.approx(first["range"], abs=first["range_bound"])
+    text = analyze(path, "x1,x2", "--practical", "2").out
+    assert "matters, if confirmed" in text
+    assert "confirm x1: run x1 = " in text
+
+
+def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
+    x = functions.hypercube(2, 25, 1)
+    slopes = [9.0, 10.0, 11.0, 10.5]
+    y = [s * x[:, 0] + np.sin(3 * x[:, 1]) for s in slopes]
+    columns: dict[str, object] = {
+        "x1": np.tile(x[:, 0], 4), "x2": np.tile(x[:, 1], 4),
+        "b": np.repeat(["p", "q", "r", "s"], 25), "y": np.concatenate(y),
+    }  # fmt: skip
+    path = write(tmp_path / "t.csv", columns)
+    found = analyze(path, "x1=0..1,x2=0..1", "--block", "b", "--practical", "5", "--json").json
+    first, second = found["sensitivity"]
+    # the range along x1 is the slope of each block: their mean, and t with three degrees
+    t = 3.182 * np.std(slopes, ddof=1) / 2.0
+    assert first["range"] == pytest.approx(np.mean(slopes), abs=0.05)
+    assert first["range_bound"] == pytest.approx(t, abs=0.1)
+    assert first["verdict"] == "matters"
+    assert second["range"] == pytest.approx(1.0, abs=0.05)  # the sine has its top inside
+    share = np.array(slopes) ** 2 / 12
+    share /= share + np.var(np.sin(3 * np.linspace(0, 1, 100_001)))
+    assert first["S"] == pytest.approx(share.mean(), abs=0.01)
+    assert list(found["surface"]["blocks"]) == ["p", "q", "r", "s"]
+    two = write(tmp_path / "two.csv", {name: np.asarray(c)[:50] for name, c in columns.items()})
+    answer = analyze(two, "x1,x2", "--block", "b")
+    assert answer.code == 3
+    assert "one block at a time" in answer.err
+
+
+def test_no_surface_is_the_table_of_levels(tmp_path: Path) -> None:
+    levels = np.repeat([1.0, 2.0, 3.0], 4)
+    y = levels + np.random.default_rng(1).normal(0, 0.1, 12)
+    path = write(tmp_path / "t.csv", {"a": levels, "y": y})
+    found = analyze(path, "a", "--surface", "none", "--json").json
+    assert found == study("analyze", path, "--response", "y", "--factors", "a", "--json").json
+
+
+def test_prediction_from_python() -> None:
+    found = public.fit_surface(CHEMICAL, "yield", ["time_min", "temperature_F"])
+    at = found.predict({"time_min": [85.0, 86.95], "temperature_F": [175.0, 176.53]})
+    assert at.value == pytest.approx([79.94, 80.21], abs=0.01)
+    assert (at.low < at.value).all()
+    with pytest.raises(InputError, match=r"lies outside.*77.93 to 92.07"):
+        found.predict({"time_min": 95.0, "temperature_F": 175.0})
+
+
+def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:
+    x = np.linspace(0, 1, 12)
+    y = ["nan", *[str(v) for v in np.sin(5 * x[1:])]]
+    path = write(tmp_path / "t.csv", {"x": x, "y": y})
+    answer = analyze(path, "x", "--json")
+    assert answer.json["runs"] == 11
+    assert "1 runs without a response are left out: lines 2" in answer.err
+
+
+def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) -> None:
+    x = np.array([1.0, 10.0, 100.0, 1000.0, 10000.0])
+    path = write(tmp_path / "t.csv", {"x": x, "y": np.log10(x) ** 2})
+    found = analyze(path, "x log", "--json").json
+    coefficients = {t["term"]: t["coefficient"] for t in found["surface"]["terms"]}
+    # u = 2 + 2 c with c in [-1, 1]: u^2 = 4 + 8 c + 4 c^2
+    assert coefficients == pytest.approx({"1": 4.0, "x": 8.0, "x^2": 4.0})
+    assert found["surface"]["q2"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("numeric", "more", "code", "said"),
+    [
+        ("tima", (), 2, "did you mean 'time'"),
+        ("time,time", (), 2, "stands twice"),
+        ("time=9..8", (), 2, "is empty"),
+        ("time=0..40", (), 2, "not extrapolated: time=0..23"),
+        ("time=a..b", (), 2, "cannot read the range"),
+        ("flat", (), 2, "range 1..1 is empty"),
+        ("time", ("--surface", "quadratc"), 2, "did you mean 'quadratic'"),
+        ("time", ("--factors", "temp"), 2, "labels are never read as numbers"),
+        ("time", ("--unit", "temp"), 2, "has no meaning for a surface"),
+        ("time", ("--report", "out"), 2, "surfaces have no page yet"),
+        ("time", ("--alpha", "0.1"), 2, "intervals are 95 %"),
+        ("word", (), 2, "must be a finite number, got 'a'"),
+        ("zero log", (), 2, "a logarithm needs positive settings"),
+        ("two,time", ("--surface", "emulator"), 3, "has 2 settings"),
+        ("time,same", ("--surface", "emulator"), 3, "change together"),
+    ],
+)
+def test_bad_input(
+    tmp_path: Path, numeric: str, more: tuple[str, ...], code: int, said: str
+) -> None:
+    n = np.arange(24.0)
+    columns: dict[str, object] = {
+        "time": n, "temp": n**2, "flat": n * 0 + 1, "word": ["a"] * 24, "zero": n, "two": n % 2,
+        "same": 2 * n, "y": np.sin(n),
+    }  # fmt: skip
+    answer = analyze(write(tmp_path / "t.csv", columns), numeric, *more)
+    assert answer.code == code
+    assert said in " ".join(answer.err.split())
+
+
+def test_ten_thousand_runs_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    x = np.random.default_rng(1).random(10_000)
+    answer = analyze(write(tmp_path / "t.csv", {"x": x, "y": x**3}), "x", "--surface", "emulator")
+    assert answer.code == 3
+    assert "every 5th row" in answer.err
+
+
+def test_a_saturated_surface_has_no_error_and_says_so(tmp_path: Path) -> None:
+    path = write(tmp_path / "t.csv", {"x": [1.0, 2.0, 3.0], "y": [1.0, 4.0, 9.0]})
+    answer = analyze(path, "x", "--json")
+    assert answer.json["surface"]["best"]["largest"]["half_width"] is None
+    assert answer.json["surface"]["q2"] is None
+    assert "as many coefficients as runs" in answer.err
+    assert "nan" not in analyze(path, "x").out
