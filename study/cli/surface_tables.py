@@ -13,6 +13,7 @@ from study.errors import Fault, InputError
 if TYPE_CHECKING:
     from study.api.statistics.response_surface import Surface
     from study.response_surface.extremes import Extreme
+    from study.response_surface.quadratic.hypotheses import FTest
     from study.response_surface.quadratic.surface import QuadraticSurface
     from study.response_surface.result import SurfaceAnalysis
 
@@ -119,16 +120,15 @@ def _print_quadratic(model: QuadraticSurface) -> None:
             row += [output.number(term.p, 3)]
         rows.append(row)
     output.table(rows, f"Quadratic surface: {model.runs.name}")
+    for name, test in model.factor_tests.items():
+        print(f"all terms of {name}: {_test(test)}")
     for alias in model.aliases:
         print(f"alias: {alias}")
     if model.loo is not None:
         loo = model.loo
         print(f"\nleave-one-out: rms {loo.rms:.4g}, largest {loo.largest:.4g}, Q2 {loo.q2:.3f}")
     if model.lack_of_fit is not None:
-        test = model.lack_of_fit
-        print(
-            f"lack of fit: F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}, p = {test.p:.3g}"
-        )
+        print(f"lack of fit: {_test(model.lack_of_fit)}")
     point = model.stationary
     if point is not None and point.established:
         values = ", ".join(output.number(float(v)) for v in point.eigenvalues)
@@ -155,6 +155,10 @@ def _print_sensitivity(found: SurfaceAnalysis) -> None:
         if item.range is not None and item.range.claims:
             ends = [_settings(found.runs.settings(point)) for point in item.range.confirm]
             print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
+
+
+def _test(test: FTest) -> str:
+    return f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}, p = {test.p:.3g}"
 
 
 def _share(value: float, interval: tuple[float, float]) -> str:

@@ -128,6 +128,29 @@ def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
     assert "confirm x1: run x1 = " in text
 
 
+def test_a_quadratic_in_blocks_is_judged_by_the_blocks(tmp_path: Path) -> None:
+    x = np.linspace(-1.0, 1.0, 5)
+    slopes = np.array([1.0, 1.2, 0.9, 1.3, 1.1])
+    rng = np.random.default_rng(4)
+    y = [s * x - 2.0 * x**2 + 0.01 * rng.standard_normal(5) for s in slopes]
+    columns: dict[str, object] = {
+        "x": np.tile(x, 5), "b": np.repeat(list("pqrst"), 5), "y": np.concatenate(y)
+    }  # fmt: skip
+    path = write(tmp_path / "t.csv", columns)
+    surface = analyze(path, "x", "--block", "b", "--json").json["surface"]
+    term = {t["term"]: t for t in surface["terms"]}["x"]
+    # each block's slope by least squares: their mean and t with four degrees of freedom
+    fitted = np.array([np.polyfit(x, own, 2)[1] for own in y])
+    half = 2.7764 * fitted.std(ddof=1) / 5**0.5
+    assert term["ci95"] == pytest.approx([fitted.mean() - half, fitted.mean() + half], rel=1e-4)
+    assert surface["error"] == "blocks"
+    assert surface["lack_of_fit"]["p"] > 0.05
+    region = surface["stationary"]["region"]
+    assert region["low"]["x"] < fitted.mean() / 4.0 < region["high"]["x"]
+    assert not region["leaves_the_box"]
+    assert "all terms of x: F(" in analyze(path, "x", "--block", "b").out
+
+
 def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
     x = functions.hypercube(2, 25, 1)
     slopes = [9.0, 10.0, 11.0, 10.5]
