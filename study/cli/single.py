@@ -27,7 +27,7 @@ def new(
     ] = False,
 ) -> None:
     """Write a commented design, or calibration, to start from."""
-    from study.api.single import new_file
+    from study.api.single.virtual import new_file
 
     try:
         new_file(file, calibration=calibration)
@@ -55,7 +55,7 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single import solution_json, writable, write_picture, write_vtu
+    from study.api.single.solve import solution_json, writable, write_picture, write_vtu
 
     writable(picture, vtu)
     solution = api.solve(file, overrides=settings or ())

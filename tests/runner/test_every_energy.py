@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from study.api import solve
-from study.api.single import solution_json
+from study.api.single.solve import solution_json
 from study.errors import InputError
 from study.material.homogeneous import uniaxial
 from study.material.material import Material

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api import single
+from study import api
 from study.design.load import template
 from study.errors import InputError
 from study.forward import closed_form
@@ -57,7 +57,7 @@ def test_the_modulus_comes_back_from_every_kind_of_test(tmp_path: Path, kind: st
     solid = Material("neo-hookean", {"C10": 0.02}, poisson_ratio=0.49)
     path = case(tmp_path, written(tmp_path, kind, solid),
                 'model = "neo-hookean"\npoisson_ratio = 0.49')  # fmt: skip
-    found = single.calibrate(path, data=tmp_path)
+    found = api.calibrate(path, data=tmp_path)
     assert found.fit.values == pytest.approx([0.02], rel=1e-8)
     assert (
         found.fit.n == np.unique(np.abs(RANGES[kind]).round(9)).size
@@ -88,7 +88,7 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) ->
         'poisson_ratio = 0.49\n[model]\nmesh = "coarse"\n'
         '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "2 mm"\n'
     )
-    curve = single.solve(problem, gradients=False).curve
+    curve = api.solve(problem, gradients=False).curve
     rows = zip(curve.displacement_mm, curve.force_N, strict=True)
     lines = ["d,f", "0,0", *(f"{d:.9g},{f:.9g}" for d, f in rows)]
     (tmp_path / "pressed.csv").write_text("\n".join(lines) + "\n")
@@ -100,7 +100,7 @@ def test_a_gauge_section_beside_a_bonded_specimen_of_elements(tmp_path: Path) ->
     )
     more = '[model]\nmesh = "coarse"\n'
     path = case(tmp_path, pulled + pressed, 'model = "fung"\npoisson_ratio = 0.49', more)
-    found = single.calibrate(path, data=tmp_path)
+    found = api.calibrate(path, data=tmp_path)
     assert found.converged, found.message
     # the curve of elements is interpolated between ten steps
     assert found.fit.values == pytest.approx([0.02, 1.0], rel=2e-3)
@@ -141,7 +141,7 @@ def test_what_does_not_go_together_is_told(
     )
     path.write_text(path.read_text().replace(*change, 1))
     with pytest.raises(InputError, match=words):
-        single.calibrate(path, data=tmp_path)
+        api.calibrate(path, data=tmp_path)
 
 
 def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
@@ -162,11 +162,11 @@ def test_stress_of_a_cylinder_is_force_over_its_area(tmp_path: Path) -> None:
     )
     # a strain of compression is negative; this file has its amount, as force would be
     with pytest.raises(InputError, match="sign"):
-        single.calibrate(path, data=tmp_path)
+        api.calibrate(path, data=tmp_path)
     signed = [f"-{row.replace(',', ',-')}" for row in rows]
     (tmp_path / "a.csv").write_text("\n".join(["e,P", *signed]) + "\n")
     path.write_text(path.read_text().replace('points = "raw"', 'points = "raw", sign = "negative"'))
-    assert single.calibrate(path, data=tmp_path).fit.values == pytest.approx([0.02], rel=1e-9)
+    assert api.calibrate(path, data=tmp_path).fit.values == pytest.approx([0.02], rel=1e-9)
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_treloar(classic: Path, tmp_path: Path) -> None:
         )
     path = case(tmp_path, tests, 'model = "ogden"\norder = 3\nincompressible = true',
                 "[calibration]\nstarts = 25\nseed = 1\n")  # fmt: skip
-    found = single.calibrate(path, data=tmp_path)
+    found = api.calibrate(path, data=tmp_path)
     assert found.fit.n == 53
     assert found.fit.rss <= 0.2085
     assert found.starts is not None
@@ -225,7 +225,7 @@ def test_human_brain(classic: Path, tmp_path: Path, region: str, share: float) -
             f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
         )
     path = case(tmp_path, tests, 'model = "ogden"\norder = 1\nincompressible = true')
-    found = single.calibrate(path, data=tmp_path)
+    found = api.calibrate(path, data=tmp_path)
     assert found.converged, found.message
     mu, alpha = found.fit.values
     assert 1e-4 < mu < 2e-3

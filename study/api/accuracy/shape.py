@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from study.api.single import solve
+from study.api.single.solve import solve
 from study.design.load import default_name
 from study.errors import Fault, InputError
 from study.reporting.accuracy.page import shape_page, write_accuracy

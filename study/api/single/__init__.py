@@ -1,0 +1,1 @@
+"""One simulation, one calibration, virtual measurements: verbs without a study."""

@@ -1,0 +1,157 @@
+"""One simulation: a problem becomes a curve."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from study.api.folders import data_root
+from study.design.load import load_problem
+from study.errors import Fault, InputError
+from study.forward import closed_form
+from study.material.stability import check
+from study.record.record import plain
+from study.runner import provenance
+from study.setup.setup import Problem, ResolvedTables, problem_of
+
+if TYPE_CHECKING:
+    from study.fem.solver.solution import Solution
+
+
+def solve(
+    problem: Problem | ResolvedTables | str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    gradients: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> Solution:
+    """Simulate one test.
+
+    Parameters
+    ----------
+    problem : Problem, mapping, str or Path
+        A problem, its resolved configuration, or its file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    gradients : bool
+        Whether dF/d(constant) is computed too.
+    progress : callable, optional
+        Called with the fraction that is done.
+
+    Returns
+    -------
+    Solution
+        Curve in mm and N, with gradients, energy balance, mesh and status.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem, or constants that make an unstable material.
+    """
+    from study.fem.solver.solve import solve as forward_solve
+
+    made = _problem(problem, overrides)
+    if made.setup.has_no_elements:
+        return closed_form.solution(made)
+    return forward_solve(made, gradients=gradients, progress=progress)
+
+
+def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
+    if not isinstance(problem, Problem):
+        config = problem
+        if not isinstance(config, Mapping):
+            places = provenance.folders(config, data_root(config))
+            config = provenance.located(load_problem(config, overrides), places)
+        problem = problem_of(config)
+    _judge(problem)
+    return problem
+
+
+def _judge(problem: Problem) -> None:
+    """Refuse constants that are unstable on the way, before anything is meshed."""
+    import numpy as np
+
+    height = float(getattr(problem.specimen, "height_mm", 0.0))
+    depth = problem.test.depth_mm
+    compressed = problem.test.kind == "compression" and depth < height
+    check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
+
+
+def solution_json(solution: Solution) -> dict[str, object]:
+    """Document of ``study solve --json``."""
+    curve, warm = solution.curve, solution.warm
+    content = {
+        "status": solution.status,
+        "message": solution.message,
+        **curve.as_dict(),
+        "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
+        "parameters": {} if warm is None else dict(warm.values),
+        "dofs": solution.dofs,
+        "elements": solution.elements,
+        "newton_iterations": list(solution.newton_iterations),
+        "seconds": dict(solution.seconds),
+        "solver": solution.solver,
+        "reached_mm": solution.reached_mm,
+        "min_j": solution.min_j,
+        "base_reaction_N": solution.base_reaction_N.tolist(),
+        "energy": {
+            "stored_Nmm": solution.energy.stored_Nmm.tolist(),
+            "stabilization_Nmm": solution.energy.stabilization_Nmm.tolist(),
+            "mismatch": solution.energy.mismatch.tolist(),
+            "snaps_mm": list(solution.energy.jumps_mm),
+        },
+        "mesh_hash": solution.mesh_hash,
+        "mesh_size_mm": solution.mesh_size_mm,
+    }
+    return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
+
+
+def writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        For a folder that does not exist, or a folder in place of a file.
+    """
+    faults = []
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
+        elif path is not None and path.is_dir():
+            faults.append(Fault(str(path), "is a folder", "name a file"))
+    if faults:
+        raise InputError(faults)
+
+
+def write_vtu(solution: Solution, path: str | Path) -> None:
+    """Write displacement, J and stress of the last converged step for ParaView.
+
+    Raises
+    ------
+    InputError
+        If no step converged, or the file cannot be written.
+    """
+    from study.fem.fields import write_vtu as write
+
+    write(solution, path)
+
+
+def write_picture(solution: Solution, path: str | Path) -> None:
+    """Draw the mesh of a solution before and after its deformation.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw, or the file cannot be written.
+    """
+    from study.reporting.figure.meshes import picture
+
+    try:
+        svg, _ = picture(solution.points, solution.cells, solution.displacement)
+        Path(path).write_text(svg + "\n", encoding="utf-8")
+    except ValueError as error:
+        raise InputError(Fault(str(path), f"no picture: {error}")) from None
+    except OSError as error:
+        raise InputError(Fault(str(path), f"cannot be written ({error.strerror})")) from None

@@ -1,0 +1,70 @@
+"""Files to start from: virtual measurements, a commented design or calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from study.design.load import load, loads, template
+from study.runner.virtual.gauge_section import write_tests
+from study.runner.virtual.specimens import usual_generator, write_virtual
+
+
+def virtual(
+    out: str | Path,
+    source: str | Path | None = None,
+    *,
+    overrides: Sequence[str] = (),
+    truth: str = "yeoh",
+    blocks: int | None = None,
+) -> list[Path]:
+    """Write virtual measurements for a design; the demo's by default.
+
+    Parameters
+    ----------
+    out : str or Path
+        Data root: the files get the names that the design gives them below it.
+    source : str or Path, optional
+        The design.
+    truth : str
+        Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
+    blocks : int, optional
+        Number of specimens (or batches); 6 by default.
+    """
+    from importlib import resources
+
+    if source is None:
+        text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
+        design = loads(text, "demo.toml", overrides)
+    else:
+        design = load(source, overrides)
+    return write_virtual(
+        design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
+    )
+
+
+def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:
+    """Write a commented file to start from.
+
+    Parameters
+    ----------
+    file : str or Path
+        Its name; nothing is overwritten.
+    calibration : bool
+        Whether it is a calibration, with virtual measurements in ``tests-of-material/`` beside
+        it, instead of a design.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    FileExistsError
+        If one of the files exists.
+    """
+    path = Path(file)
+    with path.open("x", encoding="utf-8") as stream:
+        stream.write(template("calibration" if calibration else "template"))
+    return [path, *(write_tests(path.parent / "tests-of-material") if calibration else ())]
