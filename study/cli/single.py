@@ -17,6 +17,7 @@ from study.errors import Fault, InputError
 from study.material.registry import is_dimensionless
 
 if TYPE_CHECKING:
+    from study.fem.solver.solution import Solution
     from study.runner.fitting.staged_fit import Step
 
 
@@ -55,18 +56,14 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single.solve import solution_json, writable, write_picture, write_vtu
+    from study.api.single.solve import solution_json
 
-    writable(picture, vtu)
+    if picture or vtu:
+        _writable(picture, vtu)
     solution = api.solve(file, overrides=settings or ())
     curve = solution.curve
-    if not len(curve.displacement_mm) and (picture or vtu):
-        print("no step converged: nothing is drawn or written", file=sys.stderr)
-        picture = vtu = None
-    if picture is not None:
-        write_picture(solution, picture)
-    if vtu is not None:
-        write_vtu(solution, vtu)
+    if picture or vtu:
+        _write_fields(solution, picture, vtu)
     if as_json:
         output.print_json(solution_json(solution))
     else:
@@ -79,6 +76,24 @@ def solve(
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
     if solution.status != "converged":
         raise typer.Exit(1)
+
+
+def _writable(*paths: Path | None) -> None:
+    from study.api.single.files import writable
+
+    writable(*paths)
+
+
+def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) -> None:
+    from study.api.single.files import write_picture, write_vtu
+
+    if not len(solution.curve.displacement_mm):
+        print("no step converged: nothing is drawn or written", file=sys.stderr)
+        return
+    if picture is not None:
+        write_picture(solution, picture)
+    if vtu is not None:
+        write_vtu(solution, vtu)
 
 
 def virtual(

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
 from study.design.load import load_problem
-from study.errors import Fault, InputError
 from study.forward import closed_form
 from study.material.stability import check
 from study.record.record import plain
@@ -105,53 +104,3 @@ def solution_json(solution: Solution) -> dict[str, object]:
         "mesh_size_mm": solution.mesh_size_mm,
     }
     return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
-
-
-def writable(*paths: Path | None) -> None:
-    """Refuse files that could not be written, before anything is computed.
-
-    Raises
-    ------
-    InputError
-        For a folder that does not exist, or a folder in place of a file.
-    """
-    faults = []
-    for path in paths:
-        if path is not None and not path.parent.is_dir():
-            faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
-        elif path is not None and path.is_dir():
-            faults.append(Fault(str(path), "is a folder", "name a file"))
-    if faults:
-        raise InputError(faults)
-
-
-def write_vtu(solution: Solution, path: str | Path) -> None:
-    """Write displacement, J and stress of the last converged step for ParaView.
-
-    Raises
-    ------
-    InputError
-        If no step converged, or the file cannot be written.
-    """
-    from study.fem.fields import write_vtu as write
-
-    write(solution, path)
-
-
-def write_picture(solution: Solution, path: str | Path) -> None:
-    """Draw the mesh of a solution before and after its deformation.
-
-    Raises
-    ------
-    InputError
-        If there is nothing to draw, or the file cannot be written.
-    """
-    from study.reporting.figure.meshes import picture
-
-    try:
-        svg, _ = picture(solution.points, solution.cells, solution.displacement)
-        Path(path).write_text(svg + "\n", encoding="utf-8")
-    except ValueError as error:
-        raise InputError(Fault(str(path), f"no picture: {error}")) from None
-    except OSError as error:
-        raise InputError(Fault(str(path), f"cannot be written ({error.strerror})")) from None

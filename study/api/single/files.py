@@ -1,0 +1,60 @@
+"""Files of one simulation: fields for ParaView, a picture of the mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from study.errors import Fault, InputError
+from study.reporting.figure.meshes import picture
+
+if TYPE_CHECKING:
+    from study.fem.solver.solution import Solution
+
+
+def writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written, before anything is computed.
+
+    Raises
+    ------
+    InputError
+        For a folder that does not exist, or a folder in place of a file.
+    """
+    faults = []
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
+        elif path is not None and path.is_dir():
+            faults.append(Fault(str(path), "is a folder", "name a file"))
+    if faults:
+        raise InputError(faults)
+
+
+def write_vtu(solution: Solution, path: str | Path) -> None:
+    """Write displacement, J and stress of the last converged step for ParaView.
+
+    Raises
+    ------
+    InputError
+        If no step converged, or the file cannot be written.
+    """
+    from study.fem.fields import write_vtu as write
+
+    write(solution, path)
+
+
+def write_picture(solution: Solution, path: str | Path) -> None:
+    """Draw the mesh of a solution before and after its deformation.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw, or the file cannot be written.
+    """
+    try:
+        svg, _ = picture(solution.points, solution.cells, solution.displacement)
+        Path(path).write_text(svg + "\n", encoding="utf-8")
+    except ValueError as error:
+        raise InputError(Fault(str(path), f"no picture: {error}")) from None
+    except OSError as error:
+        raise InputError(Fault(str(path), f"cannot be written ({error.strerror})")) from None
