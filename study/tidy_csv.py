@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study import tabular
+from study.arrays import Array
 from study.errors import Fault, InputError, nearest
 from study.tabular import MAX_FAULTS, NUMBER, CsvTable
 
@@ -33,6 +34,7 @@ def read_csv(
     block: str | Sequence[str] | None = None,
     unit: str | None = None,
     decimal: str = ".",
+    covariates: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Read the named columns of a tidy CSV strictly.
 
@@ -50,6 +52,8 @@ def read_csv(
         Column of the unit on which rows are repeated.
     decimal : {".", ","}
         Decimal mark of the response; with a comma the columns are apart by semicolons or tabs.
+    covariates : sequence of str
+        Columns of numbers that are kept as such; an empty cell becomes NaN.
 
     Raises
     ------
@@ -60,20 +64,22 @@ def read_csv(
 
     others = [*names_of(block), *([unit] if unit else [])]
     table = tabular.read_csv(
-        Path(path), numbers=[response], decimal=decimal, declared_by="--decimal ,"
+        Path(path), numbers=[response, *covariates], decimal=decimal, declared_by="--decimal ,"
     )
-    _check_names(table.source, list(table.columns), response, factors, others)
+    _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
     faults = [fault for name in labels for fault in _empty_labels(table, name)]
-    try:
-        values = table.numbers(response, missing=MISSING)
-    except InputError as error:
-        faults = [*error.faults, *faults]
+    values: dict[str, Array] = {}
+    for name in (response, *covariates):
+        try:
+            values[name] = table.numbers(name, missing=MISSING)
+        except InputError as error:
+            faults = [*error.faults, *faults]
     if faults:
         raise InputError(faults[:MAX_FAULTS])
     for name in labels:
         _check_clash(table, name)
-    return pd.DataFrame({response: values} | {name: table.text(name) for name in labels})
+    return pd.DataFrame({**values, **{name: table.text(name) for name in labels}})
 
 
 def _check_names(
@@ -82,10 +88,11 @@ def _check_names(
     response: str,
     factors: Sequence[str],
     blocks: Sequence[str] = (),
+    covariates: Sequence[str] = (),
 ) -> None:
     faults = [
         Fault(f"{where}: column {name!r}", "no such column", nearest(name, valid))
-        for name in dict.fromkeys([response, *factors, *blocks])
+        for name in dict.fromkeys([response, *factors, *blocks, *covariates])
         if name not in valid
     ]
     if not factors:
@@ -96,6 +103,11 @@ def _check_names(
         if ":" in name:
             rule = "a ':' joins the factors of an interaction, so no factor may hold one"
             faults.append(Fault(f"{where}: column {name!r}", rule, "rename the column"))
+    faults += [
+        Fault("covariates", f"{name!r} is the response, a factor or the block", "name it once")
+        for name in covariates
+        if name in {response, *factors, *blocks}
+    ]
     if response in factors or response in blocks:
         faults.append(Fault("response", f"{response!r} cannot also be a factor or the block"))
     for name in blocks:

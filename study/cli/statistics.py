@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import analysis_tables, output, surface_tables
+from study.cli import analysis_tables, mixed_effects, output, surface_tables
 from study.cli.studies import RESULTS, Json, Results
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.analysis.effects.comparisons import Comparisons
+    from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
 
@@ -34,7 +36,22 @@ WholePlot = Annotated[
 Replicates = Annotated[
     str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
 ]
-Error = Annotated[str | None, typer.Option(help="auto, pooled or own.")]
+Error = Annotated[
+    str | None,
+    typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
+]
+Random = Annotated[
+    str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
+]
+Covariates = Annotated[
+    str, typer.Option(help="With --error reml: columns of numbers that the response follows.")
+]
+ContrastsAsked = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
+    ),
+]
 Kind = Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")]
 Model = Annotated[
     str | None,
@@ -83,6 +100,9 @@ def analyze(
     formats: Formats = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
+    random: Random = "",
+    covariates: Covariates = "",
+    contrast: ContrastsAsked = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -97,32 +117,98 @@ def analyze(
         "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
         "--decimal": None if decimal == "." else decimal,
         "--report": None if report is None else str(report),
-        "--format": formats,
+        "--format": formats, "--random": random, "--covariates": covariates,
+        "--contrast": "; ".join(contrast or ()),
     }  # fmt: skip
     if numeric and surface != "none":
         surface_tables.show(source, _names(numeric), surface, flags, as_json)
         return
+    if error == "reml":
+        _show_mixed(source, flags, alpha, results, as_json)
+        return
+    _check_mixed(flags)
     found = api.analyze(
         source, response, [*_names(factors), *_names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
-    compared = _compared(found, reference)
+    asked = api.contrasts(found, contrast) if contrast else ()
     page = None if report is None else _write_page(found, source, report, flags)
+    _show(found, _Beside(_compared(found, reference), asked, page), as_json)
+    if not as_json and all(e.verdict == "cannot tell" for e in found.effects if e.is_main):
+        _hint_practical(practical)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What was asked for beside the table: a reference, contrasts, a page."""
+
+    compared: tuple[str, Comparisons] | None
+    contrasts: Sequence[Contrast]
+    page: Path | None
+
+    def to_json(self) -> dict[str, object]:
+        found: dict[str, object] = {}
+        if self.compared is not None:
+            found["reference"] = analysis_tables.reference_json(*self.compared)
+        if self.contrasts:
+            found["contrasts"] = mixed_effects.contrasts_json(self.contrasts)
+        return found if self.page is None else found | {"report": str(self.page)}
+
+
+def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
     if as_json:
         output.warn(found.notes)
-        beside = (
-            {} if compared is None else {"reference": analysis_tables.reference_json(*compared)}
-        )
-        written = {} if page is None else {"report": str(page)}
-        output.print_json(found.to_json() | beside | written)
+        output.print_json(found.to_json() | beside.to_json())
         return
     analysis_tables.print_analysis(found)
-    if compared is not None:
-        analysis_tables.print_reference(*compared)
-    if all(effect.verdict == "cannot tell" for effect in found.effects if effect.is_main):
-        _hint_practical(practical)
-    if page is not None:
-        print(f"\nreport: {page}")
+    if beside.contrasts:
+        what = analysis_tables.what_of(found)
+        mixed_effects.print_contrasts(beside.contrasts, what, found.request.alpha)
+    if beside.compared is not None:
+        analysis_tables.print_reference(*beside.compared)
+    if beside.page is not None:
+        print(f"\nreport: {beside.page}")
+
+
+#: flags that a mixed model has a use for
+_USED_BY_MIXED = frozenset({
+    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
+    "--covariates",
+})  # fmt: skip
+
+
+def _show_mixed(
+    source: Path, flags: Flags, alpha: float | None, results: Path, as_json: bool
+) -> None:
+    """Fit a mixed model and print it."""
+    from study.api.statistics.mixed_effects import fit_mixed_model
+
+    unused = [flag for flag, value in flags.items() if value and flag not in _USED_BY_MIXED]
+    if unused:
+        rule = "has no meaning for a mixed model"
+        raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
+    level = 0.05 if alpha is None else alpha
+    found = fit_mixed_model(
+        source, flags["--response"], _names(flags["--factors"]), block=flags["--block"],
+        random=_names(flags["--random"]), covariates=_names(flags["--covariates"]),
+        model=_model(flags["--model"]), alpha=level, results=results,
+        decimal=flags["--decimal"] or ".",
+    )  # fmt: skip
+    if as_json:
+        output.print_json(mixed_effects.mixed_json(found, level))
+        return
+    mixed_effects.print_mixed(found, level)
+
+
+def _check_mixed(flags: Flags) -> None:
+    """Refuse what only a mixed model has, where none is asked for."""
+    faults = [
+        Fault(flag, "belongs to a mixed model", "add --error reml")
+        for flag in ("--random", "--covariates")
+        if flags[flag]
+    ]
+    if faults:
+        raise InputError(faults)
 
 
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
@@ -174,7 +260,9 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
 def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
     from study.api.statistics.table_report import Source, write_page
 
-    at = Source(source, {flag: value for flag, value in flags.items() if value})
+    at = Source(
+        source, {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
+    )
     wanted = tuple(_names(flags["--format"])) or ("html",)
     return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
 

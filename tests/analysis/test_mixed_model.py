@@ -129,3 +129,40 @@ def test_what_cannot_be_fitted_is_named(change: dict[str, object], rule: str) ->
 def test_two_blocks_are_too_few() -> None:
     with pytest.raises(InputError, match="needs three"):
         study.mixed_model(blocked(blocks=2), "y", ["a"], block="block")
+
+
+def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
+    """Blocks as fixed effects tell the same slope where the covariate is balanced over them."""
+    random = np.random.default_rng(7)
+    x = np.array([-1.0, 0.0, 2.0, 5.0])
+    rows = [
+        (a, k, value, 2.0 * value + 3.0 * (a == "z") + 4 * k + random.normal(0, 0.5))
+        for k, a, value in product(range(6), "yz", x)
+    ]
+    table = pd.DataFrame(rows, columns=["a", "block", "x", "y"])
+    found = study.mixed_model(table, "y", ["a"], block="block", covariates=["x"])
+    other = smf.ols("y ~ C(a) + C(block) + x", table).fit()
+    (slope,) = found.slopes
+    low, high = other.conf_int().loc["x"]
+    assert (slope.value, slope.low, slope.high) == pytest.approx(
+        (other.params["x"], low, high), rel=1e-6
+    )
+    assert [term.term for term in found.terms] == ["a", "x"]
+    assert found.terms[1].f == pytest.approx(other.tvalues["x"] ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("column", "rule"),
+    [
+        ("tx", "no such column"),
+        ("a", "already"),
+        ("text", "text"),
+        ("gap", "row 3"),
+        ("flat", "never"),
+    ],
+)
+def test_a_covariate_that_is_none_is_refused(column: str, rule: str) -> None:
+    table = blocked().assign(text="warm", flat=1.0, gap=1.0)
+    table.loc[2, "gap"] = np.nan
+    with pytest.raises(InputError, match=rule):
+        study.mixed_model(table, "y", ["a"], block="block", covariates=[column])

@@ -13,19 +13,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import brentq, minimize
-from scipy.special import chdtri, fdtrc
+from scipy.optimize import brentq
+from scipy.special import chdtri, fdtrc, stdtrit
 
 from study.analysis.data import Data, prepare
-from study.analysis.linear_model.design_matrix import Model, model_matrix, term_name, terms_of
-from study.analysis.linear_model.sums_of_squares import factor, one_thread, term_sums
+from study.analysis.error.restricted_likelihood import Likelihood
+from study.analysis.linear_model.design_matrix import (
+    Model,
+    ModelMatrix,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.sums_of_squares import Factored, factor, one_thread, term_sums
 from study.arrays import Array
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, nearest
 from study.tidy_csv import names_of
 
 if TYPE_CHECKING:
@@ -74,6 +79,16 @@ class MixedTerm:
 
 
 @dataclass(frozen=True)
+class Slope:
+    """Change of the response for each unit of a covariate, with its interval."""
+
+    covariate: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
 class MixedModel:
     """A fitted mixed model.
 
@@ -82,80 +97,20 @@ class MixedModel:
     components : tuple of VarianceComponent
         Blocks, their interactions, rows within.
     terms : tuple of MixedTerm
-        Type III tests of the factors.
+        Type III tests of the factors and covariates.
     deviance : float
         -2 log likelihood, restricted.
     rows : int
         Rows that entered.
+    slopes : tuple of Slope
+        Of the covariates.
     """
 
     components: tuple[VarianceComponent, ...]
     terms: tuple[MixedTerm, ...]
     deviance: float
     rows: int
-
-
-@dataclass(frozen=True)
-class _Likelihood:
-    """Restricted or full likelihood as a function of standard deviations (blocks ..., within)."""
-
-    y: Array
-    x: Array
-    random: tuple[Array, ...]
-
-    def covariance(self, sd: Array) -> Array:
-        """Covariance of the response, shape (n, n)."""
-        v: Array = sd[-1] ** 2 * np.eye(self.y.size)
-        for one, z in zip(sd, self.random, strict=False):
-            v += one**2 * (z @ z.T)
-        return v
-
-    def deviance(self, sd: Array, restricted: bool) -> float:
-        """-2 log likelihood."""
-        try:
-            root = cho_factor(self.covariance(sd), lower=True)
-        except np.linalg.LinAlgError:
-            return float("inf")
-        vx = cho_solve(root, self.x)
-        information = self.x.T @ vx
-        beta = np.linalg.solve(information, vx.T @ self.y)
-        r = self.y - self.x @ beta
-        n = self.y.size - (self.x.shape[1] if restricted else 0)
-        found = 2 * np.log(np.diag(root[0])).sum() + r @ cho_solve(root, r) + n * np.log(2 * np.pi)
-        if restricted:
-            found += np.linalg.slogdet(information)[1] - np.linalg.slogdet(self.x.T @ self.x)[1]
-        return float(found)
-
-    @cached_property
-    def scale(self) -> float:
-        """Standard deviation of all rows about the fixed effects."""
-        residual = self.y - self.x @ np.linalg.lstsq(self.x, self.y)[0]
-        return float(np.sqrt(residual @ residual / max(self.y.size - self.x.shape[1], 1)))
-
-    def fit(self, restricted: bool, held: tuple[int, float] | None = None) -> tuple[Array, float]:
-        """Find the standard deviations of least deviance; one of them may be held."""
-        k = len(self.random) + 1
-        free = [i for i in range(k) if held is None or i != held[0]]
-
-        def full(values: Array) -> Array:
-            sd = np.zeros(k)
-            sd[free] = np.abs(values) * self.scale
-            if held is not None:
-                sd[held[0]] = held[1]
-            return sd
-
-        best: tuple[float, Array] | None = None
-        for share in (0.3, 1.0):
-            start = np.where(np.array(free) == k - 1, 1.0, share)
-            found = minimize(
-                lambda v: self.deviance(full(v), restricted), start, method="Nelder-Mead",
-                options={"xatol": 1e-9, "fatol": 1e-10, "maxiter": 4000},
-            )  # fmt: skip
-            if best is None or found.fun < best[0]:
-                best = (float(found.fun), full(np.asarray(found.x)))
-        if best is None:
-            raise ValueError("no start")
-        return best[1], best[0]
+    slopes: tuple[Slope, ...] = ()
 
 
 @one_thread
@@ -166,6 +121,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     *,
     block: str,
     random: Sequence[str] = (),
+    covariates: Sequence[str] = (),
     model: Model = "full",
     alpha: float = 0.05,
 ) -> MixedModel:
@@ -183,6 +139,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         Column of the blocks, which are random.
     random : sequence of str
         Factors whose interaction with the blocks is random too.
+    covariates : sequence of str
+        Numeric columns (a temperature, a mass) that the response follows in a straight line.
     model : "full", int or list
         Fixed terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
     alpha : float
@@ -191,26 +149,27 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     Returns
     -------
     MixedModel
-        Variance components with intervals, tests of the fixed terms.
+        Variance components with intervals, tests of the fixed terms, slopes of the covariates.
 
     Raises
     ------
     InputError
-        For fewer than three blocks, terms that the rows cannot tell, or too many rows.
+        For fewer than three blocks, terms that the rows cannot tell, too many rows, or a
+        covariate that is no number in some row.
     """
     if factors:
         data = prepare(table, response, list(factors), names_of(block))
     else:  # the mean is the only fixed effect
         data = prepare(table, response, [block])
     terms = terms_of(data.factors, model) if factors else []
-    matrix = model_matrix(data.layout, terms)
+    matrix = _with_covariates(model_matrix(data.layout, terms), table, covariates, data)
     fixed = factor(matrix, data.y)
     _check(data, block, fixed.q.shape[1], matrix.columns.shape[1], random)
     parts = [(block, np.asarray(data.layout.codes[block]))]
     parts += [(f"{block}:{name}", data.layout.cell([block, name])) for name in random]
     indicators = tuple(np.eye(int(code.max()) + 1)[code] for _, code in parts)
     shift = float(data.y.mean())
-    likelihood = _Likelihood(data.y - shift, fixed.q, indicators)
+    likelihood = Likelihood(data.y - shift, fixed.q, indicators)
     sd, deviance = likelihood.fit(restricted=True)
     names = [*(name for name, _ in parts), "within"]
     tests = tuple(
@@ -218,7 +177,57 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         for s in term_sums(fixed, "III")
         if s.df
     )
-    return MixedModel(_components(likelihood, names, sd, alpha), tests, deviance, data.y.size)
+    slopes = tuple(_slope(likelihood, sd, fixed, name, alpha) for name in covariates)
+    components = _components(likelihood, names, sd, alpha)
+    return MixedModel(components, tests, deviance, data.y.size, slopes)
+
+
+def _with_covariates(
+    matrix: ModelMatrix, table: pd.DataFrame, covariates: Sequence[str], data: Data
+) -> ModelMatrix:
+    """Append a column for every covariate, each about its mean."""
+    columns, terms, blocks = [matrix.columns], [*matrix.terms], [*matrix.blocks]
+    for name in covariates:
+        values = _numbers(table, name, data)
+        at = matrix.columns.shape[1] + len(columns) - 1
+        columns.append((values - values.mean())[:, None])
+        terms.append((name,))
+        blocks.append(slice(at, at + 1))
+    return ModelMatrix(np.hstack(columns), tuple(terms), tuple(blocks))
+
+
+def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
+    """Values of a covariate in the rows that entered."""
+    place = f"covariate {name!r}"
+    if name not in table.columns:
+        known = [str(column) for column in table.columns]
+        raise InputError(Fault(place, "no such column", nearest(name, known)))
+    if name in {*data.factors, *data.blocks}:
+        raise InputError(Fault(place, "is a factor or the block already", "name it once"))
+    try:
+        values = np.asarray(table[name].to_numpy()[data.rows], dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(Fault(place, "holds text", "a covariate is a column of numbers")) from None
+    if not np.isfinite(values).all():
+        row = int(data.rows[np.flatnonzero(~np.isfinite(values))[0]]) + 1
+        raise InputError(Fault(f"row {row}, {place}", "is missing", "leave such rows out"))
+    if not np.ptp(values):
+        raise InputError(Fault(place, "never changes", "leave it out"))
+    return values
+
+
+def _slope(likelihood: Likelihood, sd: Array, fixed: Factored, name: str, alpha: float) -> Slope:
+    """Slope of a covariate with its interval; degrees of freedom as for its test."""
+    at = fixed.matrix.of((name,)).start
+    # the coefficient of column ``at`` is a weighted sum of those of the orthonormal columns
+    weights = np.linalg.pinv(fixed.r)[at] / fixed.scale[at]
+    vx = np.linalg.solve(likelihood.covariance(sd), likelihood.x)
+    c = np.linalg.inv(likelihood.x.T @ vx)
+    value = float(weights @ c @ (vx.T @ likelihood.y))
+    error = float(np.sqrt(weights @ c @ weights))
+    _, df, _ = _f_test(likelihood, sd, weights[:, None])
+    reach = float(stdtrit(df, 1 - alpha / 2)) * error
+    return Slope(name, value, value - reach, value + reach)
 
 
 def _check(data: Data, block: str, rank: int, columns: int, random: Sequence[str]) -> None:
@@ -241,7 +250,7 @@ def _check(data: Data, block: str, rank: int, columns: int, random: Sequence[str
 
 
 def _components(
-    likelihood: _Likelihood, names: Sequence[str], sd: Array, alpha: float
+    likelihood: Likelihood, names: Sequence[str], sd: Array, alpha: float
 ) -> tuple[VarianceComponent, ...]:
     at_most, least = likelihood.fit(restricted=False)
     limit = least + float(chdtri(1, alpha))
@@ -274,7 +283,7 @@ def _limits(
     return low, float(brentq(excess, max(best, 0.0), high, xtol=1e-6 * scale))
 
 
-def _f_test(likelihood: _Likelihood, sd: Array, basis: Array) -> tuple[float, float, float]:
+def _f_test(likelihood: Likelihood, sd: Array, basis: Array) -> tuple[float, float, float]:
     """F, its denominator degrees of freedom and p of the directions ``basis`` of a term."""
     kept = [i for i in range(sd.size) if sd[i] > _ZERO * sd[-1]]
     squares = [likelihood.random[i] @ likelihood.random[i].T for i in kept if i < sd.size - 1]
