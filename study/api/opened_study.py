@@ -11,7 +11,7 @@ from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
-from study.api.statistics.scoring import scored_on
+from study.api.statistics.scoring import cross_validated, scored_on
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
 from study.design.spec import Design
@@ -62,6 +62,7 @@ def _analyses(
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
     found = []
+    blocks = len({record.block for record in records} - {None})
     for response in design.responses:
         limit = threshold(response.practical)
         result, refused = None, ""
@@ -81,7 +82,8 @@ def _analyses(
                 None if result is None else result.detection.u_num,
                 better,
                 refused=refused,
-                scored_on=scored_on(design, response.name),
+                scored_on=scored_on(design, response.name, blocks),
+                cross_validated=cross_validated(design, response.name, blocks),
             )
         )
     return adjusted(found, design.analysis)

@@ -12,7 +12,7 @@ from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
-from study.design.study_file import Converge, Replicates, Report
+from study.design.study_file import SCORED, Converge, Replicates, Report
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
@@ -224,6 +224,16 @@ class Design:
     expected: tuple[Expected, ...] = ()
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
+
+    @property
+    def asks_for_scores(self) -> bool:
+        """Whether predicted curves are compared with measured ones."""
+        return any(response.name in SCORED for response in self.responses)
+
+    @property
+    def asks_for_constants(self) -> bool:
+        """Whether constants of the material are responses."""
+        return any(response.name not in {*SCORED, "seconds"} for response in self.responses)
 
     def combinations(self) -> Iterator[tuple[Combination, tuple[Level, ...]]]:
         """Labels and levels of every cell, left out or not; the last factor varies fastest."""

@@ -81,39 +81,46 @@ def _check_fit(direction: ScoreTask) -> None:
 
 def _predicted(task: CaseTask) -> Record:
     """Record of a case whose curves are predicted and scored."""
-    predictions = [_predict(task, direction) for direction in task.directions]
+    directions = task.scored
+    predictions = [_predict(task, direction) for direction in directions]
     found = [
         direction.scored(task.tables, prediction.curve)
-        for direction, prediction in zip(task.directions, predictions, strict=True)
+        for direction, prediction in zip(directions, predictions, strict=True)
     ]
     scores = [response.score(one) for one in found]
     seconds = _seconds(task, predictions)
-    means = response.averaged(scores) | {"seconds": {"value": seconds["total"], "unit": "s"}}
-    steps = _step_uncertainty(predictions, task.directions)
+    means = response.averaged(scores) | _constants(task)
+    means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
+    steps = _step_uncertainty(predictions, directions)
     record = task.frame.record("converged", "")
     return replace(
         record,
         responses=_wanted(task, means, steps),
         parameters=_parameters(task),
         fit=_fits(task.directions),
-        curves=_curves(predictions, task.directions),
+        curves=_curves(predictions, directions),
         timings=seconds,
         mesh=predictions[-1].mesh,
         solver=_solver(predictions),
-        extra={**record.extra, "directions": list(map(_score_document, task.directions, scores))},
+        extra={**record.extra, "directions": list(map(_score_document, directions, scores))},
     )
 
 
 def _refitted(task: CaseTask) -> Record:
     """Record of a fit to resampled noise: its constants, and no prediction."""
-    found = [direction.scored(task.tables) for direction in task.directions]
-    means = response.averaged([response.constants_of(one) for one in found])
     return replace(
         task.frame.record("converged", ""),
-        responses=_wanted(task, means, {}),
+        responses=_wanted(task, _constants(task), {}),
         parameters=_parameters(task),
         fit=_fits(task.directions),
         timings=_seconds(task, []),
+    )
+
+
+def _constants(task: CaseTask) -> dict[str, Quantity]:
+    """Constants averaged over the directions that give them, with units."""
+    return response.averaged(
+        [response.constants_of(one.scored(task.tables)) for one in task.identified]
     )
 
 
@@ -196,8 +203,7 @@ def _seconds(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, floa
 
 def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
     """Each constant averaged over the directions, with the error of that average."""
-    values = [response.constants_of(d.scored(task.tables)) for d in task.directions]
-    fits = [FitDocument() if d.fit is None else d.fit.fit for d in task.directions]
+    fits = [FitDocument() if d.fit is None else d.fit.fit for d in task.identified]
     return {
         name: {
             **mean,
@@ -205,7 +211,7 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
             # the interval of one fit; that of an average of two specimens is the blocks' business
             "ci95": _interval(name, fits[0]) if len(fits) == 1 else None,
         }
-        for name, mean in response.averaged(values).items()
+        for name, mean in _constants(task).items()
     }
 
 

@@ -16,6 +16,9 @@ from study.runner.response import Scored
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 
+#: role of a direction that gives the constants of a specimen where its score is held out
+CONSTANTS = "constants"
+
 #: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
 #: or a solution of its own.
 Forward = Literal["fit", "closed-form", "simulation"]
@@ -188,6 +191,16 @@ class CaseTask:
     forward: Forward
     directions: tuple[ScoreTask, ...]
     anchor: Anchor | None = None
+
+    @property
+    def scored(self) -> tuple[ScoreTask, ...]:
+        """Directions whose curves are predicted and scored."""
+        return tuple(one for one in self.directions if one.role != CONSTANTS)
+
+    @property
+    def identified(self) -> tuple[ScoreTask, ...]:
+        """Directions that give the constants: the specimen's own where its score is held out."""
+        return tuple(one for one in self.directions if one.role == CONSTANTS) or self.directions
 
     def to_json(self) -> dict[str, object]:
         """Plain data for a worker."""

@@ -52,7 +52,7 @@ class Costs:
         config = job.case.config
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
-        one, solves = self.solve_seconds(config, job.depth_mm), float(len(job.directions))
+        one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
         if job.group:
             solves = _from_anchor(config) * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)

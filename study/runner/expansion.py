@@ -7,7 +7,7 @@ of resampled residuals follow: each step takes the values of the one before and 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +19,8 @@ from study.design.spec import Case, Design, Treatment
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.runner import provenance
-from study.runner.calibration.model_selection import distinct_tests, left_out
-from study.runner.case_task import Forward, Origin
+from study.runner.calibration.cross_validation import distinct_tests, held_out, left_out
+from study.runner.case_task import CONSTANTS, Forward, Origin
 from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
 from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeated
 from study.runner.provenance import code_version
@@ -42,11 +42,15 @@ def expand(design: Design, data_root: Path) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = mesh_seeded(distinct(cases(design, blocks)), design)
-    units = units_of(response.name for response in design.responses)
     jobs = anchored(
-        case_job(located(case, places), data, units, origin) for case, origin in planned
+        case_job(located(case, places), data, design, origin) for case, origin in planned
     )
-    return Work(design, (*jobs, *resampled(jobs, design)), units, blocks, data)
+    return Work(design, (*jobs, *resampled(jobs, design)), units_asked(design), blocks, data)
+
+
+def units_asked(design: Design) -> dict[str, str]:
+    """List every response that the records of a design hold, with its unit."""
+    return units_of(response.name for response in design.responses)
 
 
 def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
@@ -84,23 +88,21 @@ def located(case: Case, places: Sequence[Path]) -> Case:
     return replace(case, config=provenance.located(case.config, places))
 
 
-def case_job(
-    case: Case, data: DataCache, units: Mapping[str, str], origin: Origin | None = None
-) -> CaseJob:
+def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None = None) -> CaseJob:
     """Make the job of one case.
 
     Parameters
     ----------
-    units : mapping of str to str
-        Unit of every response that its record holds.
+    design : Design
+        Says which responses its record holds.
     origin : Origin, optional
         Why it is computed besides the cells of the design.
     """
     problem = fit_problem(case.config)
-    pairs = tuple(score_pairs(case, problem, data))
+    pairs = tuple(score_pairs(case, problem, data, design))
     identity = [
         case.case_id,
-        sorted(units),
+        sorted(units_asked(design)),
         [
             [d.label, d.fit_label, d.fit_key, d.measured.displacement_mm.tolist(),
              d.measured.force_N.tolist()]
@@ -120,7 +122,9 @@ def forward_of(case: Case, problem: FitProblem) -> Forward:
     return "closed-form" if analytic else "simulation"
 
 
-def score_pairs(case: Case, problem: FitProblem, data: DataCache) -> list[ScorePair]:
+def score_pairs(
+    case: Case, problem: FitProblem, data: DataCache, design: Design
+) -> list[ScorePair]:
     """Say what is fitted and what is scored in a case.
 
     Raises
@@ -134,14 +138,49 @@ def score_pairs(case: Case, problem: FitProblem, data: DataCache) -> list[ScoreP
         raise InputError(Fault("measurements", rule, "add it, or use `study solve`"))
     if problem.method == "none":
         return [_first_pair(scored, case, None)]
-    if case.treatment.cell.leave_out is not None:
-        return [
-            replace(
-                _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
-                fit_label=one.label,
-            )
-            for one in left_out(case, scored, data)
-        ]
+    kind = _held_out(case, scored, design)
+    if kind is not None:
+        return _held_out_pairs(kind, case, scored, data, design)
+    return _fitted_pairs(case, problem, scored, data)
+
+
+def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
+    """Say what is left out of the fits; a study of constants alone fits each curve by itself."""
+    cell = case.treatment.cell
+    if cell.leave_out is None and not design.asks_for_scores:
+        return None
+    return held_out(
+        cell.leave_out, scored.fit, scored.score, len(scored.blocks),
+        other_test=cell.fitted_elsewhere is not None,
+    )  # fmt: skip
+
+
+def _held_out_pairs(
+    kind: str, case: Case, scored: Measurements, data: DataCache, design: Design
+) -> list[ScorePair]:
+    """Pairs whose fits never saw what is scored.
+
+    A constant that is asked for is a specimen's own: those of all others together would differ
+    less between specimens than specimens do.
+    """
+    pairs = [
+        replace(
+            _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
+            fit_label=one.label,
+        )
+        for one in left_out(kind, case, scored, data)
+    ]
+    if kind == "specimen" and design.asks_for_constants:
+        own = _fitted_pairs(case, fit_problem(case.config), scored, data)
+        label = f"{case.block} alone"
+        pairs += [replace(one, role=CONSTANTS, fit_label=label) for one in own[:1]]
+    return pairs
+
+
+def _fitted_pairs(
+    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
+) -> list[ScorePair]:
+    """Pairs whose constants come from the curves that the study file selects."""
     own = data.calibrated(case.config)
     if own is not None:
         fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
@@ -210,7 +249,7 @@ def anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
-        solutions[group] += len(job.directions)
+        solutions[group] += job.predictions
         first.setdefault(group, job)
     return tuple(
         _with_anchor(job, group, first[group]) if group and solutions[group] > 1 else job

@@ -17,7 +17,7 @@ from study.measurement.reading import read_measurements
 from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
 from study.runner import provenance
-from study.runner.case_task import Forward, Origin
+from study.runner.case_task import CONSTANTS, Forward, Origin
 from study.runner.fitting.fit_task import FitProblem, fit_key
 from study.runner.tables import CalibrationTable, Tables, gauge_of
 from study.setup.setup import known_height_mm
@@ -118,7 +118,8 @@ class ScorePair:
     fit : FitJob or None
         The fit that gives the constants; None where they are given.
     role : str
-        ``"score"``, or ``"fit"`` where the scored curve is the fitted one.
+        ``"score"``, ``"fit"`` where the scored curve is the fitted one, or ``"constants"`` where
+        nothing is scored: the fit to the specimen's own curve, whose score is held out.
     fit_label : str
         Which curve gave the constants.
     scatter_N : tuple of float or None
@@ -173,6 +174,11 @@ class CaseJob:
     origin: Origin = field(default_factory=Origin)
     group: str = ""
     anchor: FitJob | None = None
+
+    @property
+    def predictions(self) -> int:
+        """Number of curves that are predicted and scored."""
+        return sum(pair.role != CONSTANTS for pair in self.directions)
 
     @property
     def depth_mm(self) -> float:

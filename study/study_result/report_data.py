@@ -79,6 +79,7 @@ class ResponseAnalysis:
     title: str = ""
     refused: str = ""
     scored_on: str = ""
+    cross_validated: bool = False
 
 
 @dataclass(frozen=True)

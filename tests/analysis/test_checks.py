@@ -119,6 +119,12 @@ def test_shapiro_and_anderson_guards() -> None:
     assert ours.p == pytest.approx(lilliefors[1], rel=1e-8)
 
 
+def test_shapiro_wilk_does_not_depend_on_the_unit() -> None:
+    x = np.random.default_rng(3).normal(size=20)
+    one, other = shapiro_wilk(x), shapiro_wilk(1e-21 * x)
+    assert (other.statistic, other.p) == pytest.approx((one.statistic, one.p), rel=1e-6)
+
+
 def test_epsilon_of_spherical_and_of_one_direction() -> None:
     assert epsilon_gg(np.eye(4)) == pytest.approx(1)
     assert epsilon_gg(np.diag([1.0, 0, 0, 0])) == pytest.approx(0.25)

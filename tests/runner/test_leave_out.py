@@ -90,9 +90,13 @@ def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -
     measured(tmp_path / "a.csv", {"A": 1.0, "B": 1.2, "C": 0.9})
     work = expanded(tmp_path, "specimen")
     job = next(j for j in work.jobs if j.case.block == "B" and j.case.levels["material"] == "rp2")
-    (direction,) = job.directions
+    direction, own = job.directions
     assert direction.fit_label == "all but B"
     assert direction.role == "score"
+    # a constant is asked for, and B's comes from B's own curve
+    assert (own.fit_label, own.role) == ("B alone", "constants")
+    (curve,) = work.fits[own.fit_key or ""].measured
+    assert curve.force_N.tolist() == direction.measured.force_N.tolist()
     # the scored curve is B's own, the fitted ones are A's and C's
     fitted = work.fits[direction.fit_key or ""].measured
     ratios = [float(c.force_N[-1] / direction.measured.force_N[-1]) for c in fitted]
@@ -104,8 +108,8 @@ def test_a_specimen_is_scored_with_the_constants_of_the_others(tmp_path: Path) -
         {"C10": 0.95 * 7e-3, "C20": 0.95e-3},
         abs=3e-6,  # the curve is resampled linearly
     )
-    # three blocks and two energies: a fit each, none of them shared
-    assert len({d.fit_key for j in work.jobs for d in j.directions}) == 6
+    # three blocks and two energies: a score and a constant each, none of their fits shared
+    assert len({d.fit_key for j in work.jobs for d in j.directions}) == 12
 
 
 def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) -> None:
@@ -130,3 +134,43 @@ def test_nothing_else_to_fit_is_told(tmp_path: Path, kind: str, block: str) -> N
     measured(tmp_path / "a.csv", {"A": 1.0})
     with pytest.raises(InputError, match="calibration.leave_out"):
         expanded(tmp_path, kind, block=block)
+
+
+#: factors of the force of four specimens about the same material
+SCALES = {"A": 1.0, "B": 1.2, "C": 0.9, "D": 1.1}
+
+
+def study_of(folder: Path, asked: str, leave_out: str = "") -> Work:
+    """The study without an answer of its own to what is left out; ``asked`` are its responses."""
+    text = DESIGN.format(kind="specimen", block=BLOCK, presets="", factors="")
+    text = text.replace('leave_out = "specimen"', leave_out)
+    responses = "".join(f'[[response]]\nname = "{name}"\n' for name in asked.split())
+    return expand(load.loads(text.replace('[[response]]\nname = "mu0"\n', responses)), folder)
+
+
+def roles(work: Work) -> set[tuple[str, ...]]:
+    return {tuple(pair.role for pair in job.directions) for job in work.jobs}
+
+
+@pytest.mark.parametrize(
+    ("scales", "asked", "leave_out", "expected"),
+    [
+        (SCALES, "work_error", "", ("score",)),
+        (SCALES, "work_error mu0", "", ("score", "constants")),
+        # constants alone: each specimen by itself
+        (SCALES, "mu0", "", ("fit",)),
+        (SCALES, "work_error", 'leave_out = "nothing"', ("fit",)),
+        # with two specimens one alone would stand for all others
+        ({"A": 1.0, "B": 1.2}, "work_error", "", ("fit",)),
+    ],
+)
+def test_scores_are_held_out_by_default(
+    tmp_path: Path, scales: dict[str, float], asked: str, leave_out: str, expected: tuple[str, ...]
+) -> None:
+    measured(tmp_path / "a.csv", scales)
+    work = study_of(tmp_path, asked, leave_out)
+    assert roles(work) == {expected}
+    held_out = {
+        pair.fit_label for job in work.jobs for pair in job.directions if "but" in pair.fit_label
+    }
+    assert bool(held_out) == (expected[0] == "score")

@@ -308,5 +308,6 @@ def shapiro_wilk(values: ArrayLike) -> NormalityResult:
         return NormalityResult("Shapiro-Wilk", None, None, "p is not accurate beyond n = 5000")
     from scipy.stats import shapiro
 
-    result = shapiro(x - x[0])
+    # scipy takes a range below 1e-19 for none, whatever the unit
+    result = shapiro((x - x[0]) / np.ptp(x))
     return NormalityResult("Shapiro-Wilk", float(result.statistic), float(result.pvalue))

@@ -17,7 +17,11 @@ METHODS = ("auto", "analytic", "inverse-fem", "none")
 #: name of a constant -> its least and largest value, in MPa, exponents plain
 Bounds = Mapping[str, tuple[float, float]]
 
+#: value of ``leave_out`` that scores the curve fitted
+NOTHING = "nothing"
+
 _LeaveOut = Annotated[str | None, Reads(choice("specimen", "test"))]
+_HeldOut = Annotated[str | None, Reads(choice("specimen", "test", NOTHING))]
 
 
 @section
@@ -37,14 +41,15 @@ class Calibration:
     ----------
     method : {"auto", "analytic", "inverse-fem", "none"}, optional
         By default ``"none"`` where the constants are given, else ``"auto"``.
-    leave_out : {"specimen", "test"}, optional
-        What is predicted by constants that were fitted without it.
+    leave_out : {"specimen", "test", "nothing"}, optional
+        What is predicted by constants that were fitted without it. By default the specimen, where
+        the scored curve would be the fitted one and there are three specimens or more.
     problem : CalibrationProblem, optional
         The fitted test, if it is another one than the scored.
     """
 
     method: Annotated[str | None, Reads(choice(*METHODS))] = None
-    leave_out: _LeaveOut = None
+    leave_out: _HeldOut = None
     problem: CalibrationProblem | None = None
 
 

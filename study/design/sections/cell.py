@@ -114,7 +114,7 @@ class Cell:
         What is predicted.
     method : {"auto", "analytic", "inverse-fem", "none"}
         How the constants are found.
-    leave_out : {"specimen", "test"}, optional
+    leave_out : {"specimen", "test", "nothing"}, optional
         What is predicted by constants that were fitted without it.
     fitted_elsewhere : CellProblem, optional
         Test that the constants are fitted to, where it is another one.

@@ -262,6 +262,8 @@ def response_note(response: ResponseAnalysis) -> str:
         parts.append("analyzed on the log, effects are ratios")
     if response.scored_on == FITTED_CURVE:
         parts.append("scored on the curve fitted: it says how well a model fits, not predicts")
+    elif response.cross_validated:
+        parts.append("each specimen predicted by constants fitted to the other specimens")
     elif response.scored_on:
         parts.append(f"scored on: {response.scored_on}")
     if response.better:

@@ -48,7 +48,7 @@ def input_work(work: Work) -> Work:
         for key, amount in moved_inputs(work).items():
             case = _moved(base.case, key, amount)
             origin = Origin(purpose=PURPOSE, of=base.case.case_id, input=key)
-            jobs.append(case_job(case, work.data, work.responses, origin))
+            jobs.append(case_job(case, work.data, work.design, origin))
     return replace(work, jobs=tuple(jobs))
 
 

@@ -90,7 +90,7 @@ def refined_series(
         case_job(
             refined(base.case, size / ratio**level),
             work.data,
-            work.responses,
+            work.design,
             Origin(purpose=PURPOSE, of=base.case.case_id, level=level),
         )
         for level in range(1, times + 1)
