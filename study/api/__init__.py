@@ -14,6 +14,7 @@ _HOME = {
     "run": "study.api.study",
     "demo": "study.api.study",
     "plan": "study.api.planning.plan",
+    "augment": "study.api.planning.augment",
     "power": "study.api.planning.detection",
     "run_sheet": "study.api.planning.run_sheet",
     "status": "study.api.planning.plan",

@@ -12,6 +12,7 @@ from study.cli import output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
+    from study.api.planning.augment import Augmentation
     from study.api.planning.plan import Plan
     from study.design.overview import Overview
     from study.design.spec import Scheme
@@ -58,20 +59,34 @@ def plan(
     specimens: Annotated[
         int, typer.Option(min=1, help="Specimens of the run sheet, measured once each.")
     ] = 6,
+    augment: Annotated[
+        int | None, typer.Option(min=1, help="Name so many further cells of a fraction.")
+    ] = None,
+    terms: Annotated[
+        str, typer.Option(help="With --augment: order of interaction, or terms with commas.")
+    ] = "2",
     as_json: Json = False,
 ) -> None:
     """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
     from study import api
+    from study.design.load import load
 
     if run_sheet is not None:
         sheet = api.run_sheet(design, specimens, path=run_sheet)
         typer.echo(f"{len(sheet)} trials in random order: {run_sheet}", err=True)
+    further = None
+    if augment is not None:
+        asked = int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
+        further = api.augment(load(design, settings or ()), augment, terms=asked)
     found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
     if as_json:
         output.warn(found.warnings)
-        output.print_json(found.to_json())
-    else:
-        _print_plan(found)
+        added = {} if further is None else {"augment": further.to_json()}
+        output.print_json(found.to_json() | added)
+        return
+    _print_plan(found)
+    if further is not None:
+        _print_further(further)
 
 
 def run(
@@ -305,3 +320,17 @@ def _print_plan(found: Plan) -> None:
         time = output.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
     output.warn(found.warnings)
+
+
+def _print_further(found: Augmentation) -> None:
+    """Print further cells, what they gain, and the table that runs them."""
+    names = list(found.cells[0])
+    rows = [names, *([cell[name] for name in names] for cell in found.cells)]
+    print()
+    output.table(rows, "Further cells")
+    gain = f"{100 * found.before:.0f} % before, {100 * found.after:.0f} % after"
+    output.paragraph(
+        f"\nTold apart with them: {', '.join(found.terms)}. Precision, of that of an orthogonal "
+        f"design of as many cells: {gain}. Put this in place of [design] (what is computed stays):"
+    )
+    print(f"\n{found.table()}")

@@ -76,6 +76,8 @@ class Scheme:
         Verified by brute force; None where nothing is aliased or the word has no meaning.
     defining_relation : str
         Such as ``"I = A:B:C"``.
+    terms : tuple of str
+        What it was made to tell apart; empty where its kind says so.
     """
 
     kind: str = "full"
@@ -84,6 +86,7 @@ class Scheme:
     aliases: tuple[str, ...] = ()
     resolution: int | None = None
     defining_relation: str = ""
+    terms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

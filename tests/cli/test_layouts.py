@@ -79,3 +79,88 @@ def test_a_fraction_is_analyzed_for_what_it_can_tell(design: Path) -> None:
     assert answer.code == 2
     assert "analysis.model: asks for 31 terms, of which 16 cells tell 15 apart" in answer.err
     assert "leave it out (model = 2), or list terms" in answer.err
+
+
+#: three factors of two levels and one of three: 24 combinations
+MIXED = """
+[presets.material.nh]
+model = "neo-hookean"
+C10 = "5 kPa"
+[presets.material.mr]
+model = "mooney-rivlin"
+C10 = "4 kPa"
+C01 = "1 kPa"
+[presets.material.yeoh]
+model = "yeoh"
+C10 = "5 kPa"
+C20 = "1 kPa"
+C30 = "0.1 kPa"
+[factors]
+model.space = ["axisymmetric", "3d"]
+model.element_order = ["linear", "quadratic"]
+model.formulation = ["mixed", "displacement"]
+material = ["nh", "mr", "yeoh"]
+"""
+UNSAID = 'model = "neo-hookean"\nC10 = "5 kPa"\n'
+
+
+def counted(told: dict, *names: str) -> Counter[tuple[str, ...]]:
+    return Counter(tuple(cell["levels"][name] for name in names) for cell in told["matrix"])
+
+
+def test_a_d_optimal_design_is_the_orthogonal_array_where_there_is_one(design: Path) -> None:
+    """2^3 x 3 in 12 cells: main effects are orthogonal where every pair of levels is balanced."""
+    table = '[design]\nkind = "d-optimal"\nruns = 12\n'
+    design.write_text(f"{BASE.replace(UNSAID, '')}{MIXED}{table}")
+    told = study("plan", design, "--data", "data", "--json").json["design"]
+    assert told["cells"] == 12
+    names = ["model.space", "model.element_order", "model.formulation", "material"]
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            assert len(set(counted(told, first, second).values())) == 1
+    assert "100.0 % of the precision" in told["scheme"]["summary"]
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("runs = 5", "at least 6"),
+        ("runs = 30", "24"),
+        ('runs = 12\nterms = ["space:material"]', "model.space"),
+        ("runs = 12\nterms = 9", "design.terms"),
+        ('runs = 12\n[analysis]\nmodel = "full"', "of which 12 cells tell"),
+    ],
+)
+def test_a_d_optimal_design_that_cannot_be_says_why(design: Path, table: str, said: str) -> None:
+    text = f'{BASE.replace(UNSAID, "")}{MIXED}[design]\nkind = "d-optimal"\n{table}\n'
+    design.write_text(text)
+    answer = study("plan", design, "--data", "data")
+    assert answer.code == 2
+    assert said in answer.err
+
+
+def test_further_cells_complete_a_half_fraction(design: Path) -> None:
+    """2^(3-1) and four further cells are the whole 2^3, which tells all terms apart."""
+    names = ["model.space", "model.element_order", "model.element_shape"]
+    three = FIVE_CHOICES.split("model.formulation")[0]
+    fraction = '[design]\nkind = "fractional"\nresolution = 3\n'
+    design.write_text(f"{BASE}{three}{fraction}")
+    asked = ("plan", design, "--data", "data", "--augment", 4, "--terms", 3)
+    told = study(*asked, "--json").json
+    added = told["augment"]
+    assert added["efficiency"] == {"before": 0.0, "after": pytest.approx(1.0, abs=1e-12)}
+    assert "[design]" in study(*asked).out
+    # the table that it writes plans the eight cells, of which four are those of the fraction
+    own = counted(told["design"], *names)
+    design.write_text(f"{BASE}{three}{added['design']}\n[analysis]\nmodel = 3\n")
+    whole = study("plan", design, "--data", "data", "--json").json["design"]
+    assert whole["cells"] == 8
+    assert own < counted(whole, *names)
+    assert set(counted(whole, *names).values()) == {1}
+
+
+def test_a_full_factorial_has_no_further_cell(design: Path) -> None:
+    design.write_text(f"{BASE}{FIVE_CHOICES}")
+    answer = study("plan", design, "--data", "data", "--augment", 4)
+    assert answer.code == 2
+    assert "runs every combination" in answer.err

@@ -4,12 +4,13 @@
 
     [design]
     kind = "fractional"        # full | fractional | plackett-burman | central-composite
-                               # | box-behnken | latin-hypercube | sobol | listed
+                               # | box-behnken | latin-hypercube | sobol | d-optimal | listed
     generators = ["model.element_order = material:plates"]     # fractional; or
     resolution = 4                                             # the smallest fraction that has it
     star = "inscribed"         # central-composite: or "faced"
-    runs = 32                  # latin-hypercube, sobol (a power of two)
-    seed = 7                   # of these two; that of [study] by default
+    runs = 32                  # latin-hypercube, sobol (a power of two), d-optimal
+    seed = 7                   # of these three; that of [study] by default
+    terms = 2                  # d-optimal: highest order of interaction, or a list of terms
     treatments = [{ material = "yeoh", plates = "bonded" }]    # listed: exactly these cells
     zip = [["specimen.height", "test.displacement"]]           # full: levels change together
     [[design.nested]]          # full: levels that exist only within a level of another factor
@@ -26,6 +27,7 @@ from collections.abc import Mapping
 from study.design.diagnostics import Faults, noted, read_table
 from study.design.layout.factorial import Full, Listed
 from study.design.layout.fractional import Fractional, PlackettBurman
+from study.design.layout.optimal_section import DOptimal
 from study.design.layout.request import MAX_CELLS, Layout, Made, Request
 from study.design.layout.response_surface import BoxBehnken, CentralComposite
 from study.design.layout.samples import LatinHypercube, Sobol
@@ -41,6 +43,7 @@ LAYOUTS: Mapping[str, type[Layout]] = {
     "box-behnken": BoxBehnken,
     "latin-hypercube": LatinHypercube,
     "sobol": Sobol,
+    "d-optimal": DOptimal,
     "listed": Listed,
 }
 

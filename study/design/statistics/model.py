@@ -10,6 +10,7 @@ import numpy as np
 
 from study.design.diagnostics import Faults, noted
 from study.design.layout.aliases import clear_order
+from study.design.layout.optimal import model_columns
 from study.design.spec import Analysis, Factor, Scheme
 from study.design.study_file import AnalysisTable
 from study.errors import nearest
@@ -17,6 +18,8 @@ from study.setup.quantity import integer, shown
 from study.setup.section import Bad
 
 MAX_TERMS = 1000
+#: kinds of a design whose cells do not tell every term
+_FRACTIONS = ("fractional", "plackett-burman", "d-optimal", "listed")
 
 Model = str | int | tuple[str, ...]
 
@@ -65,6 +68,8 @@ def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
     if scheme.kind == "full":
         terms = terms_of(scheme, factors)
         return "full" if terms is None else terms
+    if scheme.terms:
+        return scheme.terms
     if scheme.kind == "fractional":
         order = clear_order(scheme.resolution)
         return "full" if order is None else min(order, len(factors))
@@ -97,20 +102,21 @@ def _term(value: object, factors: Sequence[str]) -> str:
 def _check_told_apart(
     model: Model, factors: Sequence[Factor], scheme: Scheme, faults: Faults
 ) -> None:
-    """Refuse terms that no analysis of a two-level fraction can tell apart.
+    """Refuse terms that no analysis of a fraction can tell apart.
 
     Each would be judged by what the others leave of it, which is nothing.
     """
-    if scheme.rows is None or scheme.kind not in ("fractional", "plackett-burman"):
+    if scheme.rows is None or scheme.kind not in _FRACTIONS:
         return
-    runs = 2.0 * np.array(scheme.rows) - 1
     names = [factor.name for factor in factors]
     words = _words(model, names)
-    columns = [np.ones(len(runs)), *(runs[:, list(word)].prod(axis=1) for word in words)]
-    told = int(np.linalg.matrix_rank(np.array(columns))) - 1
-    if told == len(words):
+    runs = np.array(scheme.rows)
+    columns = model_columns(runs, [len(factor.levels) for factor in factors], words)
+    told, asked = int(np.linalg.matrix_rank(columns)) - 1, columns.shape[1] - 1
+    if told == asked:
         return
-    rule = f"asks for {len(words)} terms, of which {len(runs)} cells tell {told} apart"
+    what = "terms" if asked == len(words) else "numbers"
+    rule = f"asks for {asked} {what}, of which {len(runs)} cells tell {told} apart"
     usual = default_model(scheme, factors)
     aliased = f": {scheme.aliases[0]}" if scheme.aliases else ""
     faults.add("analysis.model", rule + aliased, f"leave it out (model = {usual}), or list terms")
