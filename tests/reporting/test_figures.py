@@ -9,12 +9,14 @@ import pytest
 from scipy import stats
 
 from study.analysis.unreplicated import pseudo_standard_error
+from study.curve import Curve
 from study.reporting.content.recommendation import cost_front
-from study.reporting.figure import constants, curves, effects, style
+from study.reporting.figure import captions, constants, effects, style
+from study.reporting.figure.curves import plot, samples
 from study.reporting.figure.residuals import diagnostics
 from study.reporting.output.page import build
 from study.reporting.report import cells, facts
-from study.study_result.report_data import ReportData
+from study.study_result.report_data import CurvePair, ReportData
 from tests.reporting.example import unreplicated
 
 
@@ -113,7 +115,7 @@ def test_constants_keep_their_intervals_and_the_order_of_the_design(data: Report
 
 
 def test_curves_split_by_what_differs_most(data: ReportData):
-    found = curves.curve_panels(data)
+    found = samples.curve_panels(data)
     assert found.line == "material"
     assert found.left_out == 0
     assert set(found.frame["block"]) == set(data.blocks)
@@ -121,9 +123,87 @@ def test_curves_split_by_what_differs_most(data: ReportData):
 
 def test_many_blocks_are_thinned_and_counted(data: ReportData):
     pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
-    found = curves.curve_panels(replace(data, curves=pairs))
+    found = samples.curve_panels(replace(data, curves=pairs))
     assert len(found.panels) <= 24
     assert found.left_out > 0
+
+
+def two_ranges(data: ReportData) -> ReportData:
+    """Two materials compared with the first 5 mm and with all 10 mm of one measured curve."""
+    d = np.linspace(0, 10, 101)
+    force = 0.2 * d + 0.05 * d**2
+    pairs = []
+    for share, end in (("half", 51), ("whole", 101)):
+        measured = Curve(d[:end], force[:end])
+        for material, factor in (("soft", 0.9), ("hard", 1.1)):
+            predicted = Curve(d[:end], factor * force[:end])
+            pairs.append(
+                CurvePair({"material": material, "range": share}, "b", measured, predicted)
+            )
+    factors = {"range": ("half", "whole"), "material": ("soft", "hard")}
+    return replace(data, factors=factors, blocks=("b",), curves=tuple(pairs))
+
+
+def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
+    found = samples.curve_panels(two_ranges(data))
+    assert (found.line, found.panel) == ("material", "range")
+    for panel, end in zip(found.panels, (5.0, 10.0), strict=True):
+        rows = found.rows(panel)
+        assert rows["displacement_mm"].max() == end
+        # 0.2 d + 0.05 d^2, and the two materials are 10 % beside it
+        assert rows["measured_N"].max() == pytest.approx(0.2 * end + 0.05 * end**2)
+        assert (rows["predicted_N"] / rows["measured_N"]).dropna().round(6).isin([0.9, 1.1]).all()
+    # 2.25 N and 7 N: more than a factor of three, so both axes are in percent of their own
+    assert found.is_relative
+    assert not found.has_one_length
+
+
+def test_lines_that_end_elsewhere_show_the_longest_measurement(data: ReportData):
+    both = two_ranges(data)
+    soft = tuple(pair for pair in both.curves if pair.levels["material"] == "soft")
+    found = samples.curve_panels(replace(both, curves=soft, factors={"range": ("half", "whole")}))
+    assert (found.line, found.panel) == ("range", "")
+    (shown,) = samples.measurements(found.rows(found.panels[0]))
+    assert shown["displacement_mm"].max() == 10.0
+    other = replace(soft[0], measured=Curve(np.array([0.0, 5.0]), np.array([0.0, 9.0])))
+    found = samples.curve_panels(
+        replace(both, curves=(other, soft[1]), factors={"range": ("half", "whole")})
+    )
+    assert len(samples.measurements(found.rows(found.panels[0]))) == 2
+
+
+def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData):
+    whole = two_ranges(data).curves[2]
+    short = replace(whole, predicted=Curve(np.array([0.0, 4.0]), np.array([0.0, 1.5])))
+    found = samples.curve_panels(
+        replace(two_ranges(data), curves=(short,), factors={"material": ("soft",)})
+    )
+    assert found.frame["displacement_mm"].max() == 10.0
+    assert found.frame.dropna(subset=["predicted_N"])["displacement_mm"].max() == 4.0
+    assert found.frame["measured_N"].notna().all()
+    assert "stopped" in captions.curves(found, data)
+
+
+def test_no_two_panels_have_the_same_title(data: ReportData):
+    names = tuple(f"{'reduced-polynomial-' * 6}{order}" for order in (2, 3))
+    renamed = dict(zip(("half", "whole"), names, strict=True))
+    both = two_ranges(data)
+    pairs = tuple(
+        replace(pair, levels={**pair.levels, "range": renamed[pair.levels["range"]]})
+        for pair in both.curves
+    )
+    factors = {"range": names, "material": both.factors["material"]}
+    found = samples.curve_panels(replace(both, curves=pairs, factors=factors))
+    assert len(set(plot.panel_titles(found, 2.0))) == 2
+
+
+def test_names_keep_their_distance_and_their_mean():
+    wanted = [0.0, 0.0, 0.5, 30.0, 31.0]
+    found = np.array(plot.spread(wanted, 4.0))
+    assert np.all(np.diff(found) >= 4.0 - 1e-12)
+    # nobody is pushed further than the crowd around it makes necessary
+    assert found[:3].mean() == pytest.approx(np.mean(wanted[:3]))
+    assert found[3:].mean() == pytest.approx(np.mean(wanted[3:]))
 
 
 def test_mathematics_in_a_name_stays_text():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from study.api.folders import data_root
 from study.design.load import load_calibration
 from study.record.atomic_files import write_atomic
-from study.reporting.figure.curves import FitPanel, fit_figure
+from study.reporting.figure.curves.fit import FitPanel, fit_figure
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.model_selection import choose

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from study.reporting.content.verdicts import practical, size, size_interval
 from study.reporting.numbers import (
     THIN,
@@ -27,7 +29,7 @@ from study.study_result.report_data import ReportData
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.figure.curves import CurvePanels
+    from study.reporting.figure.curves.samples import CurvePanels
 
 
 def effects(facts: Facts, data: ReportData) -> str:
@@ -142,14 +144,22 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
 def curves(found: CurvePanels, data: ReportData) -> str:
     """Say what is drawn, what is held fixed, and how large the residuals are."""
     gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
-    worst = found.frame.iloc[int(gap.to_numpy().argmax())]
+    worst = found.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
     held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
     text = (
-        f"force above, predicted minus measured below; the largest residual is "
-        f"{quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, {clean(worst['block'])})"
+        f"force above, predicted minus measured below, over the whole of each measurement; the "
+        f"largest residual is {quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
+        f"{clean(worst['block'])})"
     )
+    if found.is_relative:
+        text += (
+            ". Forces differ too much for one axis in N: each panel is in percent of its largest "
+            "measured force, so that residuals can be compared"
+        )
+    if found.frame["predicted_N"].isna().any():
+        text += ". A line that ends early belongs to a simulation that stopped there"
     if held:
-        text += f"; shown with {held}"
+        text += f". Shown with {held}"
     if found.left_out:
         text += f"; {count(found.left_out, 'more block')} not shown"
     return sentence(text)

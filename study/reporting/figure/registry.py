@@ -17,13 +17,13 @@ from study.reporting.figure import (
     constants,
     convergence,
     cost,
-    curves,
     depth,
     effects,
     interactions,
     style,
     validation,
 )
+from study.reporting.figure.curves import plot, samples
 from study.reporting.figure.residuals import diagnostics
 from study.reporting.numbers import clean, name_of
 from study.reporting.report import Facts, cells, practical_of
@@ -222,8 +222,8 @@ def _front(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _curves(data: ReportData) -> Drawn:
-    found = curves.curve_panels(data)
-    return found.frame, lambda: curves.draw_curves(found, data), captions.curves(found, data)
+    found = samples.curve_panels(data)
+    return found.frame, lambda: plot.draw_curves(found, data), captions.curves(found, data)
 
 
 def _failures(data: ReportData) -> Drawn:

@@ -1,0 +1,1 @@
+"""Figures of curves: predictions on measurements in small multiples, and fits."""

@@ -1,0 +1,90 @@
+"""Figure of a calibration: every measured curve with its fit or prediction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from study.arrays import Array
+from study.reporting.figure.style import INK, RULE, WIDTH_IN, canvas, color_of, render
+from study.reporting.numbers import clean
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+_COLUMNS = 3
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class FitPanel:
+    """One measured curve of a calibration.
+
+    Parameters
+    ----------
+    title : str
+        File and specimen.
+    fitted : bool
+        False for a curve that was only predicted.
+    displacement_mm, measured_N : ndarray, shape (n,)
+        The curve.
+    predicted_N, scatter_N : ndarray or None
+        Prediction and standard deviation of the repeats, where there are any.
+    """
+
+    title: str
+    fitted: bool
+    displacement_mm: Array
+    measured_N: Array
+    predicted_N: Array | None
+    scatter_N: Array | None
+
+
+def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
+    """Return the figure as SVG, the same bytes for the same data."""
+    return render(lambda: _draw(panels[:_MOST], title, len(panels)), "calibration", title)
+
+
+def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
+    columns = min(_COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
+    axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
+    for place in range(rows * columns):
+        r, c = divmod(place, columns)
+        force, residual = axes[2 * r][c], axes[2 * r + 1][c]
+        if place >= len(panels):
+            force.set_axis_off()
+            residual.set_axis_off()
+            continue
+        _fit_panel(force, residual, panels[place])
+        if c == 0:
+            force.set_ylabel("force (N)")
+            residual.set_ylabel("fit - meas. (N)")
+    figure.supxlabel("displacement (mm)", fontsize=8.5)
+    more = f" (the first {len(panels)} of {total} curves)" if total > len(panels) else ""
+    figure.suptitle(clean(title, 120) + more, fontsize=9)
+    return figure
+
+
+def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
+    d, thin = panel.displacement_mm, slice(None, None, max(1, panel.displacement_mm.size // 60))
+    if panel.scatter_N is not None:
+        s = panel.scatter_N
+        low, high = panel.measured_N - s, panel.measured_N + s
+        force.fill_between(d, low, high, color="#c4cad1", linewidth=0)
+        residual.fill_between(d, -s, s, color="#e3e7eb", linewidth=0, label="sd of repeats")
+    force.plot(d[thin], panel.measured_N[thin], "o", color=INK, markersize=1.9, label="measured")
+    residual.axhline(0, color=INK, linewidth=0.6)
+    if panel.predicted_N is not None:
+        color = color_of(0 if panel.fitted else 1)
+        label = "fit" if panel.fitted else "prediction (held out)"
+        force.plot(d, panel.predicted_N, label=label, color=color, linewidth=1.1)
+        residual.plot(d, panel.predicted_N - panel.measured_N, color=color, linewidth=1.1)
+    force.set_title(clean(panel.title, 44), fontsize=7.5)
+    force.tick_params(labelbottom=False)
+    force.legend(loc="upper left", fontsize=7)
+    for ax in (force, residual):
+        ax.grid(axis="y", color=RULE, linewidth=0.4)
