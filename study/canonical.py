@@ -70,7 +70,9 @@ def canonical(value: object) -> Json:
         # where a file lies on this machine is no content; its sha256 stands beside it
         return {str(k): canonical(v) for k, v in value.items() if k != "path"}
     if isinstance(value, (list, tuple)):
-        return [canonical(v) for v in value]
+        # a curve is a list of floats, which are canonical as they stand
+        only_floats = set(map(type, value)) == {float}
+        return list(value) if only_floats else [canonical(v) for v in value]
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value
     if isinstance(value, (int, float)):

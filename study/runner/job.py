@@ -14,6 +14,7 @@ from study.design.spec import Case, Design
 from study.measurement.conditioning import SORTED
 from study.measurement.measured_test import Measurements
 from study.measurement.reading import read_measurements
+from study.measurement.recording import Recordings, read_recordings
 from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
 from study.runner import provenance
@@ -40,6 +41,7 @@ class DataCache:
     def __init__(self, root: Path, tests: Sequence[Tables] = ()) -> None:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
+        self._recorded: dict[str, Recordings] = {}
 
     def scored(self, tables: Tables) -> Measurements | None:
         """Measurements that a case is scored on."""
@@ -69,8 +71,17 @@ class DataCache:
         gauge = gauge_of(tables["specimen"], tables["test"])
         key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
-            self._read[key] = read_measurements(made, self.root, height, depth, gauge)
+            rows = self._recordings(made)
+            self._read[key] = read_measurements(made, self.root, height, depth, gauge, rows)
         return self._read[key]
+
+    def _recordings(self, spec: MeasurementSpec) -> Recordings:
+        """Rows of the files, read once for all ranges that are cut out of them."""
+        rules = ("range", "points", "sign", "zero", "toe")
+        key = digest({k: v for k, v in spec.as_dict().items() if k not in rules})
+        if key not in self._recorded:
+            self._recorded[key] = read_recordings(spec, self.root)
+        return self._recorded[key]
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import functools
 import hashlib
 import platform
@@ -13,8 +14,9 @@ from typing import TypeGuard, cast
 
 import study
 from study.design.sections.cell import Config
-from study.errors import Fault, InputError, MissingDataError, nearest
+from study.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.measurement.data_root import check_relative, locate
+from study.record.atomic_files import write_atomic
 from study.runner.tables import CalibrationTable, Tables
 from study.setup.geometry import Surface
 from study.setup.setup import problem_of, specimen_of
@@ -55,15 +57,38 @@ _PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl"
 def code_version() -> str:
     """Version of the package and a hash of the code that decides a number.
 
+    It is kept beside the compiled files until one of the sources changes on the disk.
+
     The hash is taken of the syntax without docstrings, so that comments and
     formatting may change without sending a finished study back to work.
     """
     root = Path(__file__).resolve().parents[1]
+    state, kept = _state(root), root / "__pycache__" / "code-version"
+    with contextlib.suppress(OSError, ValueError):
+        known, version = kept.read_text(encoding="ascii").split()
+        if known == state:
+            return version
+    version = f"{study.__version__}+{_code_hash(root)}"
+    with contextlib.suppress(OSError, StoreError):  # an installation that may not be written to
+        kept.parent.mkdir(exist_ok=True)
+        write_atomic(kept, f"{state} {version}".encode("ascii"))
+    return version
+
+
+def _state(root: Path) -> str:
+    """Name of the files as they lie on the disk: reading 110 of them takes a second, this 10 ms."""
+    files = sorted(root.rglob("*.py"))
+    facts = [(str(p), s.st_size, s.st_mtime_ns) for p in files for s in [p.stat()]]
+    return hashlib.sha256(repr((study.__version__, facts)).encode()).hexdigest()
+
+
+def _code_hash(root: Path) -> str:
+    """Hash of the syntax of the numeric files."""
     sha = hashlib.sha256()
-    for path in _numeric_files(root):
+    for path, tree in _numeric_files(root):
         sha.update(str(path.relative_to(root)).encode())
-        sha.update(_code_only(path.read_text(encoding="utf-8")).encode())
-    return f"{study.__version__}+{sha.hexdigest()[:12]}"
+        sha.update(_code_only(tree).encode())
+    return sha.hexdigest()[:12]
 
 
 def versions() -> dict[str, str]:
@@ -77,9 +102,9 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _numeric_files(root: Path) -> Sequence[Path]:
-    """Files that the tasks of a worker import, one through the other."""
-    found: dict[str, Path] = {}
+def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
+    """Files that the tasks of a worker import, one through the other, with their syntax."""
+    found: dict[str, tuple[Path, ast.Module]] = {}
     waiting = list(_TASKS)
     while waiting:
         module = waiting.pop()
@@ -89,8 +114,9 @@ def _numeric_files(root: Path) -> Sequence[Path]:
             continue
         if len(parts) < 2 or parts[1] not in _NUMERIC_ROOMS:
             continue
-        found[module] = path
-        waiting += _imported(ast.parse(path.read_text(encoding="utf-8")))
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        found[module] = (path, tree)
+        waiting += _imported(tree)
         waiting += [".".join(parts[:k]) for k in range(2, len(parts))]
     return [found[module] for module in sorted(found)]
 
@@ -106,19 +132,28 @@ def _file_of(root: Path, module: str) -> Path | None:
 
 def _imported(tree: ast.Module) -> Sequence[str]:
     """Names of ours that a file imports, in functions too; what is for types alone is left out."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            node.body = []
-    froms = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module]
+    for_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and _is_type_checking(node.test)
+        for one in node.body
+        for inner in ast.walk(one)
+    }
+    nodes = [node for node in ast.walk(tree) if id(node) not in for_types]
+    froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module]
     names = [f"{n.module}.{alias.name}" for n in froms for alias in n.names]
     names += [str(n.module) for n in froms]
-    plain = [n for n in ast.walk(tree) if isinstance(n, ast.Import)]
+    plain = [n for n in nodes if isinstance(n, ast.Import)]
     names += [alias.name for n in plain for alias in n.names]
     return [name for name in names if name.split(".")[0] == "study"]
 
 
-def _code_only(source: str) -> str:
-    tree = ast.parse(source)
+def _is_type_checking(test: ast.expr) -> bool:
+    name = test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")
+    return name == "TYPE_CHECKING"
+
+
+def _code_only(tree: ast.Module) -> str:
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list) and body and _is_text(body[0]):

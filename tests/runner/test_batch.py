@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 from pathlib import Path
@@ -174,11 +175,33 @@ def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.Mo
 
 
 def test_code_version_ignores_comments_and_docstrings() -> None:
-    plain = provenance._code_only("def f(x):\n    return x + 1\n")
-    spoken = provenance._code_only('def f(x):\n    "Add one."\n    # really\n    return x+1\n')
-    other = provenance._code_only("def f(x):\n    return x + 2\n")
+    plain, spoken, other = (
+        provenance._code_only(ast.parse(source))
+        for source in (
+            "def f(x):\n    return x + 1\n",
+            'def f(x):\n    "Add one."\n    # really\n    return x+1\n',
+            "def f(x):\n    return x + 2\n",
+        )
+    )
     assert spoken.replace("    pass\n", "") == plain
     assert other != plain
+
+
+def test_the_kept_code_version_follows_the_sources(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A version kept on the disk is that of the sources, or it is made anew."""
+    root = tmp_path / "study"
+    shutil.copytree(Path(study.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(provenance, "__file__", str(root / "runner" / "provenance.py"))
+    version = provenance.code_version.__wrapped__
+    first = version()
+    assert first == provenance.code_version()
+    assert (root / "__pycache__" / "code-version").is_file()
+    assert version() == first
+    curve = root / "curve.py"
+    curve.write_text(curve.read_text(encoding="utf-8") + "\nSCALE = 2.0\n", encoding="utf-8")
+    assert version() != first
 
 
 def test_a_second_runner_is_refused(design: Design, data: Path, tmp_path: Path) -> None:
@@ -209,7 +232,7 @@ def test_treatments_with_different_blocks_are_refused(data: Path) -> None:
 def test_code_version_follows_what_the_tasks_import() -> None:
     """A list of names would miss the next file; reports must not send a study back to work."""
     root = Path(study.__file__).parent
-    files = {str(path.relative_to(root)) for path in provenance._numeric_files(root)}
+    files = {str(path.relative_to(root)) for path, _ in provenance._numeric_files(root)}
     needed = {
         "curve.py",
         "fem/element/stored_energy.py",

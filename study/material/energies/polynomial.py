@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from abc import abstractmethod
 from collections.abc import Collection
 
 import numpy as np
-from numpy.polynomial import polynomial
 
 from study.arrays import Array
 from study.errors import Fault, InputError
@@ -46,7 +46,7 @@ class TableEnergy(InvariantEnergy):
 
     def value(self, constants: Constants, a: Array, b: Array) -> Array:
         """Sum of all terms."""
-        return np.asarray(polynomial.polyval2d(a, b, self.table(constants)))
+        return _value(self.table(constants), a, b)
 
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Slopes of the table."""
@@ -55,8 +55,8 @@ class TableEnergy(InvariantEnergy):
     def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
         """Slopes of the table's derivatives."""
         table = self.table(constants)
-        aa, ab = _slopes(np.asarray(polynomial.polyder(table, axis=0), float), a, b)
-        bb = _slopes(np.asarray(polynomial.polyder(table, axis=1), float), a, b).by_b
+        aa, ab = _slopes(_derivative(table, 0), a, b)
+        bb = _slopes(_derivative(table, 1), a, b).by_b
         return Curvatures(aa, ab, bb)
 
     def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
@@ -233,6 +233,7 @@ class Polynomial(PolynomialEnergy):
         return name != "C00" and re.fullmatch(r"C\d+\d", name) is not None
 
 
+@functools.cache
 def index_pair(name: str) -> tuple[int, int]:
     """Powers (i, j) of a constant C_ij; the last digit is j.
 
@@ -269,6 +270,28 @@ def _rank(name: str) -> tuple[int, int]:
 
 
 def _slopes(table: Array, x: Array, y: Array) -> Slopes:
-    d1 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=0))
-    d2 = polynomial.polyval2d(x, y, polynomial.polyder(table, axis=1))
-    return Slopes(np.asarray(d1, float), np.asarray(d2, float))
+    return Slopes(_value(_derivative(table, 0), x, y), _value(_derivative(table, 1), x, y))
+
+
+def _derivative(table: Array, axis: int) -> Array:
+    """Coefficients of the derivative of a polynomial by one of its two variables."""
+    size = table.shape[axis]
+    if size == 1:
+        return np.zeros_like(table)
+    power = np.arange(1.0, size)
+    return table[1:] * power[:, None] if axis == 0 else table[:, 1:] * power
+
+
+def _value(table: Array, x: Array, y: Array) -> Array:
+    """Value of a polynomial in two variables by Horner's rule.
+
+    Of numpy's ``polyval2d``, which does the same, nine tenths of the time are checks: a fit in
+    closed form asks for some thousand values of a few points each.
+    """
+    total: Array | float = 0.0
+    for column in table.T[::-1]:
+        inner = column[-1] + 0.0 * x
+        for coefficient in column[-2::-1]:
+            inner = coefficient + inner * x
+        total = inner + total * y
+    return np.asarray(total, dtype=float)
