@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -43,9 +44,10 @@ def design_file() -> str:
     """Return the reference of the study file, read from the declarations of its keys."""
     parts = [
         "# The design file: every key",
-        "This page is made from the declarations that read the file, so it lists all keys and "
-        'no others. A quantity is written as text with its unit (`"25 mm"`); a key without a '
-        "default must be written. Any key may be a factor, except those that say otherwise.",
+        "",
+        "This page is made from the declarations that read the file, so it lists all keys "
+        'and no others. A quantity is written as text with its unit (`"25 mm"`). '
+        "`study new FILE` writes a commented file to start from.",
         "",
     ]
     for header, kind in TABLES:
@@ -72,10 +74,23 @@ def _said(kind: type) -> dict[str, str]:
     """Return what the docstring of a section says of its fields, by field."""
     written = NumpyDocString(inspect.getdoc(kind) or "")
     return {
-        name.strip(): " ".join([f"{one.type}:" if one.type else "", *one.desc]).strip()
+        name.strip(): " ".join(one.desc).strip().rstrip(".")
         for one in written["Parameters"]
         for name in one.name.split(",")
     }
+
+
+def _rule(reads: declaration.Reads) -> str:
+    """Return the rule of a plain value: what its reader says of one that breaks every rule."""
+    for wrong in ("?", object()):
+        try:
+            reads(wrong)
+        except declaration.Bad as broken:
+            if broken.mend.startswith("Valid: "):
+                return f"one of {broken.mend.removeprefix('Valid: ')}"
+            rule = re.sub(r",? got .*", "", broken.rule)
+            return f"{rule}; {broken.mend}" if wrong == "?" and broken.mend else rule
+    return ""
 
 
 def _holds(key: declaration.Key, said: dict[str, str]) -> str:
@@ -83,10 +98,13 @@ def _holds(key: declaration.Key, said: dict[str, str]) -> str:
     parts = [said.get(key.name, "")]
     if key.reads is not None and key.reads.dimension:
         parts.append(f"with a unit of {key.reads.dimension}")
-    parts.append(key.mend)
+    elif key.reads is not None:
+        parts.append(_rule(key.reads))
+    if key.reads is None or not key.reads.dimension:
+        parts.append(key.mend)
     if key.kind is not None:
         parts.append(f"table with {', '.join(declaration.written_keys(key.kind))}")
-    return "; ".join(part for part in parts if part).replace("|", "\\|") or "see the commented file"
+    return "; ".join(part for part in parts if part).replace("|", "\\|")
 
 
 def _default(key: declaration.Key) -> str:
