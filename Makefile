@@ -4,6 +4,7 @@
 #   make verify   the long verification: expected, got, error
 #   make bench    the speed comparisons
 #   make elements error of every element against unknowns and seconds: docs/elements.md
+#   make docs     the documentation site: docs/_build/index.html
 #   make check    the gates: style, types, layers, generated code, doctests
 
 PYTEST_WORKERS ?= 2
@@ -13,7 +14,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup demo test verify bench elements check lint format-check types layers generated doctests
+.PHONY: help setup demo test verify bench elements docs check lint format-check types layers generated doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -40,6 +41,11 @@ bench: $(ready)
 elements: $(ready)
 	@$(one_thread) .venv/bin/python docs/elements.py measure
 	@.venv/bin/python docs/elements.py draw
+
+# Warnings are errors: a broken link, a page in no table of contents, a docstring that no one can read.
+docs: $(ready)
+	@.venv/bin/python -m sphinx -W --keep-going -q docs docs/_build
+	@echo "docs/_build/index.html"
 
 check: lint format-check types layers generated doctests
 

@@ -20,6 +20,8 @@ LONGEST_FUNCTION = 60
 LARGEST_PACKAGE = 16
 #: names of distributions that are imported under another name
 IMPORTED_AS = {"scikit-fem": "skfem"}
+#: extras of what the package itself never imports: tests, and the documentation site
+OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late
 COMPILED = {"fem", "surface"}
 #: read the environment: the command line, and those who cap the threads of workers
@@ -47,7 +49,7 @@ def declared(root: Path) -> set[str]:
     extras = [
         name
         for extra, names in project["optional-dependencies"].items()
-        if extra != "test"
+        if extra not in OUTSIDE
         for name in names
     ]
     names = {re.split(r"[\[><=;~! ]", item)[0] for item in [*project["dependencies"], *extras]}

@@ -1,0 +1,123 @@
+"""The documentation site: it builds without a warning, and what it tells to do works.
+
+A block ``console`` holds commands after ``$`` and lines that they print; ``python`` is run;
+``toml`` and ``text`` whose first line is a comment with a file name are that file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from study.cli.app import run
+from tests.house import declared
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+TUTORIALS = ("tutorial-virtual", "tutorial-csv", "other-code")
+NAMED = re.compile(r"# ([\w.-]+\.(?:toml|csv))\n")
+
+
+def blocks(page: str) -> list[tuple[str, str]]:
+    return BLOCK.findall((DOCS / f"{page}.md").read_text(encoding="utf-8"))
+
+
+def run_console(text: str) -> int:
+    """Run every command of a block and look for the lines below it; return their number."""
+    parts = re.split(r"^\$ ", text, flags=re.MULTILINE)[1:]
+    for part in parts:
+        command, *expected = part.strip().splitlines()
+        program, *arguments = shlex.split(command)
+        assert program == "study", f"only study is run, got {command!r}"
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
+            code = run(arguments)
+        assert code == 0, f"{command!r} exits with {code}"
+        for line in expected:
+            assert line in out.getvalue(), f"{command!r} does not print {line!r}"
+    return len(parts)
+
+
+def run_python(text: str, names: dict[str, object]) -> None:
+    """Run a block and compare what it prints with what its comments say."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        exec(compile(text, "a snippet", "exec"), names)
+    for promised in re.findall(r"# prints (.+)", text):
+        assert promised in out.getvalue(), f"prints {out.getvalue()!r}, not {promised!r}"
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_every_snippet_of_a_tutorial_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    ran = 0
+    for language, text in blocks(page):
+        if language == "console":
+            ran += run_console(text)
+        elif language == "python":
+            run_python(text, names)
+            ran += 1
+        else:
+            name = NAMED.match(text)
+            assert name, f"a block {language!r} names no file in its first line"
+            body = text if language == "toml" else text[name.end() :]
+            (tmp_path / name[1]).write_text(body, encoding="utf-8")
+    assert ran >= 2
+
+
+def test_a_command_that_prints_something_else_is_found(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run_console("$ study new a.toml\n") == 1
+    with pytest.raises(AssertionError, match="does not print"):
+        run_console("$ study new b.toml\nno such words\n")
+    with pytest.raises(AssertionError, match="not '3'"):
+        run_python("print(2)  # prints 3", {})
+    with pytest.raises(AssertionError, match="exits with 2"):
+        run_console("$ study plan missing.toml\n")
+
+
+def test_every_page_stands_in_a_table_of_contents():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    made = {"design-file", "python", "gallery"}
+    pages = {path.stem for path in DOCS.glob("*.md")} | made
+    listed = {line for line in index.splitlines() if re.fullmatch(r"[\w-]+", line)}
+    assert pages - {"index"} == listed & (pages | listed)
+
+
+def test_the_reference_names_every_key_that_a_file_can_have():
+    sys.path.insert(0, str(DOCS))
+    try:
+        import reference
+    finally:
+        sys.path.remove(str(DOCS))
+    from study.design import overlay
+
+    text = reference.design_file()
+    for key in ("specimen.radius", "test.interface", "model.mesh_size", "measurements.zero"):
+        assert overlay.may_vary(key)
+        assert f"| `{key.split('.')[1]}` |" in text
+    assert "study.solve" in reference.python()
+    shipped = {path.stem for path in (ROOT / "designs").glob("*.toml")}
+    assert shipped == set(re.findall(r"^## (.+)$", reference.gallery(ROOT / "designs"), re.M))
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_the_site_builds_without_a_warning(tmp_path):
+    assert "furo" not in declared(ROOT)  # the package itself runs without it
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    for page in ("index", "theory", "design-file", "python", "gallery", "contributing"):
+        assert (tmp_path / f"{page}.html").is_file()
