@@ -24,8 +24,9 @@ from study.api.uncertainty.validation import validate
 from study.design.load import dump, load, loads
 from study.design.spec import Design
 from study.errors import InputError, RefusedError
+from study.execution.task import check_limit
 from study.record.store import Store
-from study.reporting.output.write import write
+from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.provenance import versions
@@ -101,7 +102,10 @@ def run(
         For a faulty design or faulty data; nothing is written then.
     """
     clock = _Clock()
+    check_limit(timeout_s)
     loaded = design if isinstance(design, Design) else load(design, overrides)
+    if reports is not None:
+        checked_formats(formats or loaded.report.format)
     work = expand(loaded, data_root(loaded.source, data))
     clock.mark("reading")
     warnings: list[str] = []
@@ -211,6 +215,8 @@ def report(
     InputError
         If one of the studies has no results, or they have nothing in common.
     """
+    if formats:
+        checked_formats(formats)
     study = path if isinstance(path, StudyResult) else open_study(path, results)
     if beside is not None:
         study = replace(study, beside=compare(study, open_study(beside, results)))

@@ -225,7 +225,7 @@ def _finish(study: StudyResult, as_json: bool) -> None:
         output.print_json(study.to_json())
     else:
         _print_study(study)
-    if study.failed:
+    if study.failed or study.report is None:
         raise typer.Exit(1)
 
 

@@ -11,6 +11,11 @@ from study import units
 from study.errors import UnitError
 from study.setup.section import Bad, Reads
 
+#: largest and smallest size of a quantity in internal units (mm, N, MPa, s): the fourth power of
+#: a length still is a double
+LARGEST = 1e12
+SMALLEST = 1e-12
+
 
 def shown(value: object) -> str:
     """Value as a message shows it, cut short."""
@@ -31,6 +36,9 @@ def quantity(
             raise Bad(f"must be {bound} {low:g} {unit}, got {value!r}")
         if number >= high:
             raise Bad(f"must be below {high:g} {unit}, got {value!r}")
+        if number and not SMALLEST <= abs(number) <= LARGEST:
+            kind = "large" if abs(number) > LARGEST else "small"
+            raise Bad(f"is too {kind} for any test, got {value!r}", "check its unit and exponent")
         return number
 
     return read

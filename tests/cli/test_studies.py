@@ -183,6 +183,33 @@ def test_cases_stopped_by_the_clock_are_failures_with_a_reason(home: Path) -> No
     assert "timeout" in study("why", case).out
 
 
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--timeout", "nan"], "positive number of seconds"),
+        (["--timeout", "0"], "positive number of seconds"),
+        (["--timeout", "-1"], "positive number of seconds"),
+        (["-s", 'report.format = ["docx"]'], "docx"),
+        (["-s", "specimen.radius = 1e200 mm"], "too large for any test"),
+        (["-s", "specimen.radius = 1e-200 mm"], "too small for any test"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_before_anything_is_written(
+    home: Path, flags: list[str], said: str
+) -> None:
+    answer = study("run", "small.toml", "--data", "data", "--jobs", 1, *flags)
+    assert answer.code == 2
+    assert said in answer.err
+    assert not (home / "results").exists()
+
+
+def test_a_report_that_cannot_be_written_is_no_success(done: Path) -> None:
+    (done / "blocked").write_text("a file where a folder is asked for")
+    answer = study("report", "small", "--reports", "blocked")
+    assert answer.code == 1
+    assert "the report could not be written" in answer.err
+
+
 def test_an_override_changes_one_run(home: Path) -> None:
     found = study("plan", "small.toml", "--data", "data", "--json", "-s", "study.name=other").json
     assert found["study"] == "other"

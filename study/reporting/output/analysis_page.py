@@ -262,7 +262,7 @@ def write_analysis(
     InputError
         For an unknown format, or ``pdf`` without a browser (before anything is written).
     """
-    asked = write._checked(formats)
+    asked = write.checked_formats(formats)
     folder = Path(out_dir)
     stem = slug(f"{report.data.name} {report.found.request.response}")
     contents = prepare(report)

@@ -49,7 +49,7 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     InputError
         For an unknown format, or ``pdf`` without a browser (before anything is written).
     """
-    asked = _checked(formats)
+    asked = checked_formats(formats)
     folder = Path(out_dir)
     stem = slug(report_data.name)
     contents = prepare(report_data)
@@ -73,7 +73,14 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     return {"html": html, "pdf": html, "tex": latex, "csv": beside / "cases.csv"}[asked[0]]
 
 
-def _checked(formats: Sequence[str]) -> tuple[str, ...]:
+def checked_formats(formats: Sequence[str]) -> tuple[str, ...]:
+    """Sort the formats of a report by the order in which they are written.
+
+    Raises
+    ------
+    InputError
+        For a format that is not known, or a PDF where no browser prints it.
+    """
     asked = tuple(dict.fromkeys(formats)) or ("html",)
     faults = [
         Fault(f"report format {name!r}", "is not known", nearest(name, FORMATS))
