@@ -59,6 +59,29 @@ class Curve:
         places = np.clip(d, 0, knots[-1])
         return _hermite(places, knots, force, slope) + self._bulge(places)
 
+    def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
+        """Tangent dF/dd in N/mm at given displacements: the slope of what :meth:`force_at` draws.
+
+        Raises
+        ------
+        ValueError
+            If the curve has no tangents, or a displacement lies beyond its end.
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        d = np.asarray(displacement_mm, dtype=float)
+        knots, force, slope = self._with_origin()
+        if slope is None:
+            raise ValueError("the curve has forces alone, and no tangents")
+        self.force_at(d)  # refuses what lies beyond the end
+        places = np.clip(d, 0, knots[-1])
+        cubic = CubicHermiteSpline(knots, force, slope).derivative()(places)
+        k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, knots.size - 2)
+        width = np.diff(knots)[k]
+        t = (places - knots[k]) / width
+        bulge = 60.0 * self._missed_mean()[k] * t * (1.0 - t) * (1.0 - 2.0 * t) / width
+        return np.asarray(cubic + bulge)
+
     def interpolation_error_N(self) -> Array:  # noqa: N802
         """Estimate how far the force between neighboring points is off.
 

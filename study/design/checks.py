@@ -8,7 +8,7 @@ from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
 from study.design.sections.cell import Cell
 from study.design.spec import Design, Level
-from study.design.study_file import RESPONSES, SCORED
+from study.design.study_file import RESPONSES, SCORED, is_simulated, simulated_at
 from study.errors import Fault, nearest
 
 MAX_FAULTS = 100
@@ -77,11 +77,23 @@ def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> N
         if response.name in SCORED and any(c.problem.measurements is None for c in cells):
             rule = f"{response.name} compares with measured curves, and there are none"
             faults.add(where, rule, "add [measurements]")
+        elif is_simulated(response.name):
+            _check_place(response.name, f"response[{i}].displacement", cells, faults)
         elif response.name and response.name not in RESPONSES:
             names = {n for c in cells for n in c.problem.material.calibrated_names}
             if response.name not in names:
                 rule = f"no material of this design has a constant {response.name}"
                 faults.add(where, rule, nearest(response.name, sorted(names)))
+
+
+def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that every cell is pressed as far as a response looks."""
+    place = simulated_at(name)[1]
+    depths = [c.problem.test.displacement_mm for c in cells]
+    least = min((depth for depth in depths if depth is not None), default=None)
+    if place is not None and least is not None and place > least * (1 + 1e-9):
+        rule = f"is {place:g} mm, and a cell is pressed {least:g} mm only"
+        faults.add(where, rule, "take it inside the test of every cell, or press deeper")
 
 
 #: responses that a fit alone does not give
@@ -123,10 +135,10 @@ def is_constant(response: str) -> bool:
 
     Examples
     --------
-    >>> is_constant("mu0"), is_constant("C10"), is_constant("work_error")
-    (True, True, False)
+    >>> is_constant("mu0"), is_constant("C10"), is_constant("work_error"), is_constant("work")
+    (True, True, False, False)
     """
-    return response not in _NO_CONSTANT
+    return response not in _NO_CONSTANT and not is_simulated(response)
 
 
 def _meshed(cell: Cell) -> bool:

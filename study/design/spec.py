@@ -12,7 +12,7 @@ from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
-from study.design.study_file import SCORED, Converge, Replicates, Report
+from study.design.study_file import SCORED, Converge, Replicates, Report, is_simulated
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
@@ -236,7 +236,13 @@ class Design:
     @property
     def asks_for_constants(self) -> bool:
         """Whether constants of the material are responses."""
-        return any(response.name not in {*SCORED, "seconds"} for response in self.responses)
+        other = {*SCORED, "seconds"}
+        return any(r.name not in other and not is_simulated(r.name) for r in self.responses)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the predicted curves of all cells stand beside measured ones."""
+        return all(cell.cell.problem.measurements is not None for cell in self.treatments)
 
     def combinations(self) -> Iterator[tuple[Combination, tuple[Level, ...]]]:
         """Labels and levels of every cell, left out or not; the last factor varies fastest."""

@@ -17,7 +17,7 @@ from study.design.sections.calibration import Fitting
 from study.design.toml_document import flatten
 from study.errors import nearest
 from study.material.registry import is_constant, is_dimensionless
-from study.setup.quantity import Duration, integer, number, shown
+from study.setup.quantity import Duration, Length, integer, number, shown
 from study.setup.section import AsWritten, Bad, Reads, Rows, as_written, section
 from study.setup.text import choice, slug, text
 
@@ -31,7 +31,17 @@ MOST_PRIMARY = 3
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
 
-#: unit of every response; constants are reported in kPa, exponents plain
+#: responses of a predicted curve alone, with their units; those at a displacement name it, too
+SIMULATED = {
+    "peak_force": "N",
+    "work": "N mm",
+    "force_at": "N",
+    "stiffness_at": "N/mm",
+    "dofs": "",
+}
+AT_DISPLACEMENT = ("force_at", "stiffness_at")
+
+#: unit of every other response; constants are reported in kPa, exponents plain
 RESPONSES = {
     "relative_rms_force_error": "%",
     "rms_force_error": "N",
@@ -55,12 +65,40 @@ RESAMPLES = (20, 10_000)
 
 
 def response_unit(name: str) -> str | None:
-    """Find the unit of a response: "" for a plain number, None if there is no such response."""
+    """Find the unit of a response: "" for a plain number, None if there is no such response.
+
+    Examples
+    --------
+    >>> response_unit("C10"), response_unit("stiffness_at"), response_unit("force_at_2.5_mm")
+    ('kPa', 'N/mm', 'N')
+    """
     if name in RESPONSES:
         return RESPONSES[name]
+    if is_simulated(name):
+        return SIMULATED[simulated_at(name)[0]]
     if not is_constant(name):
         return None
     return "" if is_dimensionless(name) else "kPa"
+
+
+def simulated_at(name: str) -> tuple[str, float | None]:
+    """Split the name of a response at a displacement into the response and the place in mm.
+
+    Examples
+    --------
+    >>> simulated_at("force_at_2.5_mm"), simulated_at("work")
+    (('force_at', 2.5), ('work', None))
+    """
+    for start in AT_DISPLACEMENT:
+        place = name.removeprefix(f"{start}_").removesuffix("_mm")
+        if name == f"{start}_{place}_mm":
+            return start, float(place)
+    return name, None
+
+
+def is_simulated(name: str) -> bool:
+    """Whether a response is one of the predicted curve alone."""
+    return simulated_at(name)[0] in SIMULATED
 
 
 def _schema(value: object) -> int:
@@ -80,7 +118,7 @@ def _assumed(value: object) -> tuple[str, ...]:
 
 def _response_name(value: object) -> str:
     if not isinstance(value, str) or response_unit(value) is None:
-        valid = (*RESPONSES, "or a constant such as C10")
+        valid = (*RESPONSES, *SIMULATED, "or a constant such as C10")
         raise Bad(f"unknown response {shown(value)}", nearest(str(value)[:80], valid))
     return value
 
@@ -193,9 +231,13 @@ class AnalysisTable:
 
 @section
 class ResponseTable:
-    """One ``[[response]]``; ``practical`` is in the unit of the response."""
+    """One ``[[response]]``; ``practical`` is in the unit of the response.
+
+    ``displacement`` says where along the curve the force or the stiffness is taken.
+    """
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
+    displacement: Length | None = None
     practical: AsWritten = None
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
 

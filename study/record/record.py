@@ -147,6 +147,11 @@ class Record:
         labels = (key.label for key in self.curves if key.role == "predicted")
         return next((pair for label in labels if (pair := self.pair(label)) is not None), None)
 
+    def first_prediction(self) -> Curve | None:
+        """Predicted curve of the first direction; None without a prediction."""
+        found = (curve for key, curve in self.curves.items() if key.role == "predicted")
+        return next(found, None)
+
     def to_json(self) -> str:
         """Text of the record with its checksum; never holds a bare NaN."""
         lost: dict[str, str] = {}

@@ -19,6 +19,7 @@ _NAMES = {
     "work_error": "work error",
     "mu0": "initial shear modulus",
     "seconds": "computing time",
+    "dofs": "unknowns",
     "poisson_ratio": "Poisson's ratio",
     "youngs_modulus": "Young's modulus",
 }
@@ -287,14 +288,15 @@ def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
 
     Examples
     --------
-    >>> name_of("model.element_order"), name_of("mu0"), name_of("plates")
-    ('element order', 'initial shear modulus', 'plates')
+    >>> name_of("model.element_order"), name_of("mu0"), name_of("force_at_2.5_mm")
+    ('element order', 'initial shear modulus', 'force at 2.5 mm')
     """
     if labels and key in labels:
         return clean(labels[key])
     if key in _NAMES:
         return _NAMES[key]
-    return clean(key.rsplit(".", 1)[-1].replace("_", " ") or key)
+    # a dot between two digits is one of a number
+    return clean(re.split(r"\.(?!\d)", key)[-1].replace("_", " ") or key)
 
 
 def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:

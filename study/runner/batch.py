@@ -274,7 +274,8 @@ def case_document(work: Work, job: CaseJob, results: Results) -> Document:
     fits = {key: FitResult.from_json(results[key]) for key in job.needs}
     directions = tuple(
         ScoreTask(
-            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.fit_key,
+            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.depth_mm,
+            pair.fit_key,
             None if pair.fit is None else fits[pair.fit.key],
         )
         for pair in job.directions

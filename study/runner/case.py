@@ -87,11 +87,12 @@ def _predicted(task: CaseTask) -> Record:
         direction.scored(task.tables, prediction.curve)
         for direction, prediction in zip(directions, predictions, strict=True)
     ]
-    scores = [response.score(one) for one in found]
+    scores = [response.score(one, task.frame.units) for one in found]
     seconds = _seconds(task, predictions)
     means = response.averaged(scores) | _constants(task)
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
-    steps = _step_uncertainty(predictions, directions)
+    means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
+    steps = _step_uncertainty(task, predictions)
     record = task.frame.record("converged", "")
     return replace(
         record,
@@ -146,8 +147,7 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
     constants = None if fit is None else fit.constants
     if task.forward == "closed-form":
         return _closed_form(task.tables, constants, direction.measured)
-    depth = float(direction.measured.displacement_mm.max())
-    found = _ANCHORS.predict(task.tables, constants, depth, task.anchor)
+    found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
     solution = found.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
@@ -155,8 +155,10 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
 
 
 def _closed_form(
-    tables: Tables, constants: Mapping[str, float] | None, measured: Curve
+    tables: Tables, constants: Mapping[str, float] | None, measured: Curve | None
 ) -> Predicted:
+    if measured is None:
+        raise Stopped("failed", "a fit in closed form needs a measured curve")
     setup = Setup.of(tables)
     material = MaterialSection.of(tables["material"]).material(constants)
     curve = closed_form.homogeneous(
@@ -167,13 +169,11 @@ def _closed_form(
     return Predicted(Curve(curve.displacement_mm, curve.force_N), solver={"name": "closed form"})
 
 
-def _step_uncertainty(
-    predictions: Sequence[Predicted], directions: Sequence[ScoreTask]
-) -> dict[str, float]:
+def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     each = [
-        response.step_uncertainty(prediction.curve, direction.measured)
-        for prediction, direction in zip(predictions, directions, strict=True)
+        response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
+        for prediction, direction in zip(predictions, task.scored, strict=True)
     ]
     return {name: float(np.mean([u[name] for u in each])) for name in each[0]}
 
@@ -248,7 +248,8 @@ def _curves(
 ) -> dict[CurveKey, Curve]:
     out: dict[CurveKey, Curve] = {}
     for prediction, direction in zip(predictions, directions, strict=True):
-        out[CurveKey("measured", direction.label)] = direction.measured
+        if direction.measured is not None:
+            out[CurveKey("measured", direction.label)] = direction.measured
         out[CurveKey("predicted", direction.label)] = prediction.curve
     return out
 

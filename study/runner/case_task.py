@@ -126,6 +126,8 @@ class ScoreTask:
     ----------
     label, role, fit_label, measured, scatter_N
         As of :class:`study.runner.job.ScorePair`.
+    depth_mm : float
+        How far the curve is predicted.
     fit_key : str or None
         Name of the fit.
     fit : FitResult or None
@@ -133,10 +135,11 @@ class ScoreTask:
     """
 
     label: str
-    measured: Curve
+    measured: Curve | None
     role: str
     fit_label: str
     scatter_N: tuple[float, ...] | None  # noqa: N815
+    depth_mm: float
     fit_key: str | None
     fit: FitResult | None
 
@@ -144,18 +147,18 @@ class ScoreTask:
         """Plain data for a worker."""
         return {
             **vars(self),
-            "measured": self.measured.as_dict(),
+            "measured": None if self.measured is None else self.measured.as_dict(),
             "fit": None if self.fit is None else self.fit.to_json(),
         }
 
     @classmethod
     def from_json(cls, document: Received) -> ScoreTask:
         """Inverse of :meth:`to_json`."""
-        fit = document["fit"]
+        fit, measured = document["fit"], document["measured"]
         scatter = document["scatter_N"]
         return cls(**{
             **document,
-            "measured": Curve.from_dict(document["measured"]),
+            "measured": None if measured is None else Curve.from_dict(measured),
             "scatter_N": None if scatter is None else tuple(scatter),
             "fit": None if fit is None else FitResult.from_json(fit),
         })  # fmt: skip

@@ -50,7 +50,7 @@ def expand(design: Design, data_root: Path) -> Work:
 
 def units_asked(design: Design) -> dict[str, str]:
     """List every response that the records of a design hold, with its unit."""
-    return units_of(response.name for response in design.responses)
+    return units_of((response.name for response in design.responses), design.is_measured)
 
 
 def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
@@ -103,11 +103,7 @@ def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None 
     identity = [
         case.case_id,
         sorted(units_asked(design)),
-        [
-            [d.label, d.fit_label, d.fit_key, d.measured.displacement_mm.tolist(),
-             d.measured.force_N.tolist()]
-            for d in pairs
-        ],
+        [pair.identity for pair in pairs],
         code_version(),
         *provenance.fingerprints(case.config),
     ]  # fmt: skip
@@ -134,14 +130,23 @@ def score_pairs(
     """
     scored = data.scored(case.config)
     if scored is None:
-        rule = "the responses of a study compare with measured curves: there is no [measurements]"
-        raise InputError(Fault("measurements", rule, "add it, or use `study solve`"))
+        return [_simulated(case, problem)]
     if problem.method == "none":
         return [_first_pair(scored, case, None)]
     kind = _held_out(case, scored, design)
     if kind is not None:
         return _held_out_pairs(kind, case, scored, data, design)
     return _fitted_pairs(case, problem, scored, data)
+
+
+def _simulated(case: Case, problem: FitProblem) -> ScorePair:
+    """Prediction that nothing was measured beside."""
+    depth = case.config["test"]["displacement_mm"]
+    if problem.method != "none" or depth is None:
+        rule = "there is none to fit the constants to, nor to say how far the test goes"
+        mend = "add it, or give [material] its constants and [test] its displacement"
+        raise InputError(Fault("measurements", rule, mend))
+    return ScorePair("all", None, None, pressed_mm=float(depth))
 
 
 def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:

@@ -124,8 +124,8 @@ class ScorePair:
     ----------
     label : str
         Which of the block's curves is scored, for example ``"B"``.
-    measured : Curve
-        The scored curve.
+    measured : Curve or None
+        The scored curve; None in a study of simulations alone.
     fit : FitJob or None
         The fit that gives the constants; None where they are given.
     role : str
@@ -135,14 +135,17 @@ class ScorePair:
         Which curve gave the constants.
     scatter_N : tuple of float or None
         Standard deviation of the averaged repeats at each point.
+    pressed_mm : float
+        Displacement of the test where nothing was measured.
     """
 
     label: str
-    measured: Curve
+    measured: Curve | None
     fit: FitJob | None
     role: str = "score"
     fit_label: str = ""
     scatter_N: tuple[float, ...] | None = None  # noqa: N815
+    pressed_mm: float = 0.0
 
     @property
     def fit_key(self) -> str | None:
@@ -151,8 +154,19 @@ class ScorePair:
 
     @property
     def depth_mm(self) -> float:
-        """Largest measured displacement."""
+        """How far the curve is predicted: to the largest measured displacement."""
+        if self.measured is None:
+            return self.pressed_mm
         return float(self.measured.displacement_mm.max())
+
+    @property
+    def identity(self) -> list[object]:
+        """Plain values that decide what the prediction is compared with."""
+        against = self.measured
+        if against is None:
+            return [self.label, self.pressed_mm]
+        data = [against.displacement_mm.tolist(), against.force_N.tolist()]
+        return [self.label, self.fit_label, self.fit_key, *data]
 
 
 @dataclass(frozen=True)

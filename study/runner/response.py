@@ -12,7 +12,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
-from study.design.study_file import RESPONSES
+from study.design.study_file import RESPONSES, SIMULATED, is_simulated, simulated_at
 from study.material.registry import is_dimensionless
 from study.record.document import Quantity
 
@@ -25,6 +25,7 @@ class Need(Enum):
 
     CURVES = "a predicted and a measured curve"
     CONSTANTS = "the constants of the material"
+    PREDICTION = "a predicted curve"
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Scored:
 
     Parameters
     ----------
-    measured : Curve
-        What was measured.
+    measured : Curve or None
+        What was measured; None in a study of simulations alone.
     predicted : Curve or None
         What the model says; None for a fit to resampled residuals, which predicts nothing.
     constants : mapping of str to float
@@ -43,7 +44,7 @@ class Scored:
         Initial shear modulus in MPa, where it is known.
     """
 
-    measured: Curve
+    measured: Curve | None
     predicted: Curve | None = None
     constants: Mapping[str, float] = field(default_factory=dict)
     mu0: float | None = None
@@ -85,9 +86,9 @@ class CurveResponse(ABC):
         Raises
         ------
         ValueError
-            If there is no predicted curve.
+            If one of the curves is missing.
         """
-        if found.predicted is None:
+        if found.predicted is None or found.measured is None:
             raise ValueError(f"{self.name} needs {Need.CURVES.value}")
         return self.between(found.predicted, found.measured)
 
@@ -153,6 +154,61 @@ class WorkError(CurveResponse):
 
 
 @dataclass(frozen=True)
+class SimulatedResponse:
+    """A number of a predicted curve alone; one at a displacement has it in its name.
+
+    Examples
+    --------
+    >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 8.0]))
+    >>> [SimulatedResponse(name).of(curve) for name in ("peak_force", "force_at_1.5_mm", "work")]
+    [8.0, 5.5, 7.0]
+    """
+
+    name: str
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.PREDICTION})
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+        return SIMULATED[simulated_at(self.name)[0]]
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit.
+
+        Raises
+        ------
+        ValueError
+            If there is no predicted curve.
+        """
+        if found.predicted is None:
+            raise ValueError(f"{self.name} needs {Need.PREDICTION.value}")
+        return self.of(found.predicted)
+
+    def of(self, curve: Curve) -> float:
+        """Value for a curve."""
+        name, place = simulated_at(self.name)
+        if place is not None:
+            ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
+            return float(ordinate(place))
+        if name == "peak_force":
+            return float(curve.force_N.max())
+        return work_of(curve)
+
+
+#: points between which the work of a curve is summed: the trapezoidal rule is then off by a
+#: millionth of the work, for a force that grows with the square of the displacement
+_POINTS = 400
+
+
+def work_of(curve: Curve) -> float:
+    """Work done on the specimen from the unloaded state, N mm."""
+    if curve.work_Nmm is not None:
+        return float(curve.work_Nmm[-1])
+    ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+    return float(np.trapezoid(curve.force_at(ends), ends))
+
+
+@dataclass(frozen=True)
 class ConstantResponse:
     """A constant of the material in kPa; an exponent is a plain number."""
 
@@ -188,7 +244,7 @@ CURVE_RESPONSES: Mapping[str, CurveResponse] = {
 }
 
 
-def units_of(asked: Iterable[str]) -> dict[str, str]:
+def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
     """Units of all responses that the records of a study hold, by name.
 
     Parameters
@@ -196,10 +252,13 @@ def units_of(asked: Iterable[str]) -> dict[str, str]:
     asked : iterable of str
         Names of the responses that the study asks for; every record also holds those of
         :data:`CURVE_RESPONSES` and the initial shear modulus.
+    measured : bool
+        Whether predicted curves stand beside measured ones.
     """
-    every: list[Response] = [*CURVE_RESPONSES.values(), InitialShearModulus()]
-    units = {one.name: one.unit for one in every}
+    every: list[Response] = [*(CURVE_RESPONSES.values() if measured else ()), InitialShearModulus()]
     names = list(asked)
+    every += [SimulatedResponse(name) for name in names if is_simulated(name)]
+    units = {one.name: one.unit for one in every}
     constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
     units |= {one.name: one.unit for one in constants}
     return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
@@ -210,10 +269,26 @@ def scale_of(constant: str) -> float:
     return 1.0 if is_dimensionless(constant) else KPA
 
 
-def score(found: Scored) -> dict[str, Quantity]:
-    """Every response that a scored curve has, with its unit."""
-    every: list[Response] = [] if found.predicted is None else list(CURVE_RESPONSES.values())
+def score(found: Scored, asked: Iterable[str] = ()) -> dict[str, Quantity]:
+    """Every response that a curve has, with its unit.
+
+    Parameters
+    ----------
+    found : Scored
+        The predicted curve, the measured one if there is one, and the constants.
+    asked : iterable of str
+        Names of the responses that the record holds.
+    """
+    every: list[Response] = []
+    if found.predicted is not None:
+        every += of_prediction(asked)
+        every += [] if found.measured is None else list(CURVE_RESPONSES.values())
     return computed(every, found) | constants_of(found)
+
+
+def of_prediction(asked: Iterable[str]) -> list[SimulatedResponse]:
+    """Those responses asked for that a predicted curve alone gives."""
+    return [SimulatedResponse(name) for name in asked if is_simulated(name) and name != "dofs"]
 
 
 def constants_of(found: Scored) -> dict[str, Quantity]:
@@ -238,7 +313,9 @@ def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
     return out
 
 
-def step_uncertainty(predicted: Curve, measured: Curve) -> dict[str, float]:
+def step_uncertainty(
+    predicted: Curve, measured: Curve | None, asked: Iterable[str] = ()
+) -> dict[str, float]:
     """Change of every response where the curve keeps every other load step only.
 
     The steps that are left out are twice as many as were solved; what is left of their effect in
@@ -246,14 +323,19 @@ def step_uncertainty(predicted: Curve, measured: Curve) -> dict[str, float]:
     better by more than twice when they are halved. Zero where the force is known everywhere
     (closed form), and nothing where one step is all there is.
     """
+    own = of_prediction(asked)
+    compared = CURVE_RESPONSES if measured is not None else {}
     if predicted.stiffness_N_per_mm is None:
-        return dict.fromkeys(CURVE_RESPONSES, 0.0)
+        return dict.fromkeys([*compared, *(one.name for one in own)], 0.0)
     if len(predicted) < 2:
         return {}
     rough = predicted.every_other_point()
-    return {
+    scatter = {one.name: abs(one.of(predicted) - one.of(rough)) for one in own}
+    if measured is None:
+        return scatter
+    return scatter | {
         name: abs(one.between(predicted, measured) - one.between(rough, measured))
-        for name, one in CURVE_RESPONSES.items()
+        for name, one in compared.items()
     }
 
 

@@ -44,7 +44,14 @@ def test_a_case_task_comes_back_as_it_went(design: Design, one_mix: Path) -> Non
     job = work.jobs[0]
     (pair, _) = job.directions
     direction = ScoreTask(
-        pair.label, pair.measured, pair.role, pair.fit_label, (0.1, 0.2), pair.fit_key, result()
+        pair.label,
+        pair.measured,
+        pair.role,
+        pair.fit_label,
+        (0.1, 0.2),
+        pair.depth_mm,
+        pair.fit_key,
+        result(),
     )
     tables = {name: job.case.config[name] for name in PROBLEM}
     task = CaseTask(

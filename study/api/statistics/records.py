@@ -64,7 +64,8 @@ def analyze_records(
         rows.error,
         ResponseScale(response.transform, threshold(response.practical), u_num),
         records=True,
-        specimens=max(len(set(blocks)), 1),
+        # what was simulated alone says nothing of specimens, and needs none
+        specimens=max(len(set(blocks)), 1) if design.is_measured else None,
         alpha=spec.alpha,
         seed=design.seed,
     )

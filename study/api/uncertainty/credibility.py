@@ -12,7 +12,7 @@ from study.reporting.numbers import listing, percent
 from study.runner.batch import Progress, computing, default_jobs
 from study.runner.cost import Costs
 from study.runner.numerical import refinement, space_comparison, study_refinement
-from study.runner.numerical.case_series import CaseSeries
+from study.runner.numerical.case_series import COSTS, CaseSeries
 from study.runner.numerical.solve_task import SolveResult, SolveTask
 from study.runner.numerical.solver import by_workers, is_kept, kept
 from study.study_result.report_data import Check
@@ -43,7 +43,7 @@ def refine(
 
 def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
     """Numerical uncertainty of every response that a study asks for, by series."""
-    names = [one.name for one in work.design.responses if one.name != "seconds"]
+    names = [one.name for one in work.design.responses if one.name not in COSTS]
     return [one.uncertainty(name, work.responses[name]) for one in series for name in names]
 
 

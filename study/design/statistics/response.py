@@ -8,11 +8,17 @@ from functools import partial
 from study import units
 from study.design.diagnostics import Faults, noted
 from study.design.spec import Practical, Response
-from study.design.study_file import ResponseTable, response_unit
+from study.design.study_file import AT_DISPLACEMENT, ResponseTable, response_unit
 from study.setup.quantity import number, shown
 from study.setup.section import Bad
 
-_DIMENSION = {"N": "force", "kPa": "pressure", "s": "time"}
+_DIMENSION = {
+    "N": "force",
+    "kPa": "pressure",
+    "s": "time",
+    "N/mm": "stiffness",
+    "N mm": "work",
+}
 
 
 def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Response, ...]:
@@ -33,12 +39,29 @@ def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Res
 
 
 def _response(table: ResponseTable, where: str, faults: Faults) -> Response:
-    name = table.name or ""
+    name = _name(table, where, faults)
     unit, practical = (response_unit(name) if name else None) or "", None
     if name and table.practical is not None:
         read = partial(_practical, unit)
         practical = noted(read, table.practical, f"{where}.practical", faults)
     return Response(name, unit, practical, table.transform or "none")
+
+
+def _name(table: ResponseTable, where: str, faults: Faults) -> str:
+    """Name of a response; one at a displacement carries it, so that every table says it."""
+    name, place = table.name or "", table.displacement
+    if name in AT_DISPLACEMENT:
+        at = f"{where}.displacement"
+        if place is None:
+            if all(fault.where != at for fault in faults):
+                faults.add(at, "is missing", 'for example displacement = "2 mm"')
+            return ""
+        return f"{name}_{place:g}_mm"
+    if name and place is not None:
+        rule = f"{name} is not taken at a displacement"
+        mend = f"leave it out, or ask for {' or '.join(AT_DISPLACEMENT)}"
+        faults.add(f"{where}.displacement", rule, mend)
+    return name
 
 
 def _practical(unit: str, value: object) -> Practical:

@@ -43,6 +43,9 @@ from study.runner.numerical.series_uncertainty import (
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
 TOLERANCE = 1e-6
 
+#: Responses that tell what a solution costs: they grow with the mesh and converge to nothing.
+COSTS = ("seconds", "dofs")
+
 #: Places along a curve where it is compared, from its first measured point to its last.
 PLACES = np.linspace(0.0, 1.0, 21)
 
@@ -226,11 +229,11 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
         if known and len(known) == len(records):
             columns.setdefault(name, (known, unit))
 
-    pairs = [record.first_pair() for record in records]
+    curves = [record.first_prediction() for record in records]
     for name, (function, unit) in QUANTITIES.items():
-        add(name, (None if pair is None else function(pair[1]) for pair in pairs), unit)
+        add(name, (None if curve is None else function(curve) for curve in curves), unit)
     for name, unit in units.items():
-        if name != "seconds":
+        if name not in COSTS:
             add(name, (record.value(name) for record in records), unit)
     for name, entry in (records[0].parameters if records else {}).items():
         known = [record.parameters.get(name) for record in records]
@@ -238,25 +241,26 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
     return columns
 
 
-def places_of(measured: Curve) -> Array:
-    """Displacements of :data:`PLACES` on a measured curve, mm."""
-    d = measured.displacement_mm
+def places_of(curve: Curve) -> Array:
+    """Displacements of :data:`PLACES` on a curve, mm."""
+    d = curve.displacement_mm
     return np.asarray(d[0] + PLACES * (d[-1] - d[0]))
 
 
 def force_at_places(record: Record) -> Array:
-    """Predicted force of the first direction at :data:`PLACES`, N.
+    """Predicted force of the first direction at :data:`PLACES` of the measured curve, N.
+
+    Without a measured curve the places are those of the prediction, from its first load step on.
 
     Raises
     ------
     ValueError
         If the record has no predicted curve.
     """
-    pair = record.first_pair()
-    if pair is None:
+    pair, predicted = record.first_pair(), record.first_prediction()
+    if predicted is None:
         raise ValueError(f"case {record.case_id} has an answer and no curve")
-    measured, predicted = pair
-    return predicted.force_at(places_of(measured))
+    return predicted.force_at(places_of(predicted if pair is None else pair[0]))
 
 
 def stored_convergence(rows: Sequence[NumericalUncertainty]) -> list[dict[str, object]]:
