@@ -25,10 +25,13 @@ from study.design.load import dump, load, loads
 from study.design.spec import Design
 from study.errors import InputError, RefusedError
 from study.execution.task import check_limit
+from study.forward.external import check_allowed
+from study.forward.python_function import Function, PythonFunction
 from study.record.store import Store
 from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
+from study.runner.fitting.external_model import Allowed, externals
 from study.runner.provenance import versions
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
@@ -63,6 +66,9 @@ def run(
     timeout_s: float | None = None,
     refine: bool = True,
     formats: Sequence[str] = (),
+    allow_commands: bool | str = False,
+    forward: Function | None = None,
+    version: str = "",
 ) -> StudyResult:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -90,6 +96,13 @@ def run(
         Whether the mesh is refined under one block, for the numerical uncertainty.
     formats : sequence of str
         Formats of the report instead of those of the design.
+    allow_commands : bool or str
+        Whether programs that the design names may run; a text allows those whose digest, as
+        ``study plan`` prints it, begins with it.
+    forward : callable, optional
+        What ``forward.model = "python"`` stands for; to give it is to allow it.
+    version : str
+        Identity of that function, part of the key of every result.
 
     Returns
     -------
@@ -100,13 +113,18 @@ def run(
     ------
     InputError
         For a faulty design or faulty data; nothing is written then.
+    RefusedError
+        If the design runs programs that nobody allowed, or that are not there.
     """
     clock = _Clock()
     check_limit(timeout_s)
     loaded = design if isinstance(design, Design) else load(design, overrides)
+    function = None if forward is None else PythonFunction.of(forward, version)
+    allowed = Allowed(allow_commands, function)
     if reports is not None:
         checked_formats(formats or loaded.report.format)
-    work = expand(loaded, data_root(loaded.source, data))
+    work = expand(loaded, data_root(loaded.source, data), allowed)
+    check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
     warnings: list[str] = []
     store = Store(results / loaded.name, warn=warnings.append)

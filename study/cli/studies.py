@@ -102,6 +102,12 @@ def run(
     refine: Annotated[
         bool, typer.Option(help="Refine the mesh under one block for the numerical uncertainty.")
     ] = True,
+    allow_commands: Annotated[
+        bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
+    ] = False,
+    allow_digest: Annotated[
+        str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -111,6 +117,7 @@ def run(
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
+            allow_commands=allow_commands or allow_digest,
         )  # fmt: skip
     _finish(study, as_json)
 
@@ -316,6 +323,10 @@ def _print_plan(found: Plan) -> None:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
     if found.controls:
         print(f"{found.controls} solutions to be made of one cylinder in both spaces, a control")
+    if found.commands:
+        print(f"{found.program_calls} calls of other programs, gradients by differences included:")
+        print("\n".join(f"  {line}" for line in found.commands))
+        print(f"  to allow exactly these: study run --allow-digest {found.digest}")
     if found.predicted_seconds is not None:
         time = output.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")

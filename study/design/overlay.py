@@ -13,6 +13,7 @@ from study.design.sections.material import MaterialTable
 from study.errors import nearest
 from study.material.registry import ENERGIES, is_constant_key, is_dimensionless
 from study.measurement.section import MeasurementSpec
+from study.setup.forward_model import ForwardModel
 from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
@@ -72,6 +73,7 @@ PLACES: Mapping[str, Place] = {
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
     "calibration": Place((Calibration,), varying=("method",)),
+    "forward": Place((ForwardModel,)),
 }
 
 #: tables that a preset set may be named after

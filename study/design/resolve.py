@@ -11,11 +11,16 @@ from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, CellProblem
 from study.design.sections.material import material_from
 from study.design.sections.measurements import measurements_from
-from study.design.sections.problem import loading_from, model_from, specimen_from
+from study.design.sections.problem import (
+    forward_from,
+    loading_from,
+    model_from,
+    specimen_from,
+)
 from study.errors import InputError
 from study.setup.section import values_of
 
-TABLES = ("specimen", "test", "material", "model", "measurements")
+TABLES = ("specimen", "test", "material", "model", "measurements", "forward")
 
 
 def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
@@ -73,10 +78,21 @@ def resolve_problem(
         chosen = isinstance(table, Mapping) and "points" in table
         if spec is not None and specimen.shape == "homogeneous" and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
-    problem = CellProblem(specimen, test, material, model, spec)
+    forward = forward_from(tables.get("forward"), faults, at["forward"])
+    problem = CellProblem(specimen, test, material, model, spec, forward)
+    _check_closed_form(problem, faults, at)
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
     return problem
+
+
+def _check_closed_form(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> None:
+    forward = problem.forward
+    asked = forward is not None and forward.model == "closed-form"
+    if asked and is_known(problem.test.kind) and not problem.is_homogeneous:
+        rule = "closed-form needs a test that deforms the specimen the same everywhere"
+        mend = 'write test.interface = "frictionless", or another forward.model'
+        faults.add(f"{at['forward']}.model", rule, mend)
 
 
 def _with_displacement(

@@ -301,6 +301,7 @@ class DesignFile(ProblemFile):
     exclude: _Exclusions = ()
     measurements: AsWritten = None
     calibration: AsWritten = None
+    forward: AsWritten = None
     response: _Responses = ()
     analysis: AnalysisTable = AnalysisTable()
     replicates: Replicates = Replicates()

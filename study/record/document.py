@@ -41,14 +41,31 @@ class MeshDocument(TypedDict, total=False):
     mesh_size_mm: float
 
 
+class StepDocument(TypedDict):
+    """One command of a solution: its words, return code and last output."""
+
+    argv: list[str]
+    code: int | None
+    output: str
+
+
+class ProgramDocument(TypedDict):
+    """What another program said of itself, and which commands ran, by name and content."""
+
+    version: str
+    digest: str
+    steps: list[StepDocument]
+
+
 class SolverDocument(TypedDict, total=False):
-    """How a solution was found, and its energy balance."""
+    """How a solution was found, and its energy balance; ``program`` where it is another one."""
 
     name: str
     min_j: float
     energy_mismatch: float
     stabilization_share: float
     snaps_mm: list[float]
+    program: ProgramDocument
 
 
 class ResamplingDocument(TypedDict):

@@ -17,11 +17,13 @@ from functools import partial
 
 from study.design.sections.content import plain
 from study.execution.task import Document, Executor, Outcome, Results, Task
+from study.forward.external import check_allowed
 from study.forward.finite_element import Anchor
 from study.record.record import Record
 from study.record.store import Store
 from study.runner.case_task import CaseFrame, CaseTask, ScoreTask
 from study.runner.cost import Costs, Pace, same_model
+from study.runner.fitting.external_model import externals
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask
 from study.runner.job import CaseJob, FitJob, Work, fits_of
@@ -106,6 +108,8 @@ def run_batch(
     ------
     InputError
         If the limit is not a positive number.
+    RefusedError
+        If a case needs a program that was not allowed, or is not there.
     StoreError
         If another runner holds the store, or it cannot be written.
     KeyboardInterrupt
@@ -113,6 +117,7 @@ def run_batch(
     """
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
+        check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
         run = _Batch(work, store, todo, progress or (lambda _: None))
         workers = jobs or default_jobs()
         return run.execute(workers, executor or processes(workers, timeout_s))
@@ -280,7 +285,7 @@ def case_document(work: Work, job: CaseJob, results: Results) -> Document:
         )
         for pair in job.directions
     )  # fmt: skip
-    tables = plain({name: job.case.config[name] for name in PROBLEM})
+    tables = plain({name: job.case.config[name] for name in PROBLEM if name in job.case.config})
     frame = case_frame(work, job)
     return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
 

@@ -12,6 +12,8 @@ from study.curve import Curve
 from study.errors import InputError
 from study.execution.task import Received
 from study.forward import closed_form
+from study.forward.exchange import NoAnswer
+from study.forward.external import External
 from study.forward.finite_element import Anchors
 from study.record.document import (
     CurveKey,
@@ -25,6 +27,7 @@ from study.record.document import (
 from study.record.record import STATUSES, Record
 from study.runner import response
 from study.runner.case_task import CaseTask, ScoreTask
+from study.runner.fitting.external_fit import external_curve
 from study.runner.fitting.solution import Predicted
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
@@ -147,11 +150,28 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
     constants = None if fit is None else fit.constants
     if task.forward == "closed-form":
         return _closed_form(task.tables, constants, direction.measured)
+    if task.forward == "external" or External.of(task.tables) is not None:
+        return _external(task.tables, constants, direction)
     found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
     solution = found.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     return Predicted.of(solution, found.cold_seconds)
+
+
+def _external(
+    tables: Tables, constants: Mapping[str, float] | None, direction: ScoreTask
+) -> Predicted:
+    """Curve of another program, at the measured displacements or at the load steps."""
+    if direction.measured is not None:
+        at = direction.measured.displacement_mm
+    else:
+        steps = int(tables["test"].get("steps") or 10)
+        at = direction.depth_mm * np.arange(1, steps + 1) / steps
+    try:
+        return external_curve(tables, constants, at)
+    except NoAnswer as error:
+        raise Stopped(error.status, str(error)) from error
 
 
 def _closed_form(
@@ -175,6 +195,8 @@ def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[
         response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
         for prediction, direction in zip(predictions, task.scored, strict=True)
     ]
+    if any("program" in prediction.solver for prediction in predictions):
+        return {}  # its load steps are not ours to halve
     return {name: float(np.mean([u[name] for u in each])) for name in each[0]}
 
 

@@ -20,8 +20,8 @@ from study.setup.material_section import MaterialSection
 CONSTANTS = "constants"
 
 #: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
-#: or a solution of its own.
-Forward = Literal["fit", "closed-form", "simulation"]
+#: a solution of its own, or one by another program.
+Forward = Literal["fit", "closed-form", "simulation", "external"]
 
 
 @dataclass(frozen=True)

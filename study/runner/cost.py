@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from study.canonical import digest
 from study.errors import InputError
+from study.forward.external import External
+from study.runner.fitting.external_fit import USUAL_EVALUATIONS
 from study.runner.fitting.fit_task import FitProblem
 from study.runner.job import CaseJob, FitJob
 from study.runner.tables import Tables
@@ -39,6 +41,9 @@ class Costs:
 
     def fit_seconds(self, problem: FitProblem) -> float:
         """Seconds of one calibration."""
+        external = External.of(problem.tables)
+        if problem.method == "external" and external is not None:
+            return _OVERHEAD_S + fit_calls(problem) * external.section.seconds_s
         if problem.method != "inverse-fem":
             return _OVERHEAD_S
         names = MaterialSection.of(problem.tables["material"]).calibrated_names
@@ -49,7 +54,9 @@ class Costs:
 
     def case_seconds(self, job: CaseJob) -> float:
         """Seconds of one case without its fits."""
-        config = job.case.config
+        config, external = job.case.config, External.of(job.case.config)
+        if external is not None and job.origin.predicts and job.forward == "external":
+            return _OVERHEAD_S + len(job.directions) * external.section.seconds_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
@@ -88,6 +95,23 @@ class Costs:
         if key not in self._known:
             self._known[key] = _estimated(config, depth_mm)
         return self._known[key]
+
+
+def fit_calls(problem: FitProblem) -> int:
+    """Count the calls of another program in a fit: each evaluation and one for every constant.
+
+    A program that writes its gradients takes fewer; nobody knows before it has run.
+    """
+    if problem.method != "external":
+        return 0
+    names = MaterialSection.of(problem.tables["material"]).calibrated_names
+    return USUAL_EVALUATIONS * (1 + len(names))
+
+
+def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
+    """Count the calls of other programs in some fits and cases."""
+    predicted = sum(len(one.directions) for one in cases if one.forward == "external")
+    return predicted + sum(fit_calls(one.problem) for one in fits)
 
 
 def _scales(names: Sequence[str]) -> bool:

@@ -21,6 +21,7 @@ from study.measurement.measured_test import MeasuredTest, Measurements, Selectio
 from study.runner import provenance
 from study.runner.calibration.cross_validation import distinct_tests, held_out, left_out
 from study.runner.case_task import CONSTANTS, Forward, Origin
+from study.runner.fitting.external_model import NOTHING, Allowed, identity, with_external
 from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
 from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeated
 from study.runner.provenance import code_version
@@ -28,8 +29,17 @@ from study.runner.replicates import mesh_seeded, resampled
 from study.runner.response import units_of
 
 
-def expand(design: Design, data_root: Path) -> Work:
+def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design.
+
+    Parameters
+    ----------
+    design : Design
+        The study.
+    data_root : Path
+        Folder of the measurements.
+    allowed : Allowed
+        What may be used besides this package; nothing is run here.
 
     Raises
     ------
@@ -43,9 +53,10 @@ def expand(design: Design, data_root: Path) -> Work:
     # a replicate is named by what was written, not by where its surface was found
     planned = mesh_seeded(distinct(cases(design, blocks)), design)
     jobs = anchored(
-        case_job(located(case, places), data, design, origin) for case, origin in planned
+        case_job(located(case, places, allowed), data, design, origin) for case, origin in planned
     )
-    return Work(design, (*jobs, *resampled(jobs, design)), units_asked(design), blocks, data)
+    every = (*jobs, *resampled(jobs, design))
+    return Work(design, every, units_asked(design), blocks, data, allowed)
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -83,9 +94,10 @@ def distinct(found: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def located(case: Case, places: Sequence[Path]) -> Case:
-    """Copy a case with every surface in it found and checked."""
-    return replace(case, config=provenance.located(case.config, places))
+def located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
+    """Copy a case with its surfaces, and the files of its forward model, found and checked."""
+    found = provenance.located(case.config, places)
+    return replace(case, config=with_external(found, places, allowed.function))
 
 
 def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None = None) -> CaseJob:
@@ -100,20 +112,24 @@ def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None 
     """
     problem = fit_problem(case.config)
     pairs = tuple(score_pairs(case, problem, data, design))
-    identity = [
+    content = [
         case.case_id,
         sorted(units_asked(design)),
         [pair.identity for pair in pairs],
         code_version(),
         *provenance.fingerprints(case.config),
+        *identity(case.config),
     ]  # fmt: skip
-    return CaseJob(case, pairs, digest(identity), forward_of(case, problem), origin or Origin())
+    return CaseJob(case, pairs, digest(content), forward_of(case, problem), origin or Origin())
 
 
 def forward_of(case: Case, problem: FitProblem) -> Forward:
     """Where the predicted curves of a case come from."""
-    if problem.method == "inverse-fem" and problem.shares_scored_problem:
+    if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
         return "fit"
+    forward = case.treatment.cell.problem.forward
+    if forward is not None:
+        return "closed-form" if forward.model == "closed-form" else "external"
     analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
     return "closed-form" if analytic else "simulation"
 

@@ -19,6 +19,7 @@ from study.measurement.section import MeasurementSpec
 from study.record.table import is_repeat
 from study.runner import provenance
 from study.runner.case_task import CONSTANTS, Forward, Origin
+from study.runner.fitting.external_model import NOTHING, Allowed
 from study.runner.fitting.fit_task import FitProblem, fit_key
 from study.runner.tables import CalibrationTable, Tables, gauge_of
 from study.setup.setup import known_height_mm
@@ -238,6 +239,8 @@ class Work:
         Labels of the blocks.
     data : DataCache
         The measurements, each specification read once.
+    allowed : Allowed
+        What may be used besides this package.
     """
 
     design: Design
@@ -245,6 +248,7 @@ class Work:
     responses: Mapping[str, str]
     blocks: tuple[str, ...]
     data: DataCache
+    allowed: Allowed = NOTHING
 
     @cached_property
     def fits(self) -> dict[str, FitJob]:

@@ -14,8 +14,8 @@ from study.setup.setup import Setup
 #: and checked them; what stands in one is read by the section of that name
 Tables = Mapping[str, Any]
 
-#: tables that make a problem
-PROBLEM = ("specimen", "test", "material", "model")
+#: tables that make a problem; ``forward`` stands there where another program predicts
+PROBLEM = ("specimen", "test", "material", "model", "forward")
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,13 @@ from study.design.load import load
 from study.design.overview import Overview, overview
 from study.design.spec import Design
 from study.errors import Fault, InputError, MissingDataError, nearest
+from study.forward.external import common_digest
 from study.record.record import Record
 from study.record.store import Store
 from study.runner.batch import default_jobs, missing, open_fits
-from study.runner.cost import Costs
+from study.runner.cost import Costs, program_calls
 from study.runner.expansion import expand
+from study.runner.fitting.external_model import externals
 
 if TYPE_CHECKING:
     from study.runner.job import Work
@@ -49,6 +51,12 @@ class Plan:
         Predicted peak of all workers together.
     controls : int
         Solutions still to be made besides the cases: the same cylinder in both spaces.
+    program_calls : int
+        Calls of other programs, those of gradients by differences included.
+    commands : tuple of str
+        What they run.
+    digest : str
+        Name of all of it, which ``study run --allow-digest`` takes.
     """
 
     design: Design
@@ -64,6 +72,9 @@ class Plan:
     jobs: int
     warnings: tuple[str, ...]
     controls: int = 0
+    program_calls: int = 0
+    commands: tuple[str, ...] = ()
+    digest: str = ""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -88,6 +99,9 @@ class Plan:
             "fits": self.fits,
             "controls": self.controls,
             "memory_MB": self.memory_MB,
+            "program_calls": self.program_calls,
+            "commands": list(self.commands),
+            "commands_digest": self.digest,
             "design": self.overview.to_json(),
         }
 
@@ -138,13 +152,16 @@ def _counted(
     seconds = costs.total_seconds(fits, todo, workers)
     seconds += refinement_seconds(work, store, workers)
     seconds += control_seconds(controls, workers)
+    found_models = externals(job.case.config for job in work.jobs)
+    commands = [one for one in found_models if one.section.model == "command"]
     memory = workers * max(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )
     return Plan(
         work.design, described, work.blocks, len(work.jobs), len(found.done),
         len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
-        len(controls),
+        len(controls), program_calls(fits, todo),
+        tuple(line for one in commands for line in one.lines()), common_digest(commands),
     )  # fmt: skip
 
 

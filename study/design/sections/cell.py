@@ -9,6 +9,7 @@ from typing import Any
 from study.design.sections.content import case_id
 from study.measurement.section import MeasurementSpec
 from study.setup import setup
+from study.setup.forward_model import ForwardModel
 from study.setup.geometry import Specimen, Surface
 from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
@@ -31,6 +32,8 @@ class CellProblem:
         Sections of the study file.
     measurements : MeasurementSpec, optional
         Where its measured curves are.
+    forward : ForwardModel, optional
+        What predicts its curves; None for the built-in finite elements.
     """
 
     specimen: Specimen
@@ -38,6 +41,7 @@ class CellProblem:
     material: MaterialSection
     model: Model
     measurements: MeasurementSpec | None = None
+    forward: ForwardModel | None = None
 
     @property
     def height_mm(self) -> float | None:
@@ -53,6 +57,11 @@ class CellProblem:
         test = Test(self.test.kind, None, self.test.interface, self.test.held_below)
         return setup.is_homogeneous(test, self.specimen.shape)
 
+    @property
+    def has_closed_form(self) -> bool:
+        """Whether our own model predicts, and the closed form is its answer."""
+        return self.is_homogeneous and self.forward is None
+
     def document(self) -> Config:
         """Plain values in internal units, without what is left open."""
         test = values_of(self.test)
@@ -66,7 +75,7 @@ class CellProblem:
             "material": _material(self.material),
             "model": _model(self.model),
             "measurements": self.measurements,
-        }
+        } | ({} if self.forward is None else {"forward": values_of(self.forward)})
 
     def physical(self) -> Config:
         """Part of the document that can change a curve.
@@ -75,7 +84,7 @@ class CellProblem:
         height count, and nothing of the discretisation.
         """
         kept, specimen = self.document(), self.specimen
-        if isinstance(specimen, Surface) or not self.is_homogeneous:
+        if isinstance(specimen, Surface) or not self.has_closed_form:
             return kept
         test = {k: v for k, v in kept["test"].items() if k != "steps"}
         area = float(f"{specimen.area_mm2:.12g}")
@@ -171,4 +180,4 @@ class Cell:
     @property
     def _distinct_method(self) -> str:
         """Method, where the closed form makes all methods one."""
-        return "exact" if self.is_calibrated and self.fitted.is_homogeneous else self.method
+        return "exact" if self.is_calibrated and self.fitted.has_closed_form else self.method

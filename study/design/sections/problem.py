@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from study.design.diagnostics import Faults, Table, read_table, read_variant, with_values
+from study.setup.forward_model import ForwardModel
 from study.setup.geometry import INDENTERS, SPECIMENS, Specimen
 from study.setup.setup import Model
 from study.setup.test_section import TEST_KINDS, TestSection
@@ -58,3 +59,26 @@ def model_from(
     usual = "axisymmetric" if shape == "cylinder" else "3d"
     space = found.space if "space" in written else usual
     return with_values(found, space=space, mesh_ratio=ratio)
+
+
+def forward_from(table: object, faults: Faults, path: str = "forward") -> ForwardModel | None:
+    """Read what predicts the curves; None for the built-in finite elements.
+
+    Parameters
+    ----------
+    table : mapping or None
+        The table as written; it may hold the commands of another level.
+    faults : Faults
+        Where faults go.
+    path : str
+        Of the table.
+    """
+    if table is None:
+        return None
+    found = read_table(ForwardModel, table, path, faults)
+    if found.model is None or found.model == "fem":
+        return None
+    missing = None if found.argv is None else found.fault(path)
+    if missing is not None:
+        faults.add(missing.where, missing.rule, missing.mend)
+    return found

@@ -22,7 +22,10 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.execution.task import Received
 from study.forward import closed_form, finite_element
+from study.forward.external import External
 from study.material.registry import ENERGIES
+from study.runner.fitting.external_fit import InverseExternal
+from study.runner.fitting.external_model import named
 from study.runner.fitting.fit_summary import FitResult, described
 from study.runner.fitting.solution import Predicted
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
@@ -50,7 +53,8 @@ class FitProblem:
     Parameters
     ----------
     method : str
-        ``"closed-form"``, ``"inverse-fem"``, ``"together"`` (several tests) or ``"none"``.
+        ``"closed-form"``, ``"inverse-fem"``, ``"external"``, ``"together"`` (several tests) or
+        ``"none"``.
     tables : mapping
         Those that enter, and nothing else; for several tests ``material`` and
         ``tests``, each with its own ``method``.
@@ -77,9 +81,11 @@ def fit_problem(tables: Tables) -> FitProblem:
     merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
     shared = merged == scored
     merged["material"] = _written(merged["material"])
-    method = _method(section.method, merged)
+    external = External.of(merged)
+    method = _method(section.method, merged, external is not None)
     if method == "closed-form":
         merged.pop("model", None)
+        merged.pop("forward", None)
         # its depth, steps and base do not enter
         merged["test"] = {"kind": merged["test"]["kind"], "interface": "frictionless"}
     return FitProblem(method, merged, shared)
@@ -109,9 +115,11 @@ def _written(material: Tables) -> dict[str, object]:
     return {k: v for k, v in material.items() if v not in (None, {}, False)}
 
 
-def _method(asked: str, tables: Tables) -> str:
+def _method(asked: str, tables: Tables, is_external: bool) -> str:
     if asked == "none":
         return "none"
+    if is_external and asked != "analytic":
+        return "external"
     setup = Setup.of(tables)
     homogeneous = setup.is_homogeneous
     if asked == "analytic" and not homogeneous:
@@ -131,7 +139,7 @@ def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
         The averaged curves that are fitted.
     """
     data = [[c.displacement_mm.tolist(), c.force_N.tolist()] for c in measured]
-    return digest([problem.method, problem.tables, data, code_version()], 32)
+    return digest([problem.method, named(problem.tables), data, code_version()], 32)
 
 
 def start_problem(problem: FitProblem) -> FitProblem | None:
@@ -242,6 +250,9 @@ def fitted(task: FitTask) -> FitResult:
     if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
         found.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+    if isinstance(predict, InverseExternal):
+        predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
+        found["solves"] = predict.solves
     found["seconds"] = time.perf_counter() - began
     status = "converged" if done.fit.status.usable else "not-converged"
     return FitResult(status, found, predicted, 0.0 if start is None else start.seconds)
@@ -279,6 +290,8 @@ def start_values(
 
 def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of one test, for the optimizer."""
+    if method == "external":
+        return InverseExternal(tables, measured, names)
     make = closed_form_model if method == "closed-form" else InverseFem
     return make(tables, measured, names)
 

@@ -13,6 +13,7 @@ from study.canonical import digest
 from study.curve import Curve
 from study.execution.task import Received
 from study.forward import finite_element
+from study.forward.external import External
 from study.forward.finite_element import load_compiled
 from study.runner.provenance import code_version
 from study.runner.tables import PROBLEM, Tables, on_mesh
@@ -156,6 +157,8 @@ def perform(document: Received) -> dict[str, object]:
 
 def solved(task: SolveTask) -> SolveResult:
     """Solve; what did not converge is a status."""
+    if External.of(task.tables) is not None:
+        return SolveResult("failed", "another program predicts here; this solves with ours alone")
     problem = problem_of(task.tables)
     load_compiled(problem)
     reset_peak()

@@ -76,7 +76,8 @@ def upcoming(
 def in_blocks(work: Work) -> list[CaseJob]:
     """List the cells whose specimen has no axis, in the first block of the study."""
     cells = meshed_cells(work)
-    return [job for job in cells if job.case.config["specimen"]["shape"] == "block"]
+    ours = [job for job in cells if "forward" not in job.case.config]
+    return [job for job in ours if job.case.config["specimen"]["shape"] == "block"]
 
 
 def _chosen(

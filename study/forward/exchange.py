@@ -1,0 +1,209 @@
+"""Files between this package and another program: the problem in JSON, the curve in CSV.
+
+``problem.json`` holds the resolved problem of one solution in mm, N and MPa. The program writes
+``curve.csv`` (``displacement_mm``, ``force_N``, and ``dforce_C10`` in N per MPa for a constant
+whose gradient it knows) and, if it likes, ``facts.json`` (``dofs``, ``elements``).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+
+from study.arrays import Array
+from study.canonical import Json, plain
+from study.curve import Curve
+from study.setup.section import values_of
+from study.setup.setup import Problem
+
+SCHEMA = 1
+PROBLEM_FILE = "problem.json"
+CURVE_FILE = "curve.csv"
+FACTS_FILE = "facts.json"
+DISPLACEMENT = "displacement_mm"
+FORCE = "force_N"
+GRADIENT = "dforce_"
+
+#: rows that a curve may have, and bytes of an answer: more is a mistake
+MAX_ROWS = 100_000
+MAX_BYTES = 20_000_000
+
+#: share of the displacement asked for that a curve may end before: digits of a text file
+_SHORT = 1e-6
+
+Text = Mapping[str, str]
+
+
+class NoAnswer(Exception):
+    """The program has no answer; carries the status of the record."""
+
+    def __init__(self, status: str, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a program found.
+
+    Parameters
+    ----------
+    curve : Curve
+        Forces at the displacements that were asked for, with the gradients that it knows.
+    dofs, elements : int
+        Of its mesh; 0 where it does not say.
+    """
+
+    curve: Curve
+    dofs: int = 0
+    elements: int = 0
+    gradients: tuple[str, ...] = field(default=())
+
+
+def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
+    """Document of a problem, complete in itself.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is simulated.
+    displacement_mm : ndarray, shape (n,)
+        Where the force is wanted, rising to the end of the test.
+
+    Returns
+    -------
+    dict
+        ``specimen``, ``test``, ``material`` (with ``mu0_MPa`` and ``bulk_modulus_MPa``, null for
+        an incompressible one), ``model`` (with ``mesh_size_mm``) and ``displacement_mm``.
+    """
+    material, test = problem.material, problem.test
+    bulk = material.bulk
+    indenter = None if test.indenter is None else _section(test.indenter)
+    return {
+        "schema": SCHEMA,
+        "specimen": _section(problem.specimen),
+        "test": {
+            "kind": test.kind,
+            "interface": test.interface,
+            "base": test.base,
+            "displacement_mm": float(displacement_mm[-1]),
+            "steps": test.steps,
+            "indenter": indenter,
+        },
+        "material": {
+            "model": material.model,
+            "constants_MPa": {k: float(v) for k, v in material.constants.items()},
+            "mu0_MPa": material.mu0,
+            "bulk_modulus_MPa": bulk if math.isfinite(bulk) else None,
+        },
+        "model": {**_section(problem.model), "mesh_size_mm": _mesh_size(problem)},
+        "displacement_mm": [float(d) for d in displacement_mm],
+    }
+
+
+def _section(value: object) -> dict[str, Json]:
+    words = {"shape": getattr(value, "shape", None)}
+    shaped = {k: v for k, v in words.items() if v is not None}
+    return cast("dict[str, Json]", plain({**shaped, **values_of(value)}))
+
+
+def _mesh_size(problem: Problem) -> float | None:
+    """Element size in mm that our own mesh would have."""
+    if problem.setup.has_no_elements:
+        return None
+    from study.fem.mesh.mesher import mesh_size
+
+    return float(mesh_size(problem.setup))
+
+
+def answer(files: Text, displacement_mm: Array) -> Answer:
+    """Read what a program wrote.
+
+    Parameters
+    ----------
+    files : mapping of str to str
+        Text of ``curve.csv`` and, where there is one, of ``facts.json``.
+    displacement_mm : ndarray, shape (n,)
+        Where the force is wanted.
+
+    Raises
+    ------
+    NoAnswer
+        If there is no curve, it is faulty, or it ends before the test does.
+    """
+    if CURVE_FILE not in files:
+        raise NoAnswer("failed", f"the program wrote no {CURVE_FILE}")
+    columns = _columns(files[CURVE_FILE])
+    facts = _facts(files.get(FACTS_FILE, "{}"))
+    return at_points(columns, displacement_mm, facts)
+
+
+def at_points(
+    columns: Mapping[str, Array], displacement_mm: Array, facts: Mapping[str, int]
+) -> Answer:
+    """Curve of some columns at the displacements asked for; raises :class:`NoAnswer`."""
+    reached, force = _checked(columns, float(displacement_mm[-1]))
+    known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
+    gradient = {name: between(reached, slope, displacement_mm) for name, slope in known.items()}
+    curve = Curve(displacement_mm, between(reached, force, displacement_mm),
+                  force_gradient=gradient)  # fmt: skip
+    return Answer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(known))
+
+
+def between(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin; the very values where points are asked for."""
+    from scipy.interpolate import CubicSpline
+
+    x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
+    places = np.minimum(at, x[-1])
+    if x.size < 3:
+        return np.asarray(np.interp(places, x, y))
+    return np.asarray(CubicSpline(x, y)(places))
+
+
+def _columns(text: str) -> dict[str, Array]:
+    rows = list(csv.reader(io.StringIO(text.lstrip("\ufeff"))))
+    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    if len(rows) < 2:
+        raise NoAnswer("failed", f"{CURVE_FILE} holds no rows below its header")
+    if len(rows) > MAX_ROWS:
+        raise NoAnswer("failed", f"{CURVE_FILE} has {len(rows)} rows, the limit is {MAX_ROWS}")
+    header = [cell.strip() for cell in rows[0]]
+    for name in (DISPLACEMENT, FORCE):
+        if header.count(name) != 1:
+            raise NoAnswer("failed", f"{CURVE_FILE} needs one column {name}, it has {header}")
+    if any(len(row) != len(header) for row in rows):
+        raise NoAnswer("failed", f"the rows of {CURVE_FILE} differ in length")
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise NoAnswer("failed", f"{CURVE_FILE}: {error}") from error
+    if not np.all(np.isfinite(table)):
+        raise NoAnswer("not-converged", f"{CURVE_FILE} holds a number that is not finite")
+    return dict(zip(header, table.T, strict=True))
+
+
+def _checked(columns: Mapping[str, Array], end_mm: float) -> tuple[Array, Array]:
+    d, force = columns[DISPLACEMENT], columns[FORCE]
+    if d.size == 0 or d[0] < 0 or np.any(np.diff(d) <= 0):
+        raise NoAnswer("failed", f"{DISPLACEMENT} of the program does not rise from 0 on")
+    if d[-1] < end_mm * (1 - _SHORT):
+        raise NoAnswer("not-converged", f"the curve ends at {d[-1]:g} mm of {end_mm:g} mm")
+    return d, force
+
+
+def _facts(text: str) -> dict[str, int]:
+    try:
+        found = json.loads(text)
+    except ValueError as error:
+        raise NoAnswer("failed", f"{FACTS_FILE}: {error}") from error
+    if not isinstance(found, dict):
+        raise NoAnswer("failed", f"{FACTS_FILE} must be an object")
+    return {k: v for k, v in found.items() if k in ("dofs", "elements") and type(v) is int}
