@@ -53,7 +53,7 @@ def test_a_case_task_comes_back_as_it_went(design: Design, one_mix: Path) -> Non
         pair.fit_key,
         result(),
     )
-    tables = {name: job.case.config[name] for name in PROBLEM}
+    tables = {name: job.case.config[name] for name in PROBLEM if name in job.case.config}
     task = CaseTask(
         case_frame(work, job), tables, job.forward, (direction,), Anchor("cell", {"C10": 0.1})
     )
