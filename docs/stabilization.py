@@ -7,11 +7,13 @@ mesh of quadratic tetrahedra, with the constants as they are, ten times larger, 
 from __future__ import annotations
 
 import argparse
+from unittest.mock import patch
 
 import numpy as np
 
 from study.fem.element.function_space import deformation_gradient
-from study.fem.solver import internal_force
+from study.fem.solver import system
+from study.fem.solver.internal_force import EVENNESS_OF_SOLIDS, LOCAL_BULK
 from study.fem.solver.solution import Solution
 from study.fem.solver.solve import solve
 from study.material.material import Material
@@ -51,18 +53,16 @@ def energies(found: Solution) -> tuple[float, float]:
 
 def row(name: str, mesh: str, change: str) -> str:
     """One line: force, and what each stabilization stores of the isochoric energy."""
-    by, usual = CHANGES[change], (internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS)
-    internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS = (
-        by[0] * usual[0],
-        by[1] * usual[1],
-    )
-    try:
+    local, even = CHANGES[change]
+    bound, kappa = local * LOCAL_BULK, even * EVENNESS_OF_SOLIDS
+    # where a system of equations reads them
+    with patch.multiple(system, LOCAL_BULK=bound, EVENNESS_OF_SOLIDS=kappa):
         found = solve(pressed(name, "3d", mesh), gradients=False)
-    finally:
-        internal_force.LOCAL_BULK, internal_force.EVENNESS_OF_SOLIDS = usual
-    local, uneven = (f"{100 * share:.4f} %" for share in energies(found))
+    if found.warm and found.warm.system.internal.local_bulk != bound:
+        raise RuntimeError("the change did not reach the equations")
+    stored, uneven = (f"{100 * share:.4f} %" for share in energies(found))
     state = f"{found.curve.force_N[-1]:.6f} N" if found.converged else found.message
-    return f"{name} | {mesh} | {change} | {state} | {local} | {uneven}"
+    return f"{name} | {mesh} | {change} | {state} | {stored} | {uneven}"
 
 
 if __name__ == "__main__":

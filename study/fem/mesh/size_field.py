@@ -48,6 +48,11 @@ _SHALLOW = 0.1
 #: are 0.94 % too stiff on the coarse mesh with 0.4, at 0.7 times the unknowns of 0.24, 0.31 %
 _FACE_GROWTH = 0.27
 
+#: depth over the radius of a face up to which tetrahedra grow so slowly. Deeper, the surface slips
+#: over the edge facet by facet, and only with the faster growth a neo-Hookean solid is known to
+#: reach the radius: the more facets there are, the more of them have to slip
+_SLIPPING = 0.5
+
 #: how much finer rings of hexahedra are across a sharp edge
 _RING_FINER = 3.0
 
@@ -235,7 +240,7 @@ def size_field(model: Model, contact: AroundContact, top_mm: float, extent_mm: f
     if indenter.has_face and (model.space, model.element_shape) == ("3d", "tensor"):
         reference = _of_rings(reference, contact)
     if (model.element_order, model.element_shape) == _STRETCHED:
-        reference = _quadratic_simplices(reference, indenter, model.space)
+        reference = _quadratic_simplices(reference, contact, model.space)
     if model.mesh_size_mm is not None:
         return reference.scaled(model.mesh_size_mm / reference.size_mm)
     return reference.scaled(mesh_level(model))
@@ -266,11 +271,13 @@ def _of_rings(field: SizeField, contact: AroundContact) -> SizeField:
     return replace(field, finest_mm=finest, growth=_FACE_GROWTH)
 
 
-def _quadratic_simplices(field: SizeField, indenter: Indenter, space: Space) -> SizeField:
+def _quadratic_simplices(field: SizeField, contact: AroundContact, space: Space) -> SizeField:
     """Sizes of quadratic triangles and tetrahedra, under a tip or around the edge of a face."""
+    indenter = contact.indenter
     if not indenter.has_face:
         return _under_tip(field, indenter.rounding_mm, _TIP_CORE[space])
-    return replace(field, growth=_FACE_GROWTH) if space == "3d" else field
+    slips = contact.depth_mm > _SLIPPING * indenter.contact_radius_mm(contact.depth_mm)
+    return field if slips or space == "axisymmetric" else replace(field, growth=_FACE_GROWTH)
 
 
 def _under_tip(field: SizeField, tip_mm: float, core: float) -> SizeField:
