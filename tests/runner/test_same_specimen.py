@@ -65,7 +65,7 @@ def _fit(work: Work, way: str, block: str) -> Fit:
 
 
 def _done(work: Work, job: FitJob) -> Fit:
-    start = None if job.start is None else _done(work, work.fits[job.start]).constants()
+    start = None if job.start is None else _done(work, job.start).constants()
     problem = job.problem
     names, first = fit_task.start_values(problem.tables, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
