@@ -49,11 +49,26 @@ create_environment() {
     "$python" -m venv --clear "$venv" || fail "$python could not create $venv"
 }
 
+# The versions of the lock file, each checked against its hash; they are those of one platform.
+locked() {
+    if [ "$("$venv/bin/python" -c 'import sys, platform; print(sys.platform, platform.machine(), "%d.%d" % sys.version_info[:2])')" != "linux x86_64 3.11" ]; then
+        echo "no lock file for this Python or platform: taking the versions that pyproject.toml allows" >&2
+        return 1
+    fi
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock &&
+        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --editable . && return
+    echo "the locked versions could not be installed: taking those that pyproject.toml allows" >&2
+    return 1
+}
+
 install_package() {
     extras=test
     case "$(uname -m)" in x86_64 | amd64) extras=fast,test ;; esac
     echo "installing study with its extras [$extras] into $venv (several hundred MB to download the first time)"
-    if "$venv/bin/python" -m pip install -qq --disable-pip-version-check --editable ".[$extras]"; then
+    if [ -z "${NEWEST:-}" ] && locked; then
+        return
+    fi
+    if "$venv/bin/python" -m pip install -qq --disable-pip-version-check ${NEWEST:+--upgrade --upgrade-strategy eager} --editable ".[$extras]"; then
         return
     fi
     [ "$extras" != test ] || fail "pip could not install the package; its reason stands above"
