@@ -15,11 +15,6 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-newest:
-	@NEWEST=1 sh scripts/setup.sh
-	@touch $(ready)
-	@$(MAKE) --no-print-directory test
-
 .PHONY: help setup newest demo test verify bench elements docs check lint format-check types layers generated doctests
 
 help:
@@ -31,6 +26,11 @@ setup: $(ready)
 $(ready): pyproject.toml requirements.lock scripts/setup.sh scripts/system_libraries.py
 	@sh scripts/setup.sh
 	@touch $@
+
+newest:
+	@NEWEST=1 sh scripts/setup.sh
+	@touch $(ready)
+	@$(MAKE) --no-print-directory test
 
 demo: $(ready)
 	@.venv/bin/study demo

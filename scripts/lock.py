@@ -54,7 +54,7 @@ def main() -> None:
     """Write the lock file."""
     rows = resolved("fast,test")
     version = ".".join(map(str, sys.version_info[:2]))
-    lines = [f"{name}=={number} \\\\\n    --hash=sha256:{sha}" for name, number, sha in rows]
+    lines = [f"{name}=={number} \\\n    --hash=sha256:{sha}" for name, number, sha in rows]
     head = HEAD.format(version=version, platform=f"{sys.platform} x86-64")
     LOCK.write_text(head + "\n".join(lines) + "\n", encoding="utf-8")
     print(f"{LOCK.name}: {len(rows)} packages")

@@ -55,10 +55,11 @@ locked() {
         echo "no lock file for this Python or platform: taking the versions that pyproject.toml allows" >&2
         return 1
     fi
-    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock &&
-        "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --editable . && return
-    echo "the locked versions could not be installed: taking those that pyproject.toml allows" >&2
-    return 1
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock ||
+        fail "the locked versions could not be installed, or a file is not the one that was locked; its reason
+    stands above. Versions that pyproject.toml allows, without hashes:  NEWEST=1 sh scripts/setup.sh"
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --editable . ||
+        fail "pip could not install the package itself; its reason stands above"
 }
 
 install_package() {
