@@ -5,6 +5,7 @@
 #   make bench    the speed comparisons
 #   make elements error of every element against unknowns and seconds: docs/elements.md
 #   make docs     the documentation site: docs/_build/index.html
+#   make newest   the test suite with the newest versions of all packages instead of the locked ones
 #   make check    the gates: style, types, layers, generated code, doctests
 
 PYTEST_WORKERS ?= 2
@@ -14,7 +15,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup demo test verify bench elements docs check lint format-check types layers generated doctests
+.PHONY: help setup newest demo test verify bench elements docs check lint format-check types layers generated doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -22,9 +23,14 @@ help:
 setup: $(ready)
 
 # The mark is written last, so that a set-up that was stopped is done again.
-$(ready): pyproject.toml scripts/setup.sh scripts/system_libraries.py
+$(ready): pyproject.toml requirements.lock scripts/setup.sh scripts/system_libraries.py
 	@sh scripts/setup.sh
 	@touch $@
+
+newest:
+	@NEWEST=1 sh scripts/setup.sh
+	@touch $(ready)
+	@$(MAKE) --no-print-directory test
 
 demo: $(ready)
 	@.venv/bin/study demo

@@ -49,11 +49,27 @@ create_environment() {
     "$python" -m venv --clear "$venv" || fail "$python could not create $venv"
 }
 
+# The versions of the lock file, each checked against its hash; they are those of one platform.
+locked() {
+    if [ "$("$venv/bin/python" -c 'import sys, platform; print(sys.platform, platform.machine(), "%d.%d" % sys.version_info[:2])')" != "linux x86_64 3.11" ]; then
+        echo "no lock file for this Python or platform: taking the versions that pyproject.toml allows" >&2
+        return 1
+    fi
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --require-hashes --only-binary :all: -r requirements.lock ||
+        fail "the locked versions could not be installed, or a file is not the one that was locked; its reason
+    stands above. Versions that pyproject.toml allows, without hashes:  NEWEST=1 sh scripts/setup.sh"
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --editable . ||
+        fail "pip could not install the package itself; its reason stands above"
+}
+
 install_package() {
     extras=test
     case "$(uname -m)" in x86_64 | amd64) extras=fast,test ;; esac
     echo "installing study with its extras [$extras] into $venv (several hundred MB to download the first time)"
-    if "$venv/bin/python" -m pip install -qq --disable-pip-version-check --editable ".[$extras]"; then
+    if [ -z "${NEWEST:-}" ] && locked; then
+        return
+    fi
+    if "$venv/bin/python" -m pip install -qq --disable-pip-version-check ${NEWEST:+--upgrade --upgrade-strategy eager} --editable ".[$extras]"; then
         return
     fi
     [ "$extras" != test ] || fail "pip could not install the package; its reason stands above"

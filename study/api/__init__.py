@@ -22,6 +22,7 @@ _HOME = {
     "report": "study.api.study",
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
+    "verify": "study.api.verification",
     "analyze": "study.api.statistics.analysis",
     "fit_surface": "study.api.statistics.response_surface",
     "contrasts": "study.api.statistics.analysis",

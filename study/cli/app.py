@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
-from study.cli import accuracy, haptics, power, single, statistics, studies
+from study.cli import accuracy, haptics, power, single, statistics, studies, verification
 from study.cli.output import complain
 from study.errors import StudyError
 
@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 VERBS = (
     *studies.VERBS,
+    *verification.VERBS,
     power.power,
     *statistics.VERBS,
     *single.VERBS,

@@ -183,6 +183,8 @@ def study(folder: Path, *words: str) -> subprocess.CompletedProcess:
     )  # fmt: skip
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_study_runs_programs_that_were_allowed_and_finds_the_built_in_constants(folder):
     refused = study(folder, "run", "design.toml", "--data", ".")
     assert refused.returncode == 3

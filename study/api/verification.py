@@ -1,0 +1,301 @@
+"""``study verify REPORT``: every number of a report once more, from the records alone.
+
+The report is written again into a folder of its own and compared with the one that stands: page,
+tables, figures and their data, number by number. The records are checked against their own sums,
+and a sample of cases can be solved again from nothing.
+"""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import math
+import re
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from study.api.folders import REPORTS, RESULTS, data_root, results_folder
+from study.api.opened_study import open_study
+from study.api.study import report
+from study.design.load import loads
+from study.errors import Fault, InputError
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.batch import run_batch
+from study.runner.expansion import expand
+from study.runner.fitting.external_model import Allowed
+
+#: relative difference of a response that was solved again: the tolerance of fit and solver
+SOLVED_AGAIN = 1e-5
+
+#: differences that are told one by one
+TOLD = 50
+
+_NUMBER = re.compile(r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+#: what the clock of a run said of its own statistics, which no record holds
+_CLOCK = re.compile(r", statistics [^,(<]*|\s*\(sum [^)]*\)")
+#: where the results lay when the report was written
+_PLACE = re.compile(r"(?<=study report )[^\s<]+")
+_TEXTS = (".html", ".csv", ".json", ".tex", ".gz")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One thing that is not what the records say."""
+
+    where: str
+    reported: str
+    recomputed: str
+
+
+@dataclass
+class Verification:
+    """What a report was found to hold.
+
+    Parameters
+    ----------
+    numbers : dict of str to int
+        Numbers that were compared, by kind: page, tables, figures, curves.
+    rounded : int
+        Lines whose numbers agree within the tolerance and not to the last digit.
+    records : int
+        Records whose sums were checked.
+    solved : int
+        Cases that were solved again.
+    differences : list of Difference
+        Everything that does not agree.
+    """
+
+    numbers: Counter[str] = field(default_factory=Counter)
+    rounded: int = 0
+    records: int = 0
+    solved: int = 0
+    differences: list[Difference] = field(default_factory=list)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing differs."""
+        return not self.differences
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study verify --json``."""
+        return {
+            "agrees": self.agrees,
+            "numbers": dict(self.numbers),
+            "numbers_total": self.numbers.total(),
+            "rounded": self.rounded,
+            "records": self.records,
+            "solved_again": self.solved,
+            "differences": [vars(one) for one in self.differences],
+        }
+
+
+def verify(
+    path: str | Path,
+    *,
+    results: Path = RESULTS,
+    reports: Path = REPORTS,
+    resolve: int = 0,
+    seed: int = 1,
+    data: str | Path | None = None,
+    allow_commands: bool | str = False,
+    tolerance: float = 0.0,
+) -> Verification:
+    """Compute every number of a report again.
+
+    Parameters
+    ----------
+    path : str or Path
+        Page or folder of the report, or name of the study.
+    results : Path
+        Folder of the results.
+    reports : Path
+        Folder of the reports, where ``path`` is a name.
+    resolve : int
+        Cases to be solved again from nothing, drawn at random.
+    seed : int
+        Of the draw.
+    data : str or Path, optional
+        Folder of the measurements, for the cases that are solved again.
+    allow_commands : bool or str
+        Whether programs that the design names may run then; see :func:`study.run`.
+    tolerance : float
+        Relative difference of a number that is passed over: the arithmetic of other versions of
+        the libraries needs 1e-9.
+
+    Returns
+    -------
+    Verification
+        What was compared, and every difference.
+
+    Raises
+    ------
+    InputError
+        If there is no report, or no results to compute it from.
+    """
+    page = _page(Path(path), reports)
+    folder = results_folder(page.parent.name, results)
+    found = Verification()
+    _check_records(folder, found)
+    _compare_report(page.parent, folder, found, tolerance)
+    if resolve > 0:
+        _solve_again(folder, found, resolve, seed, data, Allowed(allow_commands))
+    return found
+
+
+def _page(path: Path, reports: Path) -> Path:
+    """Page of a report, named by itself, by its folder, or by the study."""
+    if path.is_file():
+        return path.resolve()
+    for folder in (path, reports / path.name):
+        pages = sorted(folder.glob("*.html")) if folder.is_dir() else []
+        if len(pages) == 1:
+            return pages[0].resolve()
+    mend = "name a folder such as reports/NAME, or write the report: study report NAME"
+    raise InputError(Fault(str(path), "there is no page of a report there", mend))
+
+
+def _check_records(folder: Path, found: Verification) -> None:
+    """Compare every record with its own sum, and with the case that it was written for."""
+    warnings: list[str] = []
+    store = Store(folder, warn=warnings.append)
+    manifest = store.read_manifest()
+    if manifest is None:
+        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    for case_id, input_hash in manifest["cases"].items():
+        found.records += 1
+        record = store.read(case_id)
+        if record is None:
+            found.differences.append(Difference(f"record {case_id}", "damaged or missing", "whole"))
+        elif record.input_hash != input_hash:
+            found.differences.append(
+                Difference(f"record {case_id}: input", record.input_hash, input_hash)
+            )
+
+
+def _compare_report(home: Path, folder: Path, found: Verification, tolerance: float) -> None:
+    with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
+        formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
+        again = report(open_study(folder), reports=Path(place), formats=formats)
+        if again.report is None:
+            raise InputError(f"{folder}: {'; '.join(again.warnings)}")
+        fresh = again.report.parent
+        names = {p.relative_to(top) for top in (home, fresh) for p in _texts(top)}
+        for name in sorted(names):
+            if not (home / name).is_file() or not (fresh / name).is_file():
+                lost = "missing" if not (home / name).is_file() else "there"
+                made = "missing" if not (fresh / name).is_file() else "there"
+                found.differences.append(Difference(str(name), lost, made))
+                continue
+            lines = _lines(home / name), _lines(fresh / name)
+            _compare(str(name), *lines, found, tolerance)
+
+
+def _texts(folder: Path) -> Iterator[Path]:
+    return (p for p in folder.rglob("*") if p.suffix in _TEXTS and p.is_file())
+
+
+def _lines(path: Path) -> list[str]:
+    raw = path.read_bytes()
+    try:
+        text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8")
+    except (OSError, EOFError, UnicodeDecodeError) as error:
+        return [f"unreadable: {error}"]
+    lines = text.splitlines()
+    lines = [_CLOCK.sub("", line) if "<dt>time</dt>" in line else line for line in lines]
+    return [_PLACE.sub("", line) for line in lines]
+
+
+def _kind(name: str) -> str:
+    file = Path(name).name
+    if file.startswith("figure-"):
+        return "figures"
+    if file.startswith("curves"):
+        return "curves"
+    return "page" if file.endswith((".html", ".tex")) else "tables"
+
+
+def _compare(
+    name: str, old: Sequence[str], new: Sequence[str], found: Verification, tolerance: float
+) -> None:
+    kind = _kind(name)
+    for number, (first, second) in enumerate(itertools.zip_longest(old, new, fillvalue=""), 1):
+        numbers = _NUMBER.findall(second)
+        found.numbers[kind] += len(numbers)
+        if first == second:
+            continue
+        if tolerance > 0 and _rounding(first, second, numbers, tolerance):
+            found.rounded += 1
+            continue
+        reported, recomputed = _around(first, second)
+        found.differences.append(Difference(f"{name}: line {number}", reported, recomputed))
+
+
+def _rounding(first: str, second: str, numbers: Sequence[str], tolerance: float) -> bool:
+    """Whether two lines differ by the last digits of their numbers alone."""
+    others = _NUMBER.findall(first)
+    if _NUMBER.sub("#", first) != _NUMBER.sub("#", second) or len(others) != len(numbers):
+        return False
+    pairs = [(_value(a), _value(b)) for a, b in zip(others, numbers, strict=True)]
+    return all(math.isclose(a, b, rel_tol=tolerance, abs_tol=0.0) for a, b in pairs)
+
+
+def _value(text: str) -> float:
+    return float(text.replace("\u2212", "-"))
+
+
+def _around(first: str, second: str, width: int = 30) -> tuple[str, str]:
+    """Parts of two lines around the first place where they differ."""
+    same = next(
+        (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b),
+        min(len(first), len(second)),
+    )
+    begin = max(same - width, 0)
+    return first[begin : same + width].strip(), second[begin : same + width].strip()
+
+
+def _solve_again(
+    folder: Path,
+    found: Verification,
+    count: int,
+    seed: int,
+    data: str | Path | None,
+    allowed: Allowed,
+) -> None:
+    """Solve a sample of the cases in an empty store and compare their responses."""
+    store = Store(folder)
+    manifest = store.read_manifest()
+    if manifest is None:
+        return
+    design = loads(manifest["design"], manifest["source"])
+    work = expand(design, data_root(design.source, data), allowed)
+    kept = store.by_case(manifest["cases"])
+    known = [job for job in work.jobs if (r := kept.get(job.case.case_id)) and r.converged]
+    size = min(count, len(known))
+    drawn = sorted(np.random.default_rng(seed).choice(len(known), size, replace=False).tolist())
+    part = replace(work, jobs=tuple(known[k] for k in drawn))
+    with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
+        again = Store(Path(place))
+        run_batch(part, again, jobs=1)
+        fresh = again.by_case(part.input_hashes)
+    for job in part.jobs:
+        found.solved += 1
+        _compare_records(kept[job.case.case_id], fresh.get(job.case.case_id), found)
+
+
+def _compare_records(old: Record, new: Record | None, found: Verification) -> None:
+    """Compare the responses of a record with those of another solution; seconds are a clock."""
+    for name in old.responses:
+        first, second = old.value(name), None if new is None else new.value(name)
+        if name == "seconds" or first == second:
+            continue
+        if first is None or second is None or not math.isclose(
+            first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
+        ):  # fmt: skip
+            where = f"case {old.case_id} solved again: {name}"
+            found.differences.append(Difference(where, str(first), str(second)))

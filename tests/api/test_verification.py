@@ -1,0 +1,159 @@
+"""``study verify``: a digit changed anywhere in a report or its records is found."""
+
+import gzip
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from study import api
+
+DESIGN = """
+schema = 1
+[study]
+name = "verified"
+question = "Does the order matter?"
+[specimen]
+shape = "cylinder"
+radius = "14.5 mm"
+height = "25 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+[material]
+model = "reduced-polynomial"
+incompressible = true
+[calibration]
+method = "analytic"
+[measurements]
+file = "m.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+block = "specimen"
+points = 12
+range = ["1 %", "20 %"]
+[factors]
+material.order = [1, 2]
+[[response]]
+name = "relative_rms_force_error"
+practical = "1 pp"
+"""
+
+
+def measured() -> str:
+    rows = ["specimen,d,f"]
+    for block in range(3):
+        for k in range(21):
+            d = 5.2 * k / 20
+            stretch = 1 - d / 25
+            force = (stretch**-2 - stretch) * (7 + 0.5 * block) + 0.02 * math.sin(9 * d + block)
+            rows.append(f"s{block},{d!r},{force!r}")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("verified")
+    (folder / "design.toml").write_text(DESIGN)
+    (folder / "m.csv").write_text(measured())
+    found = api.run(
+        folder / "design.toml", data=folder, results=folder / "results",
+        reports=folder / "reports", jobs=1,
+    )  # fmt: skip
+    assert found.report is not None
+    return folder
+
+
+def changed_digit(text: str, pattern: str) -> str:
+    """Change the last digit of the first number that a pattern finds."""
+    place = re.search(pattern, text).end() - 1
+    digit = text[place]
+    assert digit.isdigit(), pattern
+    return text[:place] + str((int(digit) + 1) % 10) + text[place + 1 :]
+
+
+def test_an_untouched_report_agrees_on_another_machine_too(finished, tmp_path):
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(finished, moved)
+    done = subprocess.run(
+        [sys.executable, "-m", "study", "verify", "verified", "--json", "--resolve", "2",
+         "--data", "."],
+        cwd=moved, capture_output=True, text=True, timeout=300, check=False,
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    said = json.loads(done.stdout)
+    assert said["agrees"]
+    assert (said["records"], said["solved_again"], said["differences"]) == (6, 2, [])
+    # every cell of a figure's table was compared: the count is that of a plain count
+    csvs = (moved / "reports/verified").rglob("figure-*.csv")
+    number = r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+    counted = sum(len(re.findall(number, one.read_text())) for one in csvs)
+    assert said["numbers"]["figures"] == counted > 100
+
+
+def test_a_changed_digit_anywhere_is_found(finished, tmp_path):
+    moved = tmp_path / "touched"
+    shutil.copytree(finished, moved)
+    report = moved / "reports/verified"
+    data = report / "verified-data"
+    planted = {
+        "verified.html": (report / "verified.html", r"<td[^>]*>\d+\.\d+"),
+        "cases.csv": (data / "cases.csv", r"\d\.\d+"),
+        "figure": (next(iter(sorted(data.glob("figure-*cells.csv")))), r"\d\.\d+"),
+        "numbers.json": (data / "numbers.json", r"\d\.\d{3}"),
+    }
+    for path, pattern in planted.values():
+        path.write_text(changed_digit(path.read_text(), pattern))
+    packed = data / "curves.csv.gz"
+    with gzip.open(packed, "rt") as stream:
+        text = stream.read()
+    with gzip.open(packed, "wt") as stream:
+        stream.write(changed_digit(text, r"\d\.\d\d"))
+    found = api.verify("verified", results=moved / "results", reports=moved / "reports")
+    told = " ".join(one.where for one in found.differences)
+    assert not found.agrees
+    for name in (*planted, "curves.csv.gz"):
+        assert name in told, name
+    # in a sound report, each of these is one line
+    assert len(found.differences) == len(planted) + 1
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_a_record_that_was_edited_is_found_and_so_is_one_that_was_sealed_again(finished, tmp_path):
+    moved = tmp_path / "edited"
+    shutil.copytree(finished, moved)
+    record = sorted((moved / "results/verified/cases").glob("*/record.json"))[0]
+    record.write_text(changed_digit(record.read_text(), r'"value":\s*\d+\.\d+'))
+    found = api.verify("verified", results=moved / "results", reports=moved / "reports")
+    assert any(one.where == f"record {record.parent.name}" for one in found.differences)
+    shutil.copytree(finished / "results", moved / "results", dirs_exist_ok=True)
+    from study.record.record import Record
+    from study.record.store import Store
+
+    store = Store(moved / "results/verified")
+    old = store.read(record.parent.name)
+    responses = {name: {**one, "value": one["value"] * 1.01}
+                 for name, one in old.responses.items()}  # fmt: skip
+    forged = Record(**{**vars(old), "responses": responses})
+    with store.lock():
+        store.write(forged)
+    api.report(moved / "results/verified", reports=moved / "reports")
+    plain = api.verify("verified", results=moved / "results", reports=moved / "reports")
+    assert plain.agrees
+    again = api.verify(
+        "verified", results=moved / "results", reports=moved / "reports", resolve=6, data=moved
+    )
+    where = f"case {record.parent.name} solved again: "
+    assert {one.where for one in again.differences} == {where + name for name in responses}
+
+
+def test_a_report_that_is_not_there_is_refused_with_a_way_out(tmp_path):
+    with pytest.raises(Exception, match="study report NAME"):
+        api.verify("nothing", reports=tmp_path, results=tmp_path)
