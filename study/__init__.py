@@ -16,6 +16,7 @@ _LAZY = {
     "converge": "study.api",
     "report": "study.api",
     "fit_surface": "study.api",
+    "predict": "study.api",
     "contrasts": "study.api",
     "power": "study.api",
     "export": "study.api",

@@ -18,6 +18,7 @@ PUBLIC = {
     "calibrate",
     "analyze",
     "fit_surface",
+    "predict",
     "contrasts",
     "mixed_model",
     "converge",

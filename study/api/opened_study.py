@@ -12,6 +12,7 @@ from study.api.folders import RESULTS, results_folder
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import cross_validated, scored_on
+from study.api.statistics.study_surface import SEE_SURFACE, is_numeric, surfaces
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
 from study.design.spec import Design
@@ -49,11 +50,14 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)
-    warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused]
+    warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
+    fitted = surfaces(design, records, numerical)
+    warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
+    warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
     return StudyResult(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
-        spaces=tuple(store.read_rows("spaces")),
+        spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
     )  # fmt: skip
 
 
@@ -67,7 +71,10 @@ def _analyses(
         limit = threshold(response.practical)
         result, refused = None, ""
         try:
-            result = analyze_records(design, records, response, numerical)
+            if is_numeric(design):
+                refused = SEE_SURFACE
+            else:
+                result = analyze_records(design, records, response, numerical)
         except StudyError as error:
             refused = str(error)
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""

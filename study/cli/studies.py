@@ -211,7 +211,25 @@ def why(
         print(record.extra["traceback"])
 
 
-VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why)
+def predict(
+    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    at: Annotated[str, typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
+    response: Annotated[str | None, typer.Option(help="One response; all by default.")] = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Predict responses at settings that were not run, inside those that were."""
+    from study import api
+    from study.cli import surface_tables
+
+    found = api.predict(path, surface_tables.settings(at), response=response, results=results)
+    if as_json:
+        output.print_json({"predictions": [one.to_json() for one in found]})
+        return
+    surface_tables.print_predictions(found)
+
+
+VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why, predict)
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:
@@ -238,7 +256,7 @@ def _finish(study: StudyResult, as_json: bool) -> None:
 
 def _print_study(study: StudyResult) -> None:
     from study.api.assemble import report_data
-    from study.cli import report_tables
+    from study.cli import report_tables, surface_tables
 
     data = report_data(study, study.manifest.get("timings", {}))
     print(f"\n{study.design.name}: {output.counts(study.cases)}")
@@ -251,6 +269,9 @@ def _print_study(study: StudyResult) -> None:
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         output.warn([f"the verdict table could not be printed: {error}"])
+    for surface in study.surfaces:
+        if surface.found is not None:
+            surface_tables.print_fitted(surface)
     if study.beside is not None:
         print()
         for line in report_tables.beside_lines(study.beside):

@@ -11,11 +11,13 @@ from study.cli import output
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
+    from study.api.prediction import Predicted
     from study.api.statistics.response_surface import Surface
     from study.response_surface.extremes import Extreme
     from study.response_surface.quadratic.hypotheses import FTest
     from study.response_surface.quadratic.surface import QuadraticSurface
     from study.response_surface.result import SurfaceAnalysis
+    from study.study_result.response_surface import FittedSurface
 
 #: flags of `study analyze` that a surface has a use for
 USED = frozenset({"--response", "--block", "--practical", "--decimal"})
@@ -90,6 +92,48 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
     ]
     if faults:
         raise InputError(faults)
+
+
+def settings(text: str) -> dict[str, str]:
+    """Read ``thickness=3 mm,C10=5 kPa``.
+
+    Raises
+    ------
+    InputError
+        If a part has no equals sign, or a factor stands twice.
+
+    Examples
+    --------
+    >>> settings("specimen.height=3 mm, material.C10 = 5 kPa")
+    {'specimen.height': '3 mm', 'material.C10': '5 kPa'}
+    """
+    found: dict[str, str] = {}
+    for part in text.split(","):
+        name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
+        if not equals or not name or not value or name in found:
+            rule = f"cannot read {part.strip()!r}"
+            raise InputError(Fault("--at", rule, "write thickness='3 mm',C10='5 kPa', each once"))
+        found[name] = value
+    return found
+
+
+def print_predictions(found: Sequence[Predicted]) -> None:
+    """Print a row for every response."""
+    rows = [["Response", "Prediction", "95 % interval"]]
+    for one in found:
+        ends = f"{one.low[0]:.4g} to {one.high[0]:.4g}"
+        rows.append([one.response, f"{one.value[0]:.4g} {one.unit}".strip(), ends])
+    output.table(rows)
+
+
+def print_fitted(one: FittedSurface) -> None:
+    """Print the surface of a response of a study."""
+    if one.found is None:
+        return
+    at = ", ".join(f"{name} = {label}" for name, label in one.labels.items())
+    unit = f" in {one.unit}" if one.unit else ""
+    print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
+    print_surface(one.found)
 
 
 def print_surface(found: SurfaceAnalysis) -> None:

@@ -140,6 +140,8 @@ class Analysis:
         Tests that Holm's adjustment takes together: of one response, or of all.
     primary : tuple of str
         Terms declared before the run, which then are the family; all terms where it is empty.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        What is fitted over the factors that are ranges.
     """
 
     model: str | int | tuple[str, ...] = "full"
@@ -149,6 +151,7 @@ class Analysis:
     roles: tuple[tuple[str, str], ...] = ()
     family: str = "response"
     primary: tuple[str, ...] = ()
+    surface: str = "auto"
 
 
 @dataclass(frozen=True)

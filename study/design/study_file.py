@@ -227,6 +227,7 @@ class AnalysisTable:
     roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
     family: Annotated[str, Reads(choice("response", "study"))] = "response"
     primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
+    surface: Annotated[str, Reads(choice("auto", "quadratic", "emulator", "none"))] = "auto"
 
 
 @section

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,6 +72,10 @@ class SurfaceAnalysis:
     def kind(self) -> str:
         """Either ``quadratic`` or ``emulator``."""
         return "quadratic" if isinstance(self.model, QuadraticSurface) else "emulator"
+
+    def noted(self, *notes: str) -> SurfaceAnalysis:
+        """Copy with notes before its own."""
+        return replace(self, notes=(*notes, *self.notes))
 
     def predict(self, at: Mapping[str, ArrayLike]) -> Prediction:
         """Predict at settings that were not run, inside those that were.
@@ -215,7 +219,7 @@ def analysis_of_quadratic(found: QuadraticSurface) -> SurfaceAnalysis:
 
 
 def analysis_of_emulator(
-    found: Emulator | BlockedEmulator, practical: float | None
+    found: Emulator | BlockedEmulator, practical: float | None, u: float = 0.0
 ) -> SurfaceAnalysis:
     """Ask an emulator for all that its Q2 allows.
 
@@ -225,6 +229,8 @@ def analysis_of_emulator(
         Fitted to the runs.
     practical : float or None
         Smallest difference that matters, in the response's unit.
+    u : float
+        Bound of the numerical error of a difference, in the same unit.
     """
     k = len(found.runs.factors)
     rough_low, rough_high = extremes(found.value, k, 0.0)
@@ -241,7 +247,7 @@ def analysis_of_emulator(
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
         ranked = tuple(Sensitivity(names[j], ranks[j], None, None) for j in range(k))
         return SurfaceAnalysis(found, ranked, low, high, (note,))
-    ranges = found.ranges(practical)
+    ranges = found.ranges(practical, u)
     told = tuple(Sensitivity(names[j], ranks[j], indices[j], ranges[j]) for j in range(k))
     notes = [
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings"

@@ -12,6 +12,7 @@ from study.record.record import Record
 from study.record.table import is_repeat, table
 from study.study_result.comparison import document
 from study.study_result.report_data import ResponseAnalysis
+from study.study_result.response_surface import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +47,8 @@ class StudyResult:
         How far 3D and axisymmetric space differ on a cylinder.
     beside : Beside, optional
         Which of its conclusions hold in another study too.
+    surfaces : tuple of FittedSurface
+        What responses do over the factors that are ranges; empty where there are none.
     """
 
     design: Design
@@ -61,6 +64,7 @@ class StudyResult:
     validation: tuple[Mapping[str, Any], ...] = ()
     spaces: tuple[Mapping[str, Any], ...] = ()
     beside: Beside | None = None
+    surfaces: tuple[FittedSurface, ...] = ()
 
     @property
     def table(self) -> pd.DataFrame:
@@ -95,7 +99,7 @@ class StudyResult:
             for analysis in self.analyses
             if analysis.result is not None
             for row in analysis.result.verdicts()
-        ]
+        ] + [row for one in self.surfaces for row in one.verdicts]
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study run --json``."""
@@ -107,6 +111,8 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
+        if self.surfaces:
+            found["surfaces"] = [one.to_json() for one in self.surfaces]
         if self.beside is not None:
             found["beside"] = document(self.beside)
         return found

@@ -98,16 +98,44 @@ def fit_surface(
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
     runs, left_out = _runs(table, response, numeric, block)
-    kind = _chosen(runs) if surface == "auto" else surface
-    if kind == "quadratic":
-        found = analysis_of_quadratic(fit_quadratic(runs))
-        if practical is not None:
-            left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
-    else:
+    if surface == "emulator" or (surface == "auto" and _chosen(runs) == "emulator"):
         _announce(runs, announce)
-        model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
-        found = analysis_of_emulator(model, _difference(practical, runs.response))
-    return _with_notes(found, (*table.notes, *left_out))
+    elif practical is not None:
+        left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
+    found = fit_runs(runs, surface, _difference(practical, runs.response))
+    return found.noted(*table.notes, *left_out)
+
+
+def fit_runs(
+    runs: Runs, surface: str = "auto", practical: float | None = None, u: float = 0.0
+) -> SurfaceAnalysis:
+    """Fit runs by the surface that is asked for, or by the one that suits them.
+
+    Parameters
+    ----------
+    runs : Runs
+        Coded settings and responses.
+    surface : {"auto", "quadratic", "emulator"}
+        By itself an emulator for more than five factors, or settings that fill the box.
+    practical : float, optional
+        Smallest difference that matters, in the response's unit; an emulator judges by it.
+    u : float
+        Bound of the numerical error of a difference, in the same unit.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        The model, and what it says of every factor.
+
+    Raises
+    ------
+    RefusedError
+        If the runs cannot carry what is asked.
+    """
+    if (_chosen(runs) if surface == "auto" else surface) == "quadratic":
+        return analysis_of_quadratic(fit_quadratic(runs))
+    model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+    return analysis_of_emulator(model, practical, u)
 
 
 def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
@@ -120,12 +148,6 @@ def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
 def _difference(practical: float | str | None, response: Array) -> float | None:
     asked = threshold(practical)
     return None if asked is None else asked.on_scale(float(response.mean()), "none")
-
-
-def _with_notes(found: SurfaceAnalysis, notes: tuple[str, ...]) -> SurfaceAnalysis:
-    return SurfaceAnalysis(
-        found.model, found.sensitivity, found.smallest, found.largest, (*notes, *found.notes)
-    )
 
 
 def _chosen(runs: Runs) -> Literal["quadratic", "emulator"]:

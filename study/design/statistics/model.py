@@ -55,11 +55,14 @@ def analysis_from(
     for name, _ in table.roles or ():
         if name not in declared:
             faults.add("analysis.roles", f"no factor {shown(name)}", nearest(name[:80], declared))
+    if table.surface in ("quadratic", "emulator") and all(f.span is None for f in factors):
+        mend = 'write one as { low = "28 mm", high = "32 mm" }'
+        faults.add("analysis.surface", "no factor is a range", mend)
     for term in table.primary or ():
         noted(partial(_term, factors=declared), term, "analysis.primary", faults)
     return Analysis(
         model, table.type, table.error, table.alpha, table.roles or (), table.family,
-        table.primary or (),
+        table.primary or (), table.surface or "auto",
     )  # fmt: skip
 
 

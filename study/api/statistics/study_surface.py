@@ -1,0 +1,134 @@
+"""Surfaces over the numeric factors of a study's own runs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study import units
+from study.analysis.request import threshold
+from study.api.statistics.response_surface import fit_runs
+from study.errors import StudyError
+from study.record.table import is_repeat
+from study.response_surface.factors import NumericFactor, Runs
+from study.study_result.response_surface import FittedSurface
+
+if TYPE_CHECKING:
+    from study.analysis.convergence.grid_convergence import NumericalUncertainty
+    from study.design.spec import Design, Factor, Response
+    from study.record.record import Record
+
+#: kinds of a design whose settings are chosen for a surface
+_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol")
+
+#: what stands in the place of a table of levels
+SEE_SURFACE = "its factors are numbers: see the surface"
+
+
+def is_numeric(design: Design) -> bool:
+    """Whether a surface over the ranges of a design answers its question."""
+    ranged = any(factor.span is not None for factor in design.factors)
+    asked = design.analysis.surface
+    if not ranged or asked == "none":
+        return False
+    return asked != "auto" or design.scheme.kind in _FOR_SURFACES
+
+
+def surfaces(
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> tuple[FittedSurface, ...]:
+    """Fit every response of a design over its ranges, at every combination of the other levels.
+
+    A run without an answer is left out and said; it is never imputed.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Those that are computed; replicates are passed over.
+    numerical : sequence of NumericalUncertainty
+        What refinement found.
+    """
+    if not is_numeric(design):
+        return ()
+    others = [factor for factor in design.factors if factor.span is None]
+    own = [record for record in records if not is_repeat(record.extra)]
+    combinations = itertools.product(*(factor.labels for factor in others))
+    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in combinations]
+    return tuple(
+        _fitted(design, response, labels, own, _half_width(response.name, records, numerical))
+        for response in design.responses
+        for labels in places
+    )
+
+
+def settings_of(factor: Factor) -> dict[str, float]:
+    """Read the setting of every label of a range, in the unit of its span."""
+    settings = {level.label: level.settings[factor.name] for level in factor.levels}
+    return {
+        label: units.split(value)[0] if isinstance(value, str) else float(str(value))
+        for label, value in settings.items()
+    }
+
+
+def _half_width(
+    response: str, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> float | None:
+    """Largest half-width of a run: of its mesh where one was refined, and of its load steps."""
+    meshes = [row.u_num for row in numerical if row.response == response and row.u_num is not None]
+    if not meshes:
+        return None
+    steps = [record.responses[response].get("u_steps") or 0.0 for record in records
+             if response in record.responses]  # fmt: skip
+    return max(meshes) + max(steps, default=0.0)
+
+
+def _fitted(
+    design: Design,
+    response: Response,
+    labels: Mapping[str, str],
+    records: Sequence[Record],
+    half_width: float | None,
+) -> FittedSurface:
+    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+    good = [record for record in here if record.value(response.name) is not None]
+    # each of two settings may be off by its own bound
+    bound = None if half_width is None else 2.0 * half_width
+    practical = None
+    try:
+        runs = _runs(design, response.name, good, half_width)
+        limit = threshold(response.practical)
+        if limit is not None:
+            practical = limit.on_scale(float(runs.response.mean()), "none")
+        found = fit_runs(runs, design.analysis.surface, practical, bound or 0.0)
+        found = found.noted(*_left_out(len(here) - len(good)))
+    except StudyError as error:
+        return FittedSurface(
+            response.name, response.unit, None, str(error), labels, practical, bound
+        )
+    return FittedSurface(response.name, response.unit, found, "", labels, practical, bound)
+
+
+def _left_out(failed: int) -> tuple[str, ...]:
+    if not failed:
+        return ()
+    return (f"{failed} runs without an answer are left out; nothing is put in their place",)
+
+
+def _runs(
+    design: Design, response: str, records: Sequence[Record], half_width: float | None
+) -> Runs:
+    """Coded settings and responses; a numerical half-width is two standard uncertainties."""
+    ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
+    factors = tuple(NumericFactor(f.name, span.low, span.high) for f, span in ranged)
+    columns = []
+    for (factor, _), numeric in zip(ranged, factors, strict=True):
+        known = settings_of(factor)
+        settings = np.array([known[record.levels[factor.name]] for record in records])
+        columns.append(numeric.coded(settings))
+    values = np.array([record.value(response) for record in records], dtype=np.float64)
+    blocks = tuple(str(record.block) for record in records if record.block is not None)
+    u = None if half_width is None else np.full(values.size, half_width / 2.0)
+    return Runs(response, factors, np.column_stack(columns), values, blocks, u)
