@@ -224,7 +224,8 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
     grouped = known.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
     if log:
         grouped["mean"] = np.exp(grouped["mean"])
-    grouped["cell"] = cell_names(grouped, factors)
+    # where every case failed there is no row to join the levels of
+    grouped["cell"] = cell_names(grouped, factors) if len(grouped) else ""
     renamed = grouped.rename(columns={"count": "n"})
     return renamed.sort_values("mean", kind="stable").reset_index(drop=True)
 

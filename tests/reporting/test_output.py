@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,9 @@ def test_writes_page_and_data_beside(tmp_path: Path, data: ReportData, html: str
     names = {path.name for path in beside.iterdir()}
     assert {"numbers.json", "cases.csv", "table-verdicts.csv", "figure-curves.csv"} <= names
     assert not [name for name in names if name.endswith(".part")]
+    linked = set(re.findall(r'href="ecoflex-compression-data/([^"]+)"', html))
+    assert "figure-curves.svg" in linked
+    assert linked <= names
     numbers = json.loads((beside / "numbers.json").read_text())
     assert set(numbers["responses"]) == {"relative_rms_force_error", "mu0"}
     assert len(pd.read_csv(beside / "cases.csv")) == 288

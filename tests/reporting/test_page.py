@@ -13,7 +13,15 @@ import pytest
 from study.reporting import numbers
 from study.reporting.content import checks, sentences, tables
 from study.reporting.figure import interactions
-from study.reporting.output.page import Contents, build, missing, prepare, render
+from study.reporting.output.page import (
+    Contents,
+    build,
+    missing,
+    policy_hash,
+    prepare,
+    render,
+    table_script,
+)
 from study.reporting.report import cells, comparable, facts
 from study.study_result.report_data import Check, Failure, ReportData, ResponseAnalysis
 from tests.reporting.example import FACTORS, with_failures
@@ -84,14 +92,45 @@ def parsed(html: str) -> Collector:
     return collector
 
 
+def only_our_script(html: str) -> bool:
+    """Whether the page has one script, the shipped one, and its policy allows no other."""
+    script = table_script()
+    policy = f"script-src '{policy_hash(script)}';"
+    return re.findall(r"<script.*?</script>", html, re.S | re.I) == [
+        f"<script>{script}</script>"
+    ] and (policy in html and html.lower().count("<script") == 1)
+
+
+def is_local(link: str) -> bool:
+    """Whether a link leads to this page, or to a file in the folder of its data."""
+    return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+", link))
+
+
+def test_a_second_script_would_be_found(html: str):
+    assert only_our_script(html)
+    assert not only_our_script(html.replace("</main>", "<script>alert(1)</script></main>"))
+    assert not only_our_script(html.replace("LONG = 12", "LONG = 13"))
+    assert not is_local("javascript:alert(1)")
+
+
+def test_an_unfinished_study_says_so_at_the_top(data: ReportData):
+    assert "Unfinished study" not in build(data)
+    half = replace(data, table=data.table.iloc[: len(data.table) // 2])
+    page = build(half)
+    # 288 cases: 4 x 2 x 2 x 2 cells of 9 phantoms
+    assert "144 of 288 cases have ended" in page
+    assert page.index("Unfinished study") < page.index('id="answer"')
+
+
 def test_sections_stand_in_the_order_of_the_design(html: str):
     assert re.findall(r'<section id="([^"]+)"', html) == SECTIONS
 
 
 def test_page_is_self_contained_and_small(html: str):
     page = parsed(html)
-    assert not page.tags & {"script", "link", "img", "iframe", "object", "embed", "image"}
-    assert all(link.startswith("#") for link in page.links)
+    assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
+    assert only_our_script(html)
+    assert all(is_local(link) for link in page.links)
     assert not [name for name in page.attributes if name.startswith("on")]
     assert "default-src 'none'" in html
     assert "@import" not in html
@@ -104,7 +143,7 @@ def test_page_is_self_contained_and_small(html: str):
 def test_ids_are_unique_and_links_lead_somewhere(html: str):
     page = parsed(html)
     assert len(page.ids) == len(set(page.ids))
-    assert {link[1:] for link in page.links} <= set(page.ids)
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
 
 
 def test_no_number_is_longer_than_a_reader_can_use(html: str):
@@ -341,9 +380,10 @@ def hostile(data: ReportData, evil: str) -> ReportData:
 def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str):
     page = build(hostile(data, evil))
     seen = parsed(page)
-    assert not seen.tags & {"script", "img", "iframe", "link"}
+    assert not seen.tags & {"img", "iframe", "link"}
+    assert only_our_script(page)
     assert not [name for name in seen.attributes if name.startswith("on")]
-    assert all(link.startswith("#") for link in seen.links)
+    assert all(is_local(link) for link in seen.links)
     assert not re.search("[\x00-\x08\u202a-\u202e]", page)
     shown = re.sub("[\x00\u202e]", "\ufffd", evil)
     assert shown in "".join(seen.text)

@@ -75,7 +75,7 @@ def _of_response(rows: Sequence[Conclusion], beside: Beside, labels: Labels) -> 
               for row in told if row.conclusion == comparison.ONE_CANNOT_TELL]  # fmt: skip
     never = [_term(row, labels) for row in told if row.conclusion == comparison.NONE_CAN_TELL]
     if never:
-        parts.append(f"whether {listing(never, 'or')} matters neither of them can tell")
+        parts.append(f"neither study can show whether {listing(never, 'or')} matters")
     text = f"for the {response_of(rows[0], labels)}, {'; '.join(parts)}" if parts else ""
     return sentence(f"{text}{_interactions(rows, labels)}") if text else ""
 

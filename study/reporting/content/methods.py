@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from study.reporting.content.verdicts import practical
-from study.reporting.numbers import TIMES, clean, count, listing, name_of, plural_of, sentence
+from study.reporting.numbers import (
+    TIMES,
+    clean,
+    count,
+    level,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+)
 from study.reporting.report import Facts, grouped_inputs
 from study.study_result.report_data import ReportData
 
@@ -16,10 +25,10 @@ _SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
     """Return the methods paragraph: design, measurements, scoring, statistics, software."""
-    parts = [_design(data), _measurements(data), _inputs(data)]
+    parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]
-    parts += [_checks(found), _numerics(data, found), _software(data)]
+    parts += [_intervals(data, found), _checks(found), _numerics(data, found), _software(data)]
     return " ".join(part for part in parts if part)
 
 
@@ -39,6 +48,39 @@ def _design(data: ReportData) -> str:
     total = data.planned + len(data.exclusions)
     left_out = f"; {count(len(data.exclusions), 'combination')} excluded" if data.exclusions else ""
     return sentence(f"a full factorial of {named} gave {count(total, 'cell')}{blocks}{left_out}")
+
+
+def _cases(data: ReportData) -> str:
+    """Say how many cases there were and how many of them failed, which are left out."""
+    planned = data.planned * max(len(data.blocks), 1)
+    ended, failed = len(data.table), len(data.failures)
+    text = f"of {count(planned, 'case')} {ended:,} were computed" if ended < planned else ""
+    if not text:
+        text = f"{count(ended, 'case')} {'was' if ended == 1 else 'were'} computed"
+    if not failed:
+        return sentence(f"{text}, and none failed")
+    kinds = listing(sorted({clean(item.status) for item in data.failures}))
+    return sentence(f"{text}; {failed:,} failed ({kinds}) and had no response")
+
+
+def _scores(data: ReportData) -> str:
+    """Say which curves gave constants and which judged them, and how constants were fitted."""
+    said = dict.fromkeys(one.scored_on for one in data.responses if one.scored_on)
+    if not said:
+        return ""
+    fitted = ""
+    if data.fits:
+        fitted = "constants were fitted by least squares (Levenberg-Marquardt within bounds); "
+    return sentence(f"{fitted}predictions were scored on {listing([clean(one) for one in said])}")
+
+
+def _intervals(data: ReportData, found: Sequence[Facts]) -> str:
+    if not any(effect.low is not None for facts in found for effect in facts.terms):
+        return ""
+    return sentence(
+        f"intervals have a level of {level(data.alpha)} and, over the differences of one effect, "
+        "hold simultaneously; p-values were adjusted by Holm's method"
+    )
 
 
 def _levels(levels: Sequence[str]) -> str:
@@ -84,7 +126,7 @@ def _statistics(facts: Facts, data: ReportData) -> str:
         if any(row.epsilon_gg is not None for row in facts.rows)
         else "the interactions with the blocks were pooled as error",
         "E0": "the pooled variance of independent replicates was the error",
-        "E7": "no test was made, for want of an error term",
+        "E7": "no test was made, because there is no error term",
     }.get(source, f"the error term was {source}")
     limit = next((practical(e, facts) for e in facts.effects if e.practical is not None), "")
     what = "ratio" if facts.ratio else "difference"

@@ -47,6 +47,8 @@ _SOURCES = {
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
     """Sentences that answer the study's question: what matters, what does not, so what."""
     if not any(facts.terms for facts in found):
+        if data.failures and len(data.failures) >= len(data.table):
+            return _all_failed(data.failures)
         return ("No response could be analyzed; the reasons stand below.",)
     first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
     said = (
@@ -59,6 +61,20 @@ def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
     return tuple(text for text in said if text)
 
 
+def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
+    """Say that there is nothing to compare, what the solver said, and where to look."""
+    said: dict[str, int] = {}
+    for item in items:
+        said[item.message or item.status] = said.get(item.message or item.status, 0) + 1
+    message, number = max(said.items(), key=lambda one: one[1])
+    every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
+    return (
+        f"{every}, so there is nothing to compare.",
+        f"What {number:,} of {len(items):,} reported: {clean(message, 300)}",
+        f"The command study why {clean(items[0].case_id)} explains the first one.",
+    )
+
+
 def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
     gone: dict[str, None] = {}
@@ -66,7 +82,7 @@ def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
         own = [str(level) for level in data.factors.get(effect.term, ())]
         if effect.levels and set(effect.levels) < set(own):
             gone.update(dict.fromkeys(clean(o) for o in own if o not in effect.levels))
-    return [f"Left out, for want of answers: {listing(list(gone))}."] if gone else []
+    return [f"Left out, because most of their cases failed: {listing(list(gone))}."] if gone else []
 
 
 def _which(data: ReportData, facts: Facts) -> str:
@@ -221,7 +237,10 @@ def would_change(data: ReportData, found: Sequence[Facts]) -> str:
         names = listing([name_of(key, data.labels) for key in data.assumed])
         parts.append(f"a measured value of what is assumed here ({names}) could move every result")
     if data.failures:
-        parts.append(f"{count(len(data.failures), 'failed case')} may hide an effect")
+        hidden = (
+            "may hide an effect" if len(data.failures) < len(data.table) else "hide every effect"
+        )
+        parts.append(f"{count(len(data.failures), 'failed case')} {hidden}")
     if data.virtual:
         parts.append("real measurements would, since these were generated")
     if not parts:
@@ -325,6 +344,28 @@ def distinct(facts: Facts, data: ReportData) -> str:
     return (
         f"Of {count(total, 'cell')} only {only}: the others agree with one of them in every "
         f"{clean(data.block) or 'block'}. Tests of the residuals use one cell of each."
+    )
+
+
+def partial(data: ReportData) -> str:
+    """Say how much of a study is done, for the top of its page; empty where all of it is.
+
+    Parameters
+    ----------
+    data : ReportData
+        Rows of its table are the cases that ended, failed ones included.
+
+    Returns
+    -------
+    str
+        One or two sentences.
+    """
+    planned = data.planned * max(len(data.blocks), 1)
+    if len(data.table) >= planned:
+        return ""
+    return (
+        f"{len(data.table):,} of {count(planned, 'case')} have ended. Everything below holds for "
+        "these alone and may change; run the study again to compute the others."
     )
 
 

@@ -134,9 +134,9 @@ def _recommendation(data: ReportData, item: Facts) -> str:
 def build(context: ReportData) -> str:
     """Return the report as one HTML document.
 
-    Nothing is loaded from anywhere: styles and drawings are inline, there is no script, and
-    the content security policy forbids all else. Every text that came from a user is escaped
-    by the templates.
+    Nothing is loaded from anywhere: styles and drawings are inline, and the content security
+    policy allows no script but the one that sorts tables, by its hash. Every text that came from a
+    user is escaped by the templates.
     """
     return render(prepare(context))
 
@@ -145,9 +145,14 @@ def render(contents: Contents) -> str:
     """Return the HTML of computed contents."""
     environment = _environment()
     data = contents.data
+    script = table_script()
     text: str = environment.get_template("page.html.j2").render(
         c=contents,
         data=data,
+        beside=f"{registry.slug(data.name)}-data",
+        script=script,
+        script_hash=policy_hash(script),
+        partial=sentences.partial(data),
         answer=(
             *sentences.answer(data, contents.found),
             *comparison.answer_lines(data.beside, data.labels),
@@ -171,6 +176,37 @@ def render(contents: Contents) -> str:
     )
     # control and direction characters are no markup, yet no document may hold them
     return clean(text)
+
+
+def table_script() -> Markup:
+    """Return the script that sorts and searches tables, as it stands in the page."""
+    from importlib.resources import files
+
+    from markupsafe import Markup
+
+    text = (files("study.reporting") / "templates" / "tables.js").read_text(encoding="utf-8")
+    # a file of this package, without a word of a user
+    return Markup(text)  # noqa: S704
+
+
+def policy_hash(script: str) -> str:
+    """Return the source expression that lets a page run this script alone.
+
+    Parameters
+    ----------
+    script : str
+        Text between the tags.
+
+    Returns
+    -------
+    str
+        ``sha256-`` and the digest, as a content security policy wants it.
+    """
+    import base64
+    import hashlib
+
+    digest = hashlib.sha256(script.encode()).digest()
+    return f"sha256-{base64.b64encode(digest).decode()}"
 
 
 def _planned(data: ReportData, present: int) -> str:

@@ -63,6 +63,8 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     for figure in contents.all_figures:
         if figure.data is not None:
             _replace(beside / f"figure-{figure.name}.csv", of_frame(figure.data))
+        if figure.svg:
+            _replace(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in asked or "pdf" in asked:
         _replace(html, render(contents))
@@ -271,6 +273,7 @@ def print_page(page: Path, out: Path) -> None:
             "--disable-component-update",
             "--disable-sync",
             "--no-pdf-header-footer",
+            "--generate-pdf-document-outline",
             f"--user-data-dir={profile}",
             f"--print-to-pdf={out}",
         ]

@@ -1,0 +1,117 @@
+"""The language of a report: plain order, no riddles, and numbers that are those of the data."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from study.reporting.content import methods, sentences
+from study.reporting.output.page import build
+from study.reporting.report import facts
+from study.study_result.report_data import Failure, ReportData
+from tests.reporting.example import unreplicated
+
+#: what no sentence of a report says, and what it says instead
+NOT_USED = {
+    r"\bwhether [\w× -]+ matters (these|neither)": "These data cannot show whether X matters",
+    r"\bof them can tell\b": "neither study can show",
+    r"\bfor want of\b": "because there is no ...",
+    r"\bin lieu of\b": "instead of",
+    r"\bheretofore|thereof|wherein|whereby|hitherto\b": "a sentence of its own",
+    r"\bsignificant(ly)?\b": "the difference, its interval and what matters",
+    r"\butili[sz]e": "use",
+    r"\bobviously|clearly|of course\b": "nothing",
+    r"\bproves?\b": "shows",
+    r"\bnan\b|\bNone\b(?!: )|\binf\b": "a dash, or what is missing",
+}
+
+
+class Words(HTMLParser):
+    """Text of a page without its style, script and drawings."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.parts: list[str] = []
+        self.skipped = 0
+
+    def handle_starttag(self, tag, attrs):
+        self.skipped += tag in ("style", "script", "svg")
+
+    def handle_endtag(self, tag):
+        self.skipped -= tag in ("style", "script", "svg")
+
+    def handle_data(self, data):
+        if not self.skipped:
+            self.parts.append(data)
+
+
+def words(html: str) -> str:
+    reader = Words()
+    reader.feed(html)
+    return re.sub(r"\s+", " ", " ".join(reader.parts))
+
+
+def breaches(text: str) -> list[str]:
+    return [f"{rule}: write {better}" for rule, better in NOT_USED.items() if re.search(rule, text)]
+
+
+def test_no_sentence_has_a_word_that_is_not_used(html: str):
+    assert breaches(words(html)) == []
+    assert breaches(words(build(unreplicated()))) == []
+
+
+def test_the_list_of_words_finds_a_breach():
+    assert breaches("whether material matters these data cannot tell")
+    assert breaches("a significant effect")
+    assert not breaches("These data cannot show whether material matters.")
+
+
+def all_failed(data: ReportData) -> ReportData:
+    gone = {one.name: np.nan for one in data.responses}
+    table = data.table.assign(status="diverged", **gone)
+    levels = {name: own[0] for name, own in data.factors.items()}
+    failed = tuple(
+        Failure(str(case), levels, "b", "diverged", "no equilibrium beyond 0.4 mm")
+        for case in table["case_id"]
+    )
+    refused = tuple(
+        replace(one, result=None, refused="every case failed") for one in data.responses
+    )
+    return replace(data, table=table, responses=refused, failures=failed, curves=(), fits=())
+
+
+def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
+    page = words(build(all_failed(data)))
+    assert "All 288 cases failed, so there is nothing to compare." in page
+    assert "What 288 of 288 reported: no equilibrium beyond 0.4 mm" in page
+    assert "Nothing can be recommended" in page
+    assert f"study why {data.table['case_id'].iloc[0]}" in page
+    assert breaches(page) == []
+
+
+@pytest.mark.parametrize(("rows", "failed"), [(288, 0), (288, 3), (100, 2)])
+def test_the_methods_count_the_cases(data: ReportData, rows: int, failed: int):
+    levels = {name: own[0] for name, own in data.factors.items()}
+    some = tuple(Failure(str(k), levels, "b", "diverged") for k in range(failed))
+    text = methods.paragraph(replace(data, table=data.table.iloc[:rows], failures=some), ())
+    counts = [
+        int(number) for number in re.findall(r"\b(288|100|3|2)\b (?=cases|were|failed)", text)
+    ]
+    expected = ([288] if rows == 288 else [288, 100]) + ([failed] if failed else [])
+    assert counts == expected
+    assert ("none failed" in text) == (failed == 0)
+
+
+def test_a_whole_study_is_not_called_unfinished(data: ReportData):
+    assert sentences.partial(data) == ""
+    assert "1 of 288 cases" in sentences.partial(replace(data, table=data.table.iloc[:1]))
+
+
+def test_the_methods_say_level_and_fit(data: ReportData):
+    text = methods.paragraph(data, facts(data)).replace("\N{NO-BREAK SPACE}", " ")
+    assert "95 %" in text
+    assert "90 %" in methods.paragraph(replace(data, alpha=0.1), facts(data)).replace("\xa0", " ")
