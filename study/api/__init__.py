@@ -25,7 +25,7 @@ _HOME = {
     "verify": "study.api.verification",
     "analyze": "study.api.statistics.analysis",
     "fit_surface": "study.api.statistics.response_surface",
-    "predict": "study.api.prediction",
+    "predict": "study.api.statistics.prediction",
     "contrasts": "study.api.statistics.analysis",
     "anova": "study.analysis.anova",
     "mixed_model": "study.analysis.error.mixed_model",

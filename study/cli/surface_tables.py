@@ -11,7 +11,7 @@ from study.cli import output
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from study.api.prediction import Predicted
+    from study.api.statistics.prediction import Predicted
     from study.api.statistics.response_surface import Surface
     from study.response_surface.extremes import Extreme
     from study.response_surface.quadratic.hypotheses import FTest
