@@ -97,12 +97,15 @@ def against_a_quarter(disc: Surface, size: float, order: str) -> float:
     return whole / (POLYGON * quarter) - 1
 
 
-@pytest.mark.parametrize(("order", "apart"), [("linear", 0.015), ("quadratic", 0.003)])
+@pytest.mark.parametrize(
+    ("order", "size", "apart"),
+    [("linear", 3.6, 0.015), ("linear", 2.5, 0.012), ("quadratic", 2.5, 0.003)],
+)
 def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
-    disc: Surface, order: str, apart: float
+    disc: Surface, order: str, size: float, apart: float
 ) -> None:
-    # measured at 2.5 mm: 1.3 % and 0.2 %; with elements of one size it was 7.5 % and 0.5 %
-    assert abs(against_a_quarter(disc, 2.5, order)) < apart
+    # measured: 0.8, 0.9 and 0.1 %; with elements of one size it was 7.5 % and 0.5 % at 2.5 mm
+    assert abs(against_a_quarter(disc, size, order)) < apart
 
 
 @pytest.mark.slow
@@ -110,8 +113,8 @@ def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
 def test_smaller_sizes_bring_whole_and_quarter_together(disc: Surface) -> None:
     found = [against_a_quarter(disc, size, "linear") for size in (3.4, 2.5, 1.8)]
     print([f"{100 * gap:.2f} %" for gap in found])
-    assert 0 < found[2] < found[1] < found[0] < 0.03
-    assert found[2] < 0.012
+    assert 0 < found[2] < found[1] < found[0] < 0.015
+    assert found[2] < 0.008
 
 
 def test_plates_that_differ(block: Surface) -> None:
