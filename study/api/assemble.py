@@ -79,7 +79,15 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         roles=design.roles,
         expected=design.expected,
         beside=study.beside,
+        surfaces=study.surfaces,
+        ranges=_ranges(study),
     )
+
+
+def _ranges(study: StudyResult) -> dict[str, str]:
+    """Write the ends of the factors that are numbers, where surfaces answer the question."""
+    spans = {f.name: f.span for f in study.design.factors if f.span is not None and study.surfaces}
+    return {name: f"{s.low:g} to {s.high:g} {s.unit}".strip() for name, s in spans.items()}
 
 
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
@@ -247,7 +255,7 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
         consequence,
     )
-    if study.design.scheme.aliases:
+    if study.design.scheme.aliases and not study.surfaces:
         yield _told_apart(study.design)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
     from study.study_result.comparison import Beside
+    from study.study_result.response_surface import FittedSurface
 
 
 #: level of a factor that a fit does not depend on
@@ -289,6 +290,10 @@ class ReportData:
         What was expected before the study ran.
     beside : Beside, optional
         What another study says of the same conclusions.
+    surfaces : tuple of FittedSurface
+        What responses do over the factors that are ranges.
+    ranges : mapping of str to str
+        Ends of those factors with their unit, in place of a list of levels.
     """
 
     name: str
@@ -326,6 +331,8 @@ class ReportData:
     roles: Mapping[str, str] = field(default_factory=dict)
     expected: tuple[Expected, ...] = ()
     beside: Beside | None = None
+    surfaces: tuple[FittedSurface, ...] = ()
+    ranges: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def planned(self) -> int:

@@ -28,6 +28,8 @@ class FittedSurface:
         Smallest difference that matters, in the response's unit.
     bound : float, optional
         Bound of the numerical error of a difference of two settings, in the same unit.
+    units : mapping of str to str
+        Units of the factors that are numbers.
     """
 
     response: str
@@ -37,6 +39,7 @@ class FittedSurface:
     labels: Mapping[str, str] = field(default_factory=dict)
     practical: float | None = None
     bound: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdicts(self) -> list[dict[str, object]]:

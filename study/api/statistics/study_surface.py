@@ -97,6 +97,7 @@ def _fitted(
     # each of two settings may be off by its own bound
     bound = None if half_width is None else 2.0 * half_width
     practical = None
+    told = {f.name: f.span.unit for f in design.factors if f.span is not None}
     try:
         runs = _runs(design, response.name, good, half_width)
         limit = threshold(response.practical)
@@ -106,9 +107,9 @@ def _fitted(
         found = found.noted(*_left_out(len(here) - len(good)))
     except StudyError as error:
         return FittedSurface(
-            response.name, response.unit, None, str(error), labels, practical, bound
+            response.name, response.unit, None, str(error), labels, practical, bound, told
         )
-    return FittedSurface(response.name, response.unit, found, "", labels, practical, bound)
+    return FittedSurface(response.name, response.unit, found, "", labels, practical, bound, told)
 
 
 def _left_out(failed: int) -> tuple[str, ...]:

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import NOT_RESOLVED
-from study.reporting.content import sentences, verdicts
+from study.reporting.content import sentences, surfaces, verdicts
 from study.reporting.content.verdicts import shown_difference
 from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts
+from study.response_surface.emulator.emulator import GIVEN, RANKED
 from study.study_result.report_data import Check, ReportData
+from study.study_result.response_surface import FittedSurface
 
 _ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
 
@@ -65,8 +67,9 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
                 _resolution(facts, data),
                 *_fragile(facts, data),
             ]
-        else:
+        elif not data.surfaces:
             made.append(_not_analyzed(facts))
+    made += [_surface(one, data) for one in data.surfaces]
     return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
 
 
@@ -75,6 +78,18 @@ def _of_cases(data: ReportData) -> list[Check]:
         return []
     finding = sentences.failures(data.failures, len(data.table))
     return [Check("Failed cases", "caution", finding, "See the failure map.")]
+
+
+def _surface(one: FittedSurface, data: ReportData) -> Check:
+    """Whether a surface predicts runs that it has not seen."""
+    name, of = "Surface predicts runs left out", surfaces.title(one, data)
+    if one.found is None:
+        return Check(name, "fail", clean(one.refused), "No verdict for this response.", of)
+    found = surfaces.quality(one.found)
+    if found >= GIVEN:
+        return Check(name, "pass", surfaces.accuracy(one), of=of)
+    outcome = "caution" if found >= RANKED else "fail"
+    return Check(name, outcome, surfaces.accuracy(one), "Add runs.", of)
 
 
 def _not_analyzed(facts: Facts) -> Check:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from study.reporting.content import surfaces
 from study.reporting.content.verdicts import practical
 from study.reporting.numbers import (
     TIMES,
@@ -28,6 +29,7 @@ def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
     parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]
+    parts += [surfaces.method(one, data) for one in data.surfaces]
     parts += [_intervals(data, found), _checks(found), _numerics(data, found), _software(data)]
     return " ".join(part for part in parts if part)
 
@@ -35,7 +37,7 @@ def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
 def _design(data: ReportData) -> str:
     named = listing(
         [
-            f"{name_of(name, data.labels)} ({_levels(levels)})"
+            f"{name_of(name, data.labels)} ({data.ranges.get(name) or _levels(levels)})"
             for name, levels in data.factors.items()
         ]
     )

@@ -16,12 +16,13 @@ from study.reporting.content import (
     methods,
     recommendation,
     sentences,
+    surfaces,
     tables,
     verdicts,
 )
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import verdict
-from study.reporting.figure import registry, validation
+from study.reporting.figure import registry, response_surfaces, validation
 from study.reporting.figure.registry import Figure
 from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
 from study.reporting.report import Facts, facts, grouped_inputs
@@ -30,6 +31,8 @@ from study.study_result.report_data import FITTED_CURVE, ReportData, ResponseAna
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
+
+    from study.study_result.response_surface import FittedSurface
 
 _NO_FIGURE = "was not drawn"
 _VERSION = "version of "
@@ -51,6 +54,19 @@ class Section:
 
 
 @dataclass(frozen=True)
+class SurfaceSection:
+    """Everything the page shows about one surface over numeric factors."""
+
+    surface: FittedSurface
+    title: str
+    anchor: str
+    lines: tuple[str, ...]
+    sensitivity: Table | None
+    coefficients: Table | None
+    figures: Mapping[str, Figure]
+
+
+@dataclass(frozen=True)
 class Contents:
     """A report with everything computed, before any markup."""
 
@@ -59,12 +75,14 @@ class Contents:
     sections: tuple[Section, ...]
     figures: Mapping[str, Figure]
     tables: Mapping[str, Table]
+    surfaces: tuple[SurfaceSection, ...] = ()
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:
         """Figures in the order of the page."""
-        own = [figure for section in self.sections for figure in section.figures.values()]
-        return (*own, *self.figures.values())
+        drawn = [section.figures for section in self.sections]
+        drawn += [section.figures for section in self.surfaces]
+        return (*(figure for own in drawn for figure in own.values()), *self.figures.values())
 
 
 def prepare(data: ReportData) -> Contents:
@@ -88,8 +106,28 @@ def prepare(data: ReportData) -> Contents:
         known["changes"] = comparison.changes(data.beside)
     if data.failures:
         known["failures"] = tables.failures(data)
-    sections = tuple(_section(data, item) for item in found)
-    return Contents(data, found, sections, registry.of_study(data), known)
+    sections = tuple(_section(data, item) for item in found if item.terms or not data.surfaces)
+    over = tuple(_surface(data, one) for one in data.surfaces)
+    for one in over:
+        known |= {t.name: t for t in (one.sensitivity, one.coefficients) if t is not None}
+    return Contents(data, found, sections, registry.of_study(data), known, over)
+
+
+def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
+    named = surfaces.title(one, data)
+    stem = f"surface-{registry.slug(named)}"
+    return SurfaceSection(
+        one,
+        named,
+        stem,
+        surfaces.lines(one, data),
+        surfaces.sensitivity(one, data),
+        surfaces.coefficients(one, data),
+        {
+            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
+            for kind, (words, maker) in response_surfaces.drawings(one, data).items()
+        },
+    )
 
 
 def _section(data: ReportData, item: Facts) -> Section:

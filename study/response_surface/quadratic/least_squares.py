@@ -122,12 +122,16 @@ class LeaveOneOut:
         1 - PRESS/SS about the mean: 1 is perfect, 0 no better than the mean.
     saturated : int
         Runs that cannot be predicted without themselves, and are not counted.
+    observed, errors : ndarray, shape (n,)
+        Responses, and responses minus predictions; NaN where a run is saturated.
     """
 
     rms: float
     largest: float
     q2: float
     saturated: int
+    observed: Array
+    errors: Array
 
 
 def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
@@ -135,8 +139,11 @@ def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
     free = columns.leverage < SATURATED
     if not free.any():
         return None
-    errors = columns.residuals(response)[free] / (1.0 - columns.leverage[free])
+    every = np.full(response.shape, np.nan)
+    every[free] = columns.residuals(response)[free] / (1.0 - columns.leverage[free])
+    errors = every[free]
     spread = float(((response[free] - response.mean()) ** 2).sum())
     q2 = 1.0 - float((errors**2).sum()) / spread if spread > 0 else float("nan")
     rms = float(np.sqrt(np.mean(errors**2)))
-    return LeaveOneOut(rms, float(np.abs(errors).max()), q2, int((~free).sum()))
+    largest = float(np.abs(errors).max())
+    return LeaveOneOut(rms, largest, q2, int((~free).sum()), response, every)
