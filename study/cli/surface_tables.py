@@ -20,11 +20,10 @@ if TYPE_CHECKING:
     from study.study_result.response_surface import FittedSurface
 
 #: flags of `study analyze` that a surface has a use for
-USED = frozenset({"--response", "--block", "--practical", "--decimal"})
+USED = frozenset({"--response", "--block", "--practical", "--decimal", "--report", "--format"})
 
 #: what to do instead of a flag; every other one is left out
 MEND = {
-    "--report": "surfaces have no page yet: --json holds all that was found",
     "--alpha": "intervals are 95 %: leave it out",
 }
 
@@ -65,10 +64,43 @@ def show(
         announce=lambda said: output.warn([said]),
     )
     output.warn(found.notes)
+    page = _page(found, source, (*numeric,), surface, flags)
     if as_json:
-        output.print_json(found.to_json())
+        told = found.to_json()
+        output.print_json(told if page is None else told | {"report": str(page)})
         return
     print_surface(found)
+    if page is not None:
+        print(f"\nreport: {page}")
+
+
+def _page(
+    found: SurfaceAnalysis,
+    source: Path,
+    numeric: Sequence[str],
+    surface: str,
+    flags: Mapping[str, str | None],
+) -> Path | None:
+    """Write the page where one is asked for."""
+    folder = flags["--report"]
+    if folder is None:
+        return None
+    from study.analysis.request import threshold
+    from study.api.statistics.surface_report import write_surface_page
+    from study.api.statistics.table_report import Source
+
+    asked = {"--numeric": ",".join(numeric), "--surface": surface}
+    given = {flag: value for flag, value in flags.items() if value} | asked
+    limit = threshold(flags["--practical"])
+    practical = None if limit is None else limit.on_scale(float(found.runs.response.mean()), "none")
+    formats = [one.strip() for one in (flags["--format"] or "").split(",") if one.strip()]
+    return write_surface_page(
+        found,
+        folder,
+        source=Source(source, given),
+        practical=practical,
+        formats=formats or ["html"],
+    )
 
 
 def _check(source: Path, flags: Mapping[str, str | None]) -> None:

@@ -294,6 +294,8 @@ class ReportData:
         What responses do over the factors that are ranges.
     ranges : mapping of str to str
         Ends of those factors with their unit, in place of a list of levels.
+    is_table : bool
+        Whether the rows are those of a table: nothing was simulated.
     """
 
     name: str
@@ -333,6 +335,7 @@ class ReportData:
     beside: Beside | None = None
     surfaces: tuple[FittedSurface, ...] = ()
     ranges: Mapping[str, str] = field(default_factory=dict)
+    is_table: bool = False
 
     @property
     def planned(self) -> int:

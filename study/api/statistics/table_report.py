@@ -101,7 +101,7 @@ def write_page(
     InputError
         If a column has a name that the page needs for itself, or for an unknown format.
     """
-    _check_taken(found)
+    check_taken(found.request.factors)
     given = source or Source()
     report = AnalysisReport(
         found,
@@ -115,8 +115,9 @@ def write_page(
     return write_analysis(report, out_dir, formats)
 
 
-def _check_taken(found: AnalysisResult) -> None:
-    taken = [name for name in found.request.factors if name in TAKEN]
+def check_taken(factors: Sequence[str]) -> None:
+    """Refuse factors with a name that the rows of a report have for themselves."""
+    taken = [name for name in factors if name in TAKEN]
     if taken:
         rule = "is a name that the report needs for a column of its own"
         mend = "rename the column, say to the quantity that it holds"
@@ -152,7 +153,7 @@ def report_data(found: AnalysisResult, source: Source) -> ReportData:
         citation="" if source.path is None else source.path.name,
         seed=request.seed,
         alpha=request.alpha,
-        provenance=_provenance(source),
+        provenance=provenance(source),
         commands=source.commands(),
         scheme=f"a table of {len(rows):,} rows was analyzed",
         cells=len(found.data.cell_means),
@@ -186,7 +187,8 @@ def _table(found: AnalysisResult) -> pd.DataFrame:
     return frame
 
 
-def _provenance(source: Source) -> dict[str, str]:
+def provenance(source: Source) -> dict[str, str]:
+    """List versions, and the hash of the file."""
     out = {"version of study": study.__version__, "version of python": platform.python_version()}
     for package in _PACKAGES:
         try:
