@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import NOT_RESOLVED
-from study.reporting.content import sentences, surfaces, verdicts
+from study.reporting.content import response_surface, sentences, verdicts
 from study.reporting.content.verdicts import shown_difference
 from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts
@@ -82,14 +82,14 @@ def _of_cases(data: ReportData) -> list[Check]:
 
 def _surface(one: FittedSurface, data: ReportData) -> Check:
     """Whether a surface predicts runs that it has not seen."""
-    name, of = "Surface predicts runs left out", surfaces.title(one, data)
+    name, of = "Surface predicts runs left out", response_surface.title(one, data)
     if one.found is None:
         return Check(name, "fail", clean(one.refused), "No verdict for this response.", of)
-    found = surfaces.quality(one.found)
+    found = response_surface.quality(one.found)
     if found >= GIVEN:
-        return Check(name, "pass", surfaces.accuracy(one), of=of)
+        return Check(name, "pass", response_surface.accuracy(one), of=of)
     outcome = "caution" if found >= RANKED else "fail"
-    return Check(name, outcome, surfaces.accuracy(one), "Add runs.", of)
+    return Check(name, outcome, response_surface.accuracy(one), "Add runs.", of)
 
 
 def _not_analyzed(facts: Facts) -> Check:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from study.reporting.content import surfaces
+from study.reporting.content import response_surface
 from study.reporting.content.verdicts import practical
 from study.reporting.numbers import (
     TIMES,
@@ -29,7 +29,7 @@ def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
     parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]
-    parts += [surfaces.method(one, data) for one in data.surfaces]
+    parts += [response_surface.method(one, data) for one in data.surfaces]
     parts += [_intervals(data, found), _checks(found), _numerics(data, found), _software(data)]
     return " ".join(part for part in parts if part)
 
@@ -54,6 +54,8 @@ def _design(data: ReportData) -> str:
 
 def _cases(data: ReportData) -> str:
     """Say how many cases there were and how many of them failed, which are left out."""
+    if data.is_table:
+        return ""
     planned = data.planned * max(len(data.blocks), 1)
     ended, failed = len(data.table), len(data.failures)
     text = f"of {count(planned, 'case')} {ended:,} were computed" if ended < planned else ""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.reporting.content import recommendation, roles, surfaces
+from study.reporting.content import recommendation, response_surface, roles
 from study.reporting.content.verdicts import change, size
 from study.reporting.numbers import (
     MISSING,
@@ -50,7 +50,7 @@ def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
-            return surfaces.answer(data)
+            return response_surface.answer(data)
         return ("No response could be analyzed; the reasons stand below.",)
     first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
     said = (
@@ -218,7 +218,7 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
     """Say what would change the answer."""
     if data.surfaces:
-        return surfaces.would_change(data)
+        return response_surface.would_change(data)
     undecided = (CANNOT_TELL, NOT_RESOLVED)
     open_ones = [e for facts in found for e in facts.effects if e.verdict in undecided]
     doubts = _names([e for e in open_ones if not _of_the_mesh(e)], data)

@@ -15,14 +15,15 @@ from study.reporting.content import (
     hypotheses,
     methods,
     recommendation,
+    response_surface,
     sentences,
-    surfaces,
     tables,
     verdicts,
 )
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import verdict
-from study.reporting.figure import registry, response_surfaces, validation
+from study.reporting.figure import registry, validation
+from study.reporting.figure import response_surface as surface_figures
 from study.reporting.figure.registry import Figure
 from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
 from study.reporting.report import Facts, facts, grouped_inputs
@@ -114,18 +115,18 @@ def prepare(data: ReportData) -> Contents:
 
 
 def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
-    named = surfaces.title(one, data)
+    named = response_surface.title(one, data)
     stem = f"surface-{registry.slug(named)}"
     return SurfaceSection(
         one,
         named,
         stem,
-        surfaces.lines(one, data),
-        surfaces.sensitivity(one, data),
-        surfaces.coefficients(one, data),
+        response_surface.lines(one, data),
+        response_surface.sensitivity(one, data),
+        response_surface.coefficients(one, data),
         {
             kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
-            for kind, (words, maker) in response_surfaces.drawings(one, data).items()
+            for kind, (words, maker) in surface_figures.drawings(one, data).items()
         },
     )
 
@@ -274,7 +275,9 @@ def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
 
 
 def _warnings(contents: Contents) -> tuple[str, ...]:
-    found = [(item.title, warning) for item in contents.found for warning in item.warnings]
+    over = bool(contents.surfaces)  # a table of levels that a surface replaces is not missed
+    read = [item for item in contents.found if item.terms or not over]
+    found = [(item.title, warning) for item in read for warning in item.warnings]
     return (*dict.fromkeys(contents.data.warnings), *folded(found, contents.data))
 
 

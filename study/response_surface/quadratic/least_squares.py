@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
@@ -130,8 +130,8 @@ class LeaveOneOut:
     largest: float
     q2: float
     saturated: int
-    observed: Array
-    errors: Array
+    observed: Array = field(compare=False, repr=False)
+    errors: Array = field(compare=False, repr=False)
 
 
 def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:

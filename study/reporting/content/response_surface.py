@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
@@ -14,13 +14,14 @@ from study.reporting.numbers import (
     interval,
     listing,
     name_of,
+    p_phrase,
     p_value,
     percent,
     quantity,
     sentence,
     significant,
 )
-from study.response_surface.profiles import profiles, strongest
+from study.response_surface.profile import profiles, strongest
 from study.response_surface.quadratic.surface import QuadraticSurface
 
 if TYPE_CHECKING:
@@ -121,7 +122,29 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         for item in found.sensitivity
         if item.range is not None and item.range.claims
     ]
-    return (accuracy(one), *ends, *confirm)
+    return (accuracy(one), *_shape(one, data), *ends, *confirm)
+
+
+def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
+    """Say where a quadratic surface is level, whether it fits, and what it cannot tell apart."""
+    model = None if one.found is None else one.found.model
+    if not isinstance(model, QuadraticSurface):
+        return
+    point = model.stationary
+    if point is not None and point.established:
+        where = "inside" if point.inside else "outside"
+        at = settings(model.runs.settings(point.at), one, data)
+        yield (
+            f"The surface is level at a {point.kind} of {quantity(point.value, clean(one.unit))}, "
+            f"{where} the ranges: {at}."
+        )
+    lack = model.lack_of_fit
+    if lack is not None:
+        yield (
+            f"Lack of fit: F({lack.df:.3g}, {lack.df_error:.3g}) = {significant(lack.f)}, "
+            f"{p_phrase(lack.p)}."
+        )
+    yield from (f"Not told apart: {clean(alias)}." for alias in model.aliases)
 
 
 def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> str:
@@ -137,7 +160,7 @@ def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> s
 def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
     """Shares and ranges of the factors, the strongest first; None of a quadratic surface."""
     found = one.found
-    if found is None or not found.sensitivity:
+    if found is None or all(item.index is None for item in found.sensitivity):
         return None
     items = sorted(found.sensitivity, key=lambda item: item.rank)
     rows = tuple(_sensitivity_row(item, one, data) for item in items)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.surfaces import quality, title
+from study.reporting.content.response_surface import quality, title
 from study.reporting.figure.style import (
     BAND,
     INK,
@@ -21,7 +21,7 @@ from study.reporting.figure.style import (
     wrap,
 )
 from study.reporting.numbers import clean, listing, name_of, percent, quantity
-from study.response_surface.profiles import contour, left_out, profiles, strongest
+from study.response_surface.profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ def _profiles(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> D
     named = [name_of(name, data.labels) for name in order]
     caption = (
         f"{title(one, data).capitalize()} along each factor with the others in the middle of their "
-        f"ranges; bands are 95 % intervals of the prediction. From end to end it changes by "
+        f"ranges; bands are 95 % intervals of the prediction. It changes by up to "
         f"{listing([f'{s} ({n})' for s, n in zip(sizes, named, strict=True)])}."
     )
     return frame, lambda: _draw_profiles(frame, one, data), caption
