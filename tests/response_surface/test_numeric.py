@@ -226,7 +226,7 @@ def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) 
         ("time", ("--surface", "quadratc"), 2, "did you mean 'quadratic'"),
         ("time", ("--factors", "temp"), 2, "labels are never read as numbers"),
         ("time", ("--unit", "temp"), 2, "has no meaning for a surface"),
-        ("time", ("--report", "out"), 2, "surfaces have no page yet"),
+        ("time", ("--transform", "log"), 2, "has no meaning for a surface"),
         ("time", ("--alpha", "0.1"), 2, "intervals are 95 %"),
         ("word", (), 2, "must be a finite number, got 'a'"),
         ("zero log", (), 2, "a logarithm needs positive settings"),
