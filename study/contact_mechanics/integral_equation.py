@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from study.arrays import Array
 from study.contact_mechanics.layer import Layer
 from study.contact_mechanics.profile import transform
 from study.setup.geometry import Indenter
