@@ -155,10 +155,10 @@ def calibrate(
 ) -> None:
     """Find material constants from one or several measured tests."""
     from study import api
-    from study.api.single.indentation import is_asked
+    from study.api.single.method import is_analytic
 
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
-    if is_asked(file, asked):
+    if is_analytic(file, asked):
         if energies or profiles or convention != "study":
             rule = "takes no --energies, --profile or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))

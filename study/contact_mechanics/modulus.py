@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.optimize import minimize_scalar
-from scipy.signal import lfilter
 from scipy.special import stdtrit
 
 from study.arrays import Array, Flags
@@ -189,7 +189,9 @@ def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
     lag = float(residual[1:] @ residual[:-1]) / size if size > 0 else 0.0
     # residuals of a fit of p constants: the estimate is low by about (p + 3 r) / n
     r = float(np.clip((n * lag + p) / max(n - 3, 1), 0.0, _MOST_CORRELATED))
-    before = lfilter([0.0, r], [1.0, -r], jacobian, axis=0)
+    # sums over all rows before, r J_(i-1) + r^2 J_(i-2) + ..., from s_i - r s_(i-1) = r J_(i-1)
+    bands = np.vstack([np.ones(n), np.full(n, -r)])
+    before = solve_banded((1, 0), bands, r * np.vstack([np.zeros((1, p)), jacobian[:-1]]))
     cross = jacobian.T @ before
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     spread = inverse @ (jacobian.T @ jacobian + cross + cross.T)

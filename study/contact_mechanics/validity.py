@@ -1,7 +1,7 @@
 """How deep the closed form holds: each assumption ends at a depth, and the least one counts.
 
 The limits are depths at which the built-in finite elements (neo-Hookean, nu = 0.4999, no
-friction) resist about 3 % less than the closed form; docs/analytic-indentation.md lists the runs.
+friction) resist about 3 % less than the closed form; docs/analytic_indentation.py makes the runs.
 """
 
 from __future__ import annotations

@@ -82,17 +82,6 @@ def indentation_modulus(
     return result
 
 
-def is_asked(source: str | Path, overrides: Sequence[str] = ()) -> bool:
-    """Whether a calibration file asks for the closed form of indentations.
-
-    Raises
-    ------
-    InputError
-        For a faulty file.
-    """
-    return bool(load_calibration(source, overrides)["calibration"]["method"] == "analytic")
-
-
 def _test_of(tables: Config, asked: Config, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test.
 

@@ -17,6 +17,9 @@ METHODS = ("auto", "analytic", "inverse-fem", "none")
 #: how the support of an indented layer may enter its closed form
 THEORIES = ("integral-equation", "dimitriadis", "half-space")
 
+#: keys that mean something to it alone
+ANALYTIC_KEYS = ("theory", "profile", "contact")
+
 #: name of a constant -> its least and largest value, in MPa, exponents plain
 Bounds = Mapping[str, tuple[float, float]]
 
