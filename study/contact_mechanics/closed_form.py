@@ -81,9 +81,9 @@ def indentation_modulus(
     """
     height = test.layer.height_mm
     curves, notes = read_curves(test.spec, root, height, test.displacement_mm)
-    deepest = _DEEPER * max(float(c.displacement_mm[-1]) for c in curves if not c.fault)
+    deepest = max(float(c.displacement_mm[-1]) for c in curves if not c.fault)
     law = force_law(
-        test.indenter, test.layer, deepest, theory=test.theory, paraboloid=test.paraboloid
+        test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
     )
     series = test.theory == "dimitriadis"
     found = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
@@ -101,7 +101,7 @@ def indentation_modulus(
         block=test.spec.block,
         unit_moduli_MPa=units,
         estimate=_estimate(fitted, units),
-        warnings=tuple(_warnings(test, fitted, found, law)),
+        warnings=tuple(_warnings(test, fitted, found, law, deepest)),
     )
     return result, notes
 
@@ -139,7 +139,11 @@ def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> Medi
 
 
 def _warnings(
-    test: IndentationTest, fitted: Sequence[FittedCurve], found: Sequence[Limit], law: ForceLaw
+    test: IndentationTest,
+    fitted: Sequence[FittedCurve],
+    found: Sequence[Limit],
+    law: ForceLaw,
+    deepest_mm: float,
 ) -> list[str]:
     said = []
     rows = sum(one.found.rows for one in fitted)
@@ -156,22 +160,20 @@ def _warnings(
                         f"{first.found.message}")  # fmt: skip
     if words := caution(test.indenter):
         said.append(words)
-    return [*said, *_support(test, found, law)]
+    return [*said, *_support(test, law, min(found[0].depth_mm, deepest_mm))]
 
 
-def _support(test: IndentationTest, found: Sequence[Limit], law: ForceLaw) -> list[str]:
+def _support(test: IndentationTest, law: ForceLaw, depth_mm: float) -> list[str]:
     """Say by how much another treatment of the support is off at the deepest row that counts."""
-    if test.theory == "integral-equation":
+    if test.theory == "integral-equation" or depth_mm <= 0:
         return []
-    depth = np.array([min(found[0].depth_mm, float(law.depth_mm[-1]) / _DEEPER)])
-    if depth[0] <= 0:
-        return []
-    exact = force_law(test.indenter, test.layer, float(depth[0]))
+    depth = np.array([depth_mm])
+    exact = force_law(test.indenter, test.layer, depth_mm, paraboloid=test.paraboloid)
     off = float(exact.force(depth)[0] / law.force(depth)[0]) - 1
     if abs(off) < _SAID:
         return []
     name = "the half-space" if test.theory == "half-space" else "Dimitriadis' series"
     return [
-        f"at {depth[0]:.4g} mm the layer resists {100 * off:+.1f} % against {name}, and the "
+        f"at {depth_mm:.4g} mm the layer resists {100 * off:+.1f} % against {name}, and the "
         "modulus is off by up to as much: write theory = 'integral-equation'"
     ]

@@ -187,8 +187,11 @@ def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
     n, p = jacobian.shape
     size = float(residual @ residual)
     lag = float(residual[1:] @ residual[:-1]) / size if size > 0 else 0.0
-    # residuals of a fit of p constants: the estimate is low by about (p + 3 r) / n
-    r = float(np.clip((n * lag + p) / max(n - 3, 1), 0.0, _MOST_CORRELATED))
+    # low by about (p + (p + 2) r) / n after a fit of p constants (Kendall 1954 for a mean); half a
+    # standard error more, because an interval suffers more from too low an r than from too high
+    r = (n * lag + p) / max(n - p - 2, 1)
+    r += 0.5 * float(np.sqrt(max(1 - r**2, 0.0) / n))
+    r = float(np.clip(r, 0.0, _MOST_CORRELATED))
     # sums over all rows before, r J_(i-1) + r^2 J_(i-2) + ..., from s_i - r s_(i-1) = r J_(i-1)
     bands = np.vstack([np.ones(n), np.full(n, -r)])
     before = solve_banded((1, 0), bands, r * np.vstack([np.zeros((1, p)), jacobian[:-1]]))

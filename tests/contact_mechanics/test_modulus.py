@@ -38,7 +38,7 @@ def fitted(d: np.ndarray, f: np.ndarray, **options: object) -> CurveModulus:  # 
 @pytest.mark.parametrize("find_contact", [False, True])
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
 def test_intervals_cover(correlation: float, find_contact: bool) -> None:
-    """95 % nominal, also of residuals of which ten in a row say the same; of 1000 0.90 to 0.97."""
+    """95 % nominal, also of residuals of which ten in a row say the same; of 1000 0.95 to 0.97."""
     rng = np.random.default_rng(1)
     runs, hits = 400, 0
     for _ in range(runs):
@@ -46,7 +46,7 @@ def test_intervals_cover(correlation: float, find_contact: bool) -> None:
         found = fitted(d, f, find_contact=find_contact)
         assert found.interval_MPa is not None
         hits += found.interval_MPa[0] <= TRUTH_MPA <= found.interval_MPa[1]
-    assert 0.88 <= hits / runs <= 0.985
+    assert 0.92 <= hits / runs <= 0.985
 
 
 def test_contact_is_found() -> None:
