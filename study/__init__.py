@@ -12,6 +12,7 @@ _LAZY = {
     "run": "study.api",
     "solve": "study.api",
     "calibrate": "study.api",
+    "indentation_modulus": "study.api",
     "analyze": "study.api",
     "converge": "study.api",
     "report": "study.api",

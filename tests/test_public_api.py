@@ -16,6 +16,7 @@ PUBLIC = {
     "run",
     "solve",
     "calibrate",
+    "indentation_modulus",
     "analyze",
     "fit_surface",
     "predict",

@@ -11,6 +11,7 @@ import typer
 
 from study.cli import output
 from study.cli.convergence import converge
+from study.cli.indentation import closed_form
 from study.cli.output import Document
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
@@ -146,22 +147,31 @@ def calibrate(
     energies: Annotated[
         bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
     ] = False,
+    method: Annotated[
+        str, typer.Option(help="auto, or analytic: moduli of indentations in closed form.")
+    ] = "",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Find material constants from one or several measured tests."""
     from study import api
+    from study.api.single.method import is_analytic
 
+    asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
+    if is_analytic(file, asked):
+        if energies or profiles or convention != "study":
+            rule = "takes no --energies, --profile or --convention"
+            raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
+        closed_form(file, data, asked, results, as_json)
+        return
     line = _Line()
     if energies:
-        choice = api.choose_energy(
-            file, data=data, overrides=settings or (), progress=line.show
-        ).to_json()
+        choice = api.choose_energy(file, data=data, overrides=asked, progress=line.show).to_json()
         line.end()
         output.print_json(choice) if as_json else _print_energies(choice)
         return
     found = api.calibrate(
-        file, data=data, overrides=settings or (), results=results, progress=line.show,
+        file, data=data, overrides=asked, results=results, progress=line.show,
         profiles=profiles,
     )  # fmt: skip
     line.end()

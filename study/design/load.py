@@ -18,7 +18,7 @@ from study.design.diagnostics import Faults, Table, entries, noted, read_table
 from study.design.factors import exclusions_from, factors_from, grouped, presets_from
 from study.design.layout.schemes import scheme_from
 from study.design.resolve import calibration_from, resolve_problem
-from study.design.sections.calibration import bounds_of
+from study.design.sections.calibration import ANALYTIC_KEYS, Fitting, bounds_of
 from study.design.sections.cell import CellProblem, Config
 from study.design.sections.measurements import measurements_from
 from study.design.spec import Design
@@ -159,6 +159,10 @@ def loads_calibration(
         faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
     names = problems[0].material.calibrated_names if _all_about(faults, "calibration") else ()
     asked, bounds = file.calibration, None
+    for key in ANALYTIC_KEYS:
+        if asked.method != "analytic" and getattr(asked, key) != getattr(Fitting(), key):
+            mend = 'write method = "analytic", or leave it out'
+            faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
     if asked.bounds is not None:
         bounds = noted(bounds_of(names), asked.bounds, "calibration.bounds", faults)
     _refuse(faults, source)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
 from study.design.load import load_calibration
+from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
 from study.reporting.figure.curves.fit import FitPanel, fit_figure
 from study.runner import provenance
@@ -59,6 +60,9 @@ def calibrate(
         For a faulty file or faulty data.
     """
     config = load_calibration(source, overrides)
+    if config["calibration"]["method"] == "analytic":
+        rule = "analytic gives one modulus a curve, not the constants of an energy"
+        raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
     config = provenance.located(config, provenance.folders(source, data_root(source, data)))
     folder = None if results is None else results / config["name"]
     found = run_calibration(

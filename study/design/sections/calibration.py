@@ -14,6 +14,12 @@ from study.setup.text import choice
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 
+#: how the support of an indented layer may enter its closed form
+THEORIES = ("integral-equation", "dimitriadis", "half-space")
+
+#: keys that mean something to it alone
+ANALYTIC_KEYS = ("theory", "profile", "contact")
+
 #: name of a constant -> its least and largest value, in MPa, exponents plain
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -69,6 +75,14 @@ class Fitting:
         Starts of the fit: its own, and others that are drawn.
     seed : int
         Of the draws.
+    method : {"auto", "analytic"}
+        ``"analytic"``: Young's modulus of indentations in closed form, curve by curve.
+    theory : {"integral-equation", "dimitriadis", "half-space"}
+        How the support enters that closed form.
+    profile : {"sphere", "paraboloid"}
+        What a sphere is there: itself, or Hertz's paraboloid, as the series has it.
+    contact : {"given", "fitted"}
+        Whether contact is at displacement 0, or fitted in every curve of that closed form.
     """
 
     specimens: Annotated[str, Reads(choice("pooled", "each"))] = "pooled"
@@ -76,6 +90,10 @@ class Fitting:
     bounds: AsWritten = None
     starts: Annotated[int, Reads(integer(1, 1000))] = 1
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
+    method: Annotated[str, Reads(choice("auto", "analytic"))] = "auto"
+    theory: Annotated[str, Reads(choice(*THEORIES))] = "integral-equation"
+    profile: Annotated[str, Reads(choice("sphere", "paraboloid"))] = "sphere"
+    contact: Annotated[str, Reads(choice("given", "fitted"))] = "given"
 
 
 def bounds_of(names: Sequence[str]) -> Callable[[object], Bounds]:

@@ -1,0 +1,332 @@
+"""``study calibrate --method analytic``: moduli of small indentations in closed form."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.errors import InputError
+from tests.cli.small import study
+
+TRUTH_KPA = 6.0
+
+FILE = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "{radius} mm"
+height = "{height} mm"
+[material]
+model = "neo-hookean"
+{volume}
+[calibration]
+method = "analytic"
+{options}
+[[tests]]
+test = {{ kind = "indentation", interface = "frictionless", base = "{base}", displacement = "{depth} mm", indenter = {indenter} }}
+[tests.measurements]
+{files}
+columns = {{ displacement = "d", force = "f" }}
+units = {{ displacement = "mm", force = "mN" }}
+"""  # noqa: E501
+
+
+def write(
+    folder: Path,
+    indenter: str = '{ shape = "sphere", radius = "5 mm" }',
+    *,
+    files: str = 'file = "curves.csv"\nblock = "curve"',
+    options: str = "",
+    volume: str = "incompressible = true",
+    radius: float = 60,
+    height: float = 20,
+    depth: float = 0.5,
+    base: str = "bonded",
+) -> None:
+    text = FILE.format(
+        indenter=indenter, files=files, options=options, volume=volume, radius=radius,
+        height=height, depth=depth, base=base,
+    )  # fmt: skip
+    (folder / "file.toml").write_text(text)
+
+
+def rows(label: str, depth: np.ndarray, force_mN: np.ndarray) -> list[str]:  # type: ignore[type-arg]
+    return [f"{label},{d:.6g},{f:.8g}" for d, f in zip(depth, force_mN, strict=True)]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def of_garcia(chi: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """Sphere on a bonded incompressible layer (Garcia and Garcia 2018), within .15 % to .3."""
+    return 1 + 1.133 * chi + 1.497 * chi**2 + 1.469 * chi**3 + 0.755 * chi**4
+
+
+def sphere_mN(depth: np.ndarray, height: float) -> np.ndarray:  # type: ignore[type-arg]
+    """Hertz's paraboloid of 5 mm, times what the layer adds, at 1 kPa."""
+    return 16 / 9 * 5**0.5 * depth**1.5 * of_garcia(np.sqrt(5 * depth) / height)
+
+
+PROBLEM = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "60 mm"
+height = "50 mm"
+[material]
+model = "neo-hookean"
+C10 = "1 kPa"
+poisson_ratio = 0.4999
+[model]
+mesh = "medium"
+[test]
+kind = "indentation"
+interface = "frictionless"
+base = "bonded"
+displacement = "0.25 mm"
+steps = 8
+indenter = { shape = "sphere", radius = "5 mm" }
+"""
+
+# forces at E = 1 kPa, written down from the textbook
+TEXTBOOK = {
+    "sphere": ('{ shape = "sphere", radius = "5 mm" }', lambda d: sphere_mN(d, 20)),
+    # kappa of a/h = 2/20 is 1.12599 at nu = 0.5 (validation of the layer's integral equation)
+    "flat": ('{ shape = "flat", radius = "2 mm" }', lambda d: 2 * 2 * d / 0.75 * 1.12599),
+    # Sneddon and Love, with the first terms of the layer's series in x = d tan/h
+    "cone": (
+        '{ shape = "cone", half_angle = "75 deg" }',
+        lambda d: (
+            2 / np.pi / 0.75 * np.tan(np.radians(75)) * d**2
+            * (1 + 0.7174 * d * np.tan(np.radians(75)) / 20
+               + 0.73 * (d * np.tan(np.radians(75)) / 20) ** 2)
+        ),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", TEXTBOOK)
+def test_formulas_with_noise_give_the_modulus_back(kind: str, home: Path) -> None:
+    """Twenty curves with 2 % of noise; the interval of the median holds the truth."""
+    indenter, force = TEXTBOOK[kind]
+    write(home, indenter, options='profile = "paraboloid"', depth=0.25)
+    rng, lines = np.random.default_rng(5), ["curve,d,f"]
+    depth = np.linspace(0.005, 0.25, 50)
+    for k in range(20):
+        clean = TRUTH_KPA * force(depth)
+        lines += rows(f"c{k}", depth, clean + 0.02 * clean[-1] * rng.normal(size=50))
+    (home / "curves.csv").write_text("\n".join(lines))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 0, answer.err
+    (test,) = answer.json["tests"]
+    low, high = test["youngs_modulus"]["ci95_kPa"]
+    assert low <= TRUTH_KPA <= high
+    assert high - low < 0.02 * TRUTH_KPA
+    assert test["shear_modulus"]["median_kPa"] == pytest.approx(
+        test["youngs_modulus"]["median_kPa"] / 3
+    )
+    inside = [c["ci95_kPa"][0] <= TRUTH_KPA <= c["ci95_kPa"][1] for c in test["curves"]]
+    assert sum(inside) >= 17
+    assert (test["rows"], test["rows_outside"]) == (1000, 0)
+    assert answer.err == ""
+    kept = json.loads((home / "results" / "file" / "analytic.json").read_text())
+    assert kept["tests"] == answer.json["tests"]
+    table = (home / "results" / "file" / "moduli.csv").read_text().splitlines()
+    assert len(table) == 21
+    assert table[1].startswith("0,curves.csv: curve = c0,fitted,")
+
+
+def test_the_modulus_of_a_simulated_indentation(home: Path) -> None:
+    """Finite elements, neo-Hookean, nu = 0.4999, a sphere in a block of 10 radii: within 3 %."""
+    write(home, volume="poisson_ratio = 0.4999", radius=60, height=50, depth=0.25)
+    (home / "problem.toml").write_text(PROBLEM)
+    found = api.solve("problem.toml")
+    assert found.status == "converged"
+    curve = found.curve
+    lines = rows("s", curve.displacement_mm, 1e3 * curve.force_N)
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 0, answer.err
+    modulus = answer.json["tests"][0]["youngs_modulus"]["median_kPa"]
+    # E = 2 mu (1 + nu) with mu = 2 C10
+    assert modulus == pytest.approx(4 * 1.4999, rel=0.03)
+
+
+def test_a_rounded_cone_on_a_sliding_layer(home: Path) -> None:
+    """Linear elastic finite elements, nu = 0.3, a layer of 4 mm on oil: E to 0.5 %."""
+    cone = '{ shape = "cone", half_angle = "60 deg", tip_radius = "0.5 mm" }'
+    write(home, cone, volume="poisson_ratio = 0.3", height=4, depth=0.3, base="frictionless")
+    problem = PROBLEM.replace('"50 mm"', '"4 mm"').replace("0.4999", "0.3")
+    problem = problem.replace('"neo-hookean"', '"linear-elastic"').replace(
+        'C10 = "1 kPa"', 'youngs_modulus = "6 kPa"'
+    )
+    problem = problem.replace('"bonded"', '"frictionless"').replace('"0.25 mm"', '"0.3 mm"')
+    (home / "problem.toml").write_text(
+        problem.replace('{ shape = "sphere", radius = "5 mm" }', cone).replace("medium", "fine")
+    )
+    curve = api.solve("problem.toml").curve
+    lines = rows("s", curve.displacement_mm, 1e3 * curve.force_N)
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
+    answer = study("calibrate", "file.toml", "--json")
+    modulus = answer.json["tests"][0]["youngs_modulus"]["median_kPa"]
+    assert modulus == pytest.approx(TRUTH_KPA, rel=5e-3)
+    assert "strains by the same amount at any depth" in answer.err
+
+
+def test_a_thousand_curves(home: Path) -> None:
+    """A folder of 1,000 curves with their contacts: under 10 s, and the median of the truth."""
+    (home / "curves").mkdir()
+    write(
+        home,
+        files='files = "curves/{curve}.csv"',
+        options='contact = "fitted"\nprofile = "paraboloid"',
+        depth=0.6,
+    )
+    rng, depth = np.random.default_rng(2), np.linspace(0.0, 0.5, 60)
+    moduli = TRUTH_KPA * np.exp(0.2 * rng.normal(size=1000))
+    contacts = rng.uniform(0, 0.1, size=1000)
+    for k, (modulus, contact) in enumerate(zip(moduli, contacts, strict=True)):
+        clean = modulus * sphere_mN(np.maximum(depth - contact, 0), 20)
+        lines = [
+            f"{d:.6g},{f:.8g}" for d, f in zip(depth, clean + rng.normal(size=60) * 0.05,
+                                               strict=True)
+        ]  # fmt: skip
+        (home / "curves" / f"{k}.csv").write_text("\n".join(["d,f", *lines]))
+    began = time.process_time()
+    answer = study("calibrate", "file.toml", "--json")
+    assert time.process_time() - began < 10
+    assert answer.code == 0, answer.err
+    (test,) = answer.json["tests"]
+    assert test["curves_fitted"] == 1000
+    # the scatter of the fits is far below that between curves
+    assert test["youngs_modulus"]["median_kPa"] == pytest.approx(np.median(moduli), rel=0.01)
+    found = {int(c["groups"]["curve"]): c["contact_mm"] for c in test["curves"]}
+    assert np.median([abs(found[k] - c) for k, c in enumerate(contacts)]) < 2e-3
+
+
+def test_curves_of_one_specimen_are_repeats(home: Path) -> None:
+    """Six specimens of 3 curves each: the interval is that of six medians."""
+    files = 'file = "curves.csv"\nblock = "specimen"\naverage = ["site"]'
+    write(home, files=files, options='profile = "paraboloid"')
+    depth, lines = np.linspace(0.01, 0.5, 30), ["specimen,site,d,f"]
+    for k in range(6):
+        for site, factor in enumerate((0.9, 1.0, 1.3)):
+            lines += rows(f"s{k},{site}", depth, (k + 1) * factor * sphere_mN(depth, 20))
+    (home / "curves.csv").write_text("\n".join(lines))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 0, answer.err
+    estimate = answer.json["tests"][0]["youngs_modulus"]
+    assert estimate["units"] == 6
+    assert estimate["ci95_kPa"] == pytest.approx([1.0, 6.0], rel=2e-3)
+    assert estimate["median_kPa"] == pytest.approx(3.5, rel=2e-3)
+
+
+def test_rows_beyond_the_range_are_said_and_left_out(home: Path) -> None:
+    """Forces tripled beyond d/R = 0.1 change nothing."""
+    write(home, depth=1.0, options='profile = "paraboloid"')
+    depth = np.linspace(0.01, 1.0, 100)
+    force = TRUTH_KPA * sphere_mN(depth, 20)
+    force[depth > 0.5 + 1e-9] *= 3
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, force)]))
+    answer = study("calibrate", "file.toml")
+    assert answer.code == 0
+    assert "50 % of the rows in contact (50 of 100) lie deeper than 0.5 mm (d/R <= 0.1)" in (
+        " ".join(answer.err.split())
+    )
+    assert "6.00" in answer.out
+    assert "it knows nothing of the scatter between curves" in answer.out
+
+
+def test_no_row_within_the_range_is_no_answer(home: Path) -> None:
+    write(home, height=2, radius=3)
+    depth = np.linspace(0.01, 0.4, 40)
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, depth)]))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 1
+    (test,) = answer.json["tests"]
+    assert test["youngs_modulus"] is None
+    assert test["curves"][0]["status"] == "outside"
+    assert test["limits"][0]["limit"].startswith("shortening of the whole specimen")
+
+
+def test_published_series_says_how_far_it_is_off(home: Path) -> None:
+    """At chi = 0.48694 the layer's table has 2.10558 times Hertz, the series 1.9393 times."""
+    write(home, '{ shape = "sphere", radius = "50 mm" }', radius=100, height=6.25,
+          depth=0.2, options='theory = "dimitriadis"\nprofile = "paraboloid"')  # fmt: skip
+    depth = np.linspace(0.01, (0.48694 * 6.25) ** 2 / 50, 30)
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *rows("a", depth, depth**1.5)]))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 0, answer.err
+    assert f"{100 * (2.10558 / 1.9393 - 1):+.1f} %" in answer.err
+    assert "integral-equation" in answer.err
+
+
+BAD = {
+    "compression": "analytic is for indentation",
+    "bonded": "takes the indenter for frictionless",
+    "series": "dimitriadis is a series for spheres",
+    "bulk": "needs Poisson's ratio",
+    "theory": "did you mean 'dimitriadis'",
+    "columns": "needs displacement and force",
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_input_says_how_to_mend_it(kind: str, home: Path) -> None:
+    cone = '{ shape = "cone", half_angle = "30 deg" }'
+    if kind == "series":
+        write(home, cone, options='theory = "dimitriadis"')
+    else:
+        volume = 'bulk_modulus = "1 MPa"' if kind == "bulk" else "incompressible = true"
+        write(home, volume=volume, options='theory = "dimitriades"' if kind == "theory" else "")
+    text = (home / "file.toml").read_text()
+    if kind == "compression":
+        text = text.replace('"indentation"', '"compression"').split(", indenter")[0]
+        text += " }" + (home / "file.toml").read_text().split('radius = "5 mm" } }')[1]
+    if kind == "bonded":
+        text = text.replace('interface = "frictionless"', 'interface = "bonded"')
+    if kind == "columns":
+        text = text.replace('force = "f"', 'stress = "f"').replace('force = "mN"', 'stress = "kPa"')
+    (home / "file.toml").write_text(text)
+    (home / "curves.csv").write_text("curve,d,f\na,0,0\na,0.1,1\na,0.2,2\na,0.3,3")
+    answer = study("calibrate", "file.toml")
+    assert answer.code == 2, answer.out
+    assert BAD[kind] in answer.err
+
+
+def test_options_of_the_fit_by_finite_elements_are_refused(home: Path) -> None:
+    write(home)
+    answer = study("calibrate", "file.toml", "--energies")
+    assert answer.code == 2
+    assert "--energies" in answer.err
+
+
+def test_keys_of_the_closed_form_need_it(home: Path) -> None:
+    """With another method they would be read and not obeyed."""
+    write(home, options='theory = "half-space"')
+    answer = study("calibrate", "file.toml", "--method", "auto")
+    assert answer.code == 2
+    assert "calibration.theory" in answer.err
+    with pytest.raises(InputError, match=r"study\.indentation_modulus"):
+        api.calibrate("file.toml")
+
+
+def test_one_bad_curve_does_not_stop_the_others(home: Path) -> None:
+    write(home, options='profile = "paraboloid"')
+    depth = np.linspace(0.01, 0.5, 30)
+    good = rows("good", depth, TRUTH_KPA * sphere_mN(depth, 20))
+    lines = ["curve,d,f", *good, *rows("flat", depth, np.ones(30))]
+    (home / "curves.csv").write_text("\n".join(lines))
+    answer = study("calibrate", "file.toml", "--json")
+    assert answer.code == 0
+    assert [c["status"] for c in answer.json["tests"][0]["curves"]] == ["fitted", "unreadable"]
+    assert "1 of 2 curves are unreadable" in answer.err
+    assert "the force is constant" in answer.err

@@ -1,0 +1,104 @@
+"""Moduli of curves: coverage of intervals, contact, limits, medians."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from study.contact_mechanics.force_law import force_law
+from study.contact_mechanics.layer import Layer
+from study.contact_mechanics.median import median_estimate
+from study.contact_mechanics.modulus import CurveModulus, fit_modulus
+from study.contact_mechanics.validity import limits
+from study.setup.geometry import Cone, Flat, Sphere
+
+TRUTH_MPA = 0.02
+LAYER = Layer(10.0, 0.5)
+LAW = force_law(Sphere(5.0), LAYER, 1.2)
+
+
+def curve(
+    rng: np.random.Generator, n: int, correlation: float = 0.0, contact: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    """Force by the law, 2 % of the last one as noise of a given correlation."""
+    d = np.linspace(0.5 / n, 0.5 + contact, n)
+    noise = rng.normal(size=n)
+    for i in range(1, n):
+        noise[i] = correlation * noise[i - 1] + np.sqrt(1 - correlation**2) * noise[i]
+    force = TRUTH_MPA / 0.75 * LAW.force(d - contact)
+    return d, force + 0.02 * force[-1] * noise
+
+
+def fitted(d: np.ndarray, f: np.ndarray, **options: object) -> CurveModulus:  # type: ignore[type-arg]
+    asked = {"poisson_ratio": 0.5, "deepest_mm": 0.55, **options}
+    return fit_modulus(d, f, LAW, **asked)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("find_contact", [False, True])
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])
+def test_intervals_cover(correlation: float, find_contact: bool) -> None:
+    """95 % nominal, also of residuals of which ten in a row say the same; of 1000 0.95 to 0.97."""
+    rng = np.random.default_rng(1)
+    runs, hits = 400, 0
+    for _ in range(runs):
+        d, f = curve(rng, 60, correlation, 0.1 if find_contact else 0.0)
+        found = fitted(d, f, find_contact=find_contact)
+        assert found.interval_MPa is not None
+        hits += found.interval_MPa[0] <= TRUTH_MPA <= found.interval_MPa[1]
+    assert 0.92 <= hits / runs <= 0.985
+
+
+def test_contact_is_found() -> None:
+    """Without noise to 1e-4 mm, wherever it is; the modulus with it to 0.1 %."""
+    for contact in (-0.05, 0.0, 0.2):
+        d = np.linspace(0.0, 0.5, 80)
+        found = fitted(d, TRUTH_MPA / 0.75 * LAW.force(d - contact), find_contact=True)
+        assert found.contact_mm == pytest.approx(contact, abs=1e-4)
+        assert found.modulus_MPa == pytest.approx(TRUTH_MPA, rel=1e-3)
+
+
+def test_rows_beyond_the_limit_do_not_count() -> None:
+    d = np.linspace(0.01, 1.0, 100)
+    force = TRUTH_MPA / 0.75 * LAW.force(d)
+    force[d > 0.5] *= 3
+    found = fitted(d, force, deepest_mm=0.5)
+    assert found.modulus_MPa == pytest.approx(TRUTH_MPA, rel=1e-12)
+    assert (found.rows, found.rows_outside) == (100, 50)
+    none = fitted(d, force, deepest_mm=0.03)
+    assert (none.status, none.modulus_MPa) == ("outside", None)
+    assert "3 of 100 rows" in none.message
+    assert fitted(d, -force).status == "implausible"
+
+
+def test_the_least_limit_comes_first() -> None:
+    narrow, wide = (limits(Sphere(5.0), LAYER, LAW, area_mm2=a) for a in (np.pi * 64, np.pi * 3600))
+    assert narrow[0].what.startswith("shortening of the whole specimen")
+    assert wide[0].what == "d/R <= 0.1"
+    assert wide[0].depth_mm == 0.5
+    thin = Layer(2.0, 0.5)
+    assert limits(Sphere(5.0), thin, LAW)[0].depth_mm == pytest.approx(0.2)
+    shaft = Cone(45.0, shaft_radius_mm=1.0)
+    law = force_law(shaft, Layer(np.inf, 0.5), 5.0)
+    # a sharp cone of 45 degrees is touched up to a at the depth pi/2 a
+    assert limits(shaft, Layer(np.inf, 0.5), law)[0].depth_mm == pytest.approx(np.pi / 2, rel=1e-6)
+    flat = force_law(Flat(3.0), LAYER, 5.0)
+    assert limits(Flat(3.0), LAYER, flat)[0].depth_mm == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("n", [6, 7, 9, 20, 101, 1000])
+def test_order_statistics_hold_the_median(n: int) -> None:
+    """The least interval of order statistics whose binomial probability is 95 %."""
+    found = median_estimate(np.arange(1.0, n + 1).tolist())
+    assert found.interval_MPa is not None
+    low, high = (int(v) for v in found.interval_MPa)
+    assert low + high == n + 1
+    assert binom.cdf(high - 1, n, 0.5) - binom.cdf(low - 1, n, 0.5) >= 0.95
+    assert binom.cdf(high - 2, n, 0.5) - binom.cdf(low, n, 0.5) < 0.95
+
+
+def test_few_units() -> None:
+    """Student's t of 1, 2, 3: 2 +- 4.3027 / sqrt(3)."""
+    found = median_estimate([1.0, 2.0, 3.0])
+    assert found.interval_MPa == pytest.approx((2 - 2.48414, 2 + 2.48414), abs=1e-5)
+    assert median_estimate([1.0], (0.5, 1.5)).interval_MPa == (0.5, 1.5)
