@@ -221,6 +221,8 @@ def _print_calibration(found: Document) -> None:
     output.table(rows, found["model"])
     if "converted" in found:
         _print_converted(found["converted"])
+    if found["serial_correlation"]:
+        print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])
     for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
         for one in found[kind]:
@@ -243,6 +245,15 @@ def _print_calibration(found: Document) -> None:
     for note in found["notes"]:
         print(f"data: {note}")
     output.warn(found["warnings"])
+
+
+def _rows_sentence(serial: Document) -> str:
+    if serial["correlation"] is None:
+        return f"intervals from {serial['rows']} rows, taken as independent: too few to tell"
+    return (
+        f"intervals from {serial['rows']} rows, neighbors correlated by "
+        f"{serial['correlation']:.2f}: worth {serial['effective_rows']:.3g} independent rows"
+    )
 
 
 def _between(pair: Sequence[float | None] | None) -> str:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
 from study.calibration.profile_likelihood import profile
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
     from study.material.material import Material
 
 
-#: correlation of neighboring residuals from which intervals cannot be trusted
+#: correlation of neighboring rows from which a misfit is more likely than noise
 _ORDERED = 0.5
 
 
@@ -74,10 +75,12 @@ class _Setting:
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
         parts = parts_of(self.tests, in_order(curves))
-        return staged_fit(
+        done = staged_fit(
             parts, self.names, self.start, fit_task.model, bounds=self.bounds,
             progress=self.progress, checkpoint=checkpoint,
         )  # fmt: skip
+        measured = [one for part in parts for one in part.measured]
+        return replace(done, fit=with_serial_correlation(done.fit, measured))
 
 
 def calibrate(
@@ -289,8 +292,12 @@ def _predicted(setting: _Setting, curve: FitCurve, found: Fit) -> tuple[Curve | 
 def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None:
     if len(specimens) < 2 or not all(one.fit.converged for one in specimens):
         return None
-    own = sum(one.fit.rss for one in specimens)
-    return same_constants(found.rss, own, found.n, len(found.names), len(specimens))
+    fits = [one.fit for one in specimens]
+    rows = sum(
+        one.n if one.serial is None else min(one.n, one.serial.effective_rows) for one in fits
+    )
+    own = sum(one.rss for one in fits)
+    return same_constants(found.rss, own, rows, len(found.names), len(specimens))
 
 
 def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
@@ -325,10 +332,11 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     order = pattern([c.residual(p) for c, p in judged])
-    if order is not None and order.lag1 > _ORDERED:
+    if found.serial is not None and found.serial.correlation > _ORDERED:
         cautions.append(
-            f"neighboring residuals are correlated by {order.lag1:.2f}: they are misfit rather "
-            "than noise, so that intervals and AICc claim more than the data hold"
+            f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
+            "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
+            "that is wrong"
         )
     return CalibrationResult(
         name=setting.config["name"],

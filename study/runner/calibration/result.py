@@ -196,6 +196,7 @@ class CalibrationResult:
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
+            "serial_correlation": _serial(found),
             "correlation": found.correlation,
             "condition": found.condition,
             "identifiable": found.identifiable,
@@ -230,6 +231,18 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
             "ci95": [scale_of(name) * float(v) for v in fit.ci95[i]],
         }
         for i, name in enumerate(fit.names)
+    }
+
+
+def _serial(fit: Fit) -> dict[str, object] | None:
+    """Say what the correlation of recorded rows leaves of them; None without intervals."""
+    if fit.serial is None:
+        return None
+    return {
+        "rows": fit.serial.rows,
+        "effective_rows": fit.serial.effective_rows,
+        "correlation": fit.serial.correlation,
+        "inflation": dict(zip(fit.names, fit.serial.inflation.tolist(), strict=True)),
     }
 
 
