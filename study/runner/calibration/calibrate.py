@@ -15,6 +15,7 @@ from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
 from study.calibration.profile_likelihood import profile
+from study.calibration.random_effects import population
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
@@ -125,6 +126,7 @@ def calibrate(
         result,
         specimens=specimens,
         same_constants_p=_same_constants(found, specimens),
+        population=population([one.fit for one in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
         starts=starts,
@@ -337,6 +339,11 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
             f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
             "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
             "that is wrong"
+        )
+    if setting.config["calibration"]["specimens"] == "pooled" and len(of_specimens(curves)) > 1:
+        cautions.append(
+            "specimens are pooled: intervals are those of these specimens, not of the population; "
+            'write calibration.specimens = "each"'
         )
     return CalibrationResult(
         name=setting.config["name"],
