@@ -138,3 +138,46 @@ def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path, c
     assert min(half.values()) > by_hand
     assert max(half.values()) < 1.15 * by_hand
     assert min(half.values()) > 0.93 * max(half.values())
+
+
+def test_choice_between_energies_does_not_depend_on_the_grid():
+    """AICc of one term less that of two: with every point a row it would grow with points."""
+    names, truth = ("C10", "C20"), np.array([7e-3, 3e-4])
+    at_rows, d = predictor("reduced-polynomial", names, DEPTH, points=ROWS)
+    noise = 0.1 * np.random.default_rng(2011).normal(size=ROWS)
+    rows = Curve(d, at_rows(truth)[0].force_N + noise)
+    found, independent = [], []
+    for points in (60, 200, 1000):
+        places = np.linspace(0.3, DEPTH, points)
+        curve = Curve(places, np.interp(places, d, rows.force_N))
+        measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
+        two = predictor("reduced-polynomial", names, DEPTH, places=places)[0]
+        one = predictor("neo-hookean", names[:1], DEPTH, places=places)[0]
+        fits = fit(one, measured, names[:1], truth[:1]), fit(two, measured, names, truth)
+        independent.append(fits[0].aicc - fits[1].aicc)
+        fits = tuple(with_serial_correlation(each, measured) for each in fits)
+        found.append(fits[0].aicc - fits[1].aicc)
+    assert independent[2] > 10 * independent[0]
+    # the same from the rows alone: likelihood with the covariance written out
+    inside = d >= 0.3
+    gradient = at_rows(truth)[0].force_gradient
+    design = np.stack([gradient[n][inside] for n in names], axis=1)
+    by_hand = [aicc_by_hand(x, rows.force_N[inside]) for x in (design[:, :1], design)]
+    assert found == pytest.approx([by_hand[0] - by_hand[1]] * 3, abs=0.05)
+
+
+def aicc_by_hand(design, force):
+    """AICc of a linear model with errors of an autoregression, rho by a search."""
+    n, p = design.shape
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+
+    def deviance(rho):
+        covariance = rho**apart / (1 - rho**2)
+        inverse = np.linalg.inv(covariance)
+        normal, right = design.T @ inverse @ design, design.T @ inverse @ force
+        left = force - design @ np.linalg.solve(normal, right)
+        return n * np.log(left @ inverse @ left / n) + np.linalg.slogdet(covariance)[1]
+
+    k = p + 2
+    least = min(deviance(rho) for rho in np.linspace(-0.9, 0.99, 379))
+    return least + 2 * k + 2 * k * (k + 1) / (n - k - 1)
