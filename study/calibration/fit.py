@@ -14,6 +14,7 @@ from study.arrays import Array
 from study.calibration.covariance import Uncertainty, identifiability, uncertainty
 from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
+from study.calibration.serial_correlation import SerialCorrelation
 from study.curve import Curve
 from study.errors import Fault, InputError
 
@@ -35,12 +36,16 @@ class MeasuredCurve:
         Factor on the residual, for instance one over the scatter; zero leaves a point out.
     role : str
         ``fit``, or ``held-out``: predicted and scored, never fitted.
+    recordings : tuple of Curve
+        Rows as recorded, of every repeat, whose linear interpolation and mean the curve is;
+        none where the curve's points are the rows.
     """
 
     label: str
     curve: Curve
     weight: float | Array = 1.0
     role: Literal["fit", "held-out"] = "fit"
+    recordings: tuple[Curve, ...] = ()
 
     @property
     def weights(self) -> Array:
@@ -88,6 +93,9 @@ class Fit:
         Accepted points of the search.
     failure : str
         Why the model last had no answer; empty if it always had one.
+    serial : SerialCorrelation, optional
+        Where errors, intervals and AICc allow for the correlation of recorded rows
+        (:func:`study.calibration.influence.with_serial_correlation`).
     """
 
     names: tuple[str, ...]
@@ -109,6 +117,7 @@ class Fit:
     curves: tuple[Curve, ...]
     history: tuple[Iteration, ...] = ()
     failure: str = ""
+    serial: SerialCorrelation | None = None
 
     @property
     def converged(self) -> bool:
@@ -304,10 +313,16 @@ def aicc(rss: float, n: int, parameters: int) -> float:
     >>> round(aicc(2.0, 20, 3), 4)
     -35.385
     """
-    k = parameters + 1
-    if n - k - 1 <= 0 or not math.isfinite(rss):
+    if not math.isfinite(rss):
         return math.inf
-    return n * math.log(max(rss, 1e-300) / n) + 2 * k + 2 * k * (k + 1) / (n - k - 1)
+    return small_sample_aic(n * math.log(max(rss, 1e-300) / n), n, parameters + 1)
+
+
+def small_sample_aic(deviance: float, n: int, k: int) -> float:
+    """Criterion of Hurvich and Tsai 1989 from -2 log likelihood of n points and k parameters."""
+    if n - k - 1 <= 0:
+        return math.inf
+    return deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1)
 
 
 def _check(measured: Sequence[MeasuredCurve], names: Sequence[str], start: ArrayLike) -> None:

@@ -168,7 +168,9 @@ def akaike_weights(aicc: Mapping[str, float]) -> dict[str, float]:
     return {name: share.get(name, 0.0) / total for name in aicc}
 
 
-def same_constants(pooled_rss: float, own_rss: float, n: int, p: int, groups: int) -> float | None:
+def same_constants(
+    pooled_rss: float, own_rss: float, n: float, p: int, groups: int
+) -> float | None:
     """P that groups share their constants, by the extra sum of squares.
 
     (Bates and Watts 1988, sec. 3.10.)
@@ -177,8 +179,10 @@ def same_constants(pooled_rss: float, own_rss: float, n: int, p: int, groups: in
     ----------
     pooled_rss, own_rss : float
         Sum of squares with common constants, and with own ones in each group, added up.
-    n, p, groups : int
-        Points, constants of one group, and groups.
+    n : float
+        Points, or what correlated ones are worth.
+    p, groups : int
+        Constants of one group, and groups.
     """
     extra, left = p * (groups - 1), n - p * groups
     if extra <= 0 or left <= 0 or own_rss <= 0:

@@ -26,7 +26,8 @@ class Profile:
     values, rss : ndarray, shape (m,)
         Values tried, in order, and the sum of squares with the other constants refitted.
     interval : tuple of float
-        Where rss = rss_min (1 + t^2 / (n - p)); infinite on a side that never gets there.
+        Where rss = rss_min (1 + t^2 / (n - p)), t times the inflation by serial correlation;
+        infinite on a side that never gets there.
     """
 
     name: str
@@ -64,7 +65,8 @@ def profile(
     if not result.converged or not error > 0:
         raise RefusedError(f"no profile of {name}: the fit has no standard error for it")
     function = residual_function(predict, measured, result.names)
-    limit = result.rss * (1 + student_t(result.n - len(result.names)) ** 2 / _dof(result))
+    inflation = 1.0 if result.serial is None else float(result.serial.inflation[index])
+    limit = result.rss * (1 + (inflation * student_t(_dof(result))) ** 2 / _dof(result))
     tried: dict[float, float] = {float(result.values[index]): result.rss}
     sides = []
     for sign in (-1.0, 1.0):

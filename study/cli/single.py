@@ -231,6 +231,8 @@ def _print_calibration(found: Document) -> None:
     output.table(rows, found["model"])
     if "converted" in found:
         _print_converted(found["converted"])
+    if found["serial_correlation"]:
+        print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])
     for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
         for one in found[kind]:
@@ -238,6 +240,8 @@ def _print_calibration(found: Document) -> None:
                                for n, e in one["parameters"].items())  # fmt: skip
             print(f"{one['label']} {title}: {values} ({one['status']})")
             _print_curves("  ", one["curves"])
+    if found["population"]:
+        _print_population(found["population"])
     if found["same_constants_p"] is not None:
         print(f"all specimens share their constants: p = {found['same_constants_p']:.3g}")
     if found["lack_of_fit"]:
@@ -253,6 +257,27 @@ def _print_calibration(found: Document) -> None:
     for note in found["notes"]:
         print(f"data: {note}")
     output.warn(found["warnings"])
+
+
+def _print_population(found: Document) -> None:
+    rows = [["constant", "specimens", "mean", "unit", "scatter", "95 % of the mean",
+             "95 % of the next specimen"]]  # fmt: skip
+    for name, one in found.items():
+        rows.append(
+            [name, str(one["specimens"]), output.number(one["mean"], 5), one["unit"],
+             output.number(one["standard_deviation"]), _between(one["mean_ci95"]),
+             _between(one["next_ci95"])]
+        )  # fmt: skip
+    output.table(rows, "population of specimens")
+
+
+def _rows_sentence(serial: Document) -> str:
+    if serial["correlation"] is None:
+        return f"intervals from {serial['rows']} rows, taken as independent: too few to tell"
+    return (
+        f"intervals from {serial['rows']} rows, neighbors correlated by "
+        f"{serial['correlation']:.2f}: worth {serial['effective_rows']:.3g} independent rows"
+    )
 
 
 def _between(pair: Sequence[float | None] | None) -> str:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.arrays import Array
+from study.curve import Curve
 from study.errors import Fault, InputError
 
 ZERO_RULES = ("none", "first", "fit")
@@ -72,7 +73,10 @@ class Rules:
 
 @dataclass(frozen=True)
 class Conditioned:
-    """Curve of one test on the grid of its rules, shape (points,), and what was done."""
+    """Curve of one test on the grid of its rules, shape (points,), and what was done.
+
+    ``recorded`` holds the rows in the range that it was interpolated from.
+    """
 
     displacement_mm: Array
     force_N: Array
@@ -80,6 +84,7 @@ class Conditioned:
     zero_N: float
     toe_mm: float
     rows: int
+    recorded: Curve
 
 
 def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> Conditioned:
@@ -111,12 +116,13 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     d, f, toe = _toe(d, f, rules, where, counts)
     within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
     inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
+    recorded = Curve(d[within], f[within])
     if rules.is_raw:
         if inside < MIN_ROWS:
             raise InputError(_too_few(inside, rules, where))
-        return Conditioned(d[within], f[within], counts, zero, toe, inside)
+        return Conditioned(d[within], f[within], counts, zero, toe, inside, recorded)
     force = _resample(d, f, rules, where, counts)
-    return Conditioned(rules.grid(), force, counts, zero, toe, inside)
+    return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded)
 
 
 def _slack(rules: Rules) -> float:

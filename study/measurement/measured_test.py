@@ -24,11 +24,15 @@ Selection = Mapping[str, Label]
 
 @dataclass(frozen=True)
 class SingleTest:
-    """One recorded test on the common grid: its group labels and force, shape (points,)."""
+    """One recorded test on the common grid: its group labels and force, shape (points,).
+
+    ``recorded`` holds the rows that the forces were interpolated from.
+    """
 
     groups: Mapping[str, str]
     force_N: Array
     notes: tuple[str, ...] = ()
+    recorded: Curve | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class MeasuredTest:
         Labels that all averaged tests share.
     notes : tuple of str
         What was done to the rows of these tests.
+    recordings : tuple of Curve
+        Rows as recorded, of every test averaged.
     """
 
     curve: Curve
@@ -54,6 +60,7 @@ class MeasuredTest:
     n_repeats: int
     groups: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    recordings: tuple[Curve, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -142,7 +149,8 @@ class Measurements:
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
         curve = Curve(self.displacement_mm.copy(), forces.mean(axis=0))
         notes = tuple(note for test in chosen for note in test.notes)
-        return MeasuredTest(curve, scatter, len(chosen), shared, notes)
+        recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
+        return MeasuredTest(curve, scatter, len(chosen), shared, notes, recordings)
 
     def curves(
         self, block: str | None = None, **where: Label

@@ -68,7 +68,7 @@ def read_measurements(
             continue
         done.append(result)
         own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
-        tests.append(SingleTest(dict(one.groups), result.force_N, own))
+        tests.append(SingleTest(dict(one.groups), result.force_N, own, result.recorded))
     _check_distinct(tests, faults)
     if faults:
         raise InputError(capped(faults))

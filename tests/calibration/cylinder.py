@@ -10,9 +10,9 @@ from study.material.material import Material
 AREA, HEIGHT = np.pi * 25.0**2, 30.0
 
 
-def predictor(model, names, depth, mode="uniaxial", points=60, sign=-1.0):
+def predictor(model, names, depth, mode="uniaxial", points=60, sign=-1.0, places=None):
     """Return predict(values) and the displacements; ``sign`` -1 compresses, +1 stretches."""
-    d = np.linspace(depth / points, depth, points)
+    d = np.linspace(depth / points, depth, points) if places is None else places
     stretch = 1 + sign * d / HEIGHT
 
     def predict(values):

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
 from study.calibration.profile_likelihood import profile
+from study.calibration.random_effects import population
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     from study.material.material import Material
 
 
-#: correlation of neighboring residuals from which intervals cannot be trusted
+#: correlation of neighboring rows from which a misfit is more likely than noise
 _ORDERED = 0.5
 
 
@@ -74,10 +76,12 @@ class _Setting:
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
         parts = parts_of(self.tests, in_order(curves))
-        return staged_fit(
+        done = staged_fit(
             parts, self.names, self.start, fit_task.model, bounds=self.bounds,
             progress=self.progress, checkpoint=checkpoint,
         )  # fmt: skip
+        measured = [one for part in parts for one in part.measured]
+        return replace(done, fit=with_serial_correlation(done.fit, measured))
 
 
 def calibrate(
@@ -122,6 +126,7 @@ def calibrate(
         result,
         specimens=specimens,
         same_constants_p=_same_constants(found, specimens),
+        population=population([one.fit for one in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
         starts=starts,
@@ -289,8 +294,12 @@ def _predicted(setting: _Setting, curve: FitCurve, found: Fit) -> tuple[Curve | 
 def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None:
     if len(specimens) < 2 or not all(one.fit.converged for one in specimens):
         return None
-    own = sum(one.fit.rss for one in specimens)
-    return same_constants(found.rss, own, found.n, len(found.names), len(specimens))
+    fits = [one.fit for one in specimens]
+    rows = sum(
+        one.n if one.serial is None else min(one.n, one.serial.effective_rows) for one in fits
+    )
+    own = sum(one.rss for one in fits)
+    return same_constants(found.rss, own, rows, len(found.names), len(specimens))
 
 
 def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
@@ -325,10 +334,16 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     order = pattern([c.residual(p) for c, p in judged])
-    if order is not None and order.lag1 > _ORDERED:
+    if found.serial is not None and found.serial.correlation > _ORDERED:
         cautions.append(
-            f"neighboring residuals are correlated by {order.lag1:.2f}: they are misfit rather "
-            "than noise, so that intervals and AICc claim more than the data hold"
+            f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
+            "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
+            "that is wrong"
+        )
+    if setting.config["calibration"]["specimens"] == "pooled" and len(of_specimens(curves)) > 1:
+        cautions.append(
+            "specimens are pooled: intervals are those of these specimens, not of the population; "
+            'write calibration.specimens = "each"'
         )
     return CalibrationResult(
         name=setting.config["name"],

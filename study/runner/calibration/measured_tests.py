@@ -126,7 +126,10 @@ def parts_of(tests: Sequence[Tables], curves: Sequence[FitCurve]) -> list[Part]:
         own = [c for c in curves if c.test == number]
         if own:
             problem = problem_of(test)
-            measured = tuple(MeasuredCurve(c.label, c.measured.curve, c.weight, "fit") for c in own)
+            measured = tuple(
+                MeasuredCurve(c.label, c.measured.curve, c.weight, "fit", c.measured.recordings)
+                for c in own
+            )
             parts.append(Part(problem.method, problem.tables, measured))
     return parts
 

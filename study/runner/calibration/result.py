@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from study.calibration.fit import Fit
     from study.calibration.lack_of_fit import LackOfFit, Pattern
     from study.calibration.profile_likelihood import Profile
+    from study.calibration.random_effects import Population
     from study.material.convention import Converted
 
 
@@ -134,6 +135,8 @@ class CalibrationResult:
         Each specimen for itself; each specimen or test left out in turn.
     same_constants_p : float, optional
         p of the hypothesis that all specimens share their constants.
+    population : tuple of Population
+        Each constant's mean, scatter and intervals, specimens as the unit.
     profiles : mapping of str to Profile
         Profile-likelihood intervals, where asked.
     warnings, notes : tuple of str
@@ -160,6 +163,7 @@ class CalibrationResult:
     specimens: tuple[PartialFit, ...] = ()
     cross_validation: tuple[PartialFit, ...] = ()
     same_constants_p: float | None = None
+    population: tuple[Population, ...] = ()
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -196,6 +200,7 @@ class CalibrationResult:
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
+            "serial_correlation": _serial(found),
             "correlation": found.correlation,
             "condition": found.condition,
             "identifiable": found.identifiable,
@@ -209,6 +214,7 @@ class CalibrationResult:
             "residual_pattern": None if self.pattern is None else vars(self.pattern),
             "specimens": [one.as_dict() for one in self.specimens],
             "same_constants_p": self.same_constants_p,
+            "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
@@ -230,6 +236,32 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
             "ci95": [scale_of(name) * float(v) for v in fit.ci95[i]],
         }
         for i, name in enumerate(fit.names)
+    }
+
+
+def _population(found: Population) -> dict[str, object]:
+    """Give one constant among specimens in kPa, exponents plain."""
+    scale = scale_of(found.name)
+    return {
+        "specimens": found.specimens,
+        "unit": ConstantResponse(found.name).unit,
+        "mean": scale * found.mean,
+        "standard_deviation": scale * found.standard_deviation,
+        "between": scale * found.between,
+        "mean_ci95": [scale * v for v in found.mean_ci95],
+        "next_ci95": [scale * v for v in found.next_ci95],
+    }
+
+
+def _serial(fit: Fit) -> dict[str, object] | None:
+    """Say what the correlation of recorded rows leaves of them; None without intervals."""
+    if fit.serial is None:
+        return None
+    return {
+        "rows": fit.serial.rows,
+        "effective_rows": fit.serial.effective_rows,
+        "correlation": fit.serial.correlation,
+        "inflation": dict(zip(fit.names, fit.serial.inflation.tolist(), strict=True)),
     }
 
 

@@ -1,0 +1,184 @@
+"""From the errors of recorded rows to those of constants, whatever grid the fit was made on.
+
+A curve that was interpolated at 1,000 displacements from 60 rows holds 60 errors, each of which
+moves many of its points. The estimates are linear in the rows to first order; their influence is
+followed through weighting, averaging of repeats and interpolation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from study.arrays import Array
+from study.calibration.covariance import Uncertainty, identifiability, scaled_inverse, student_t
+from study.calibration.fit import Fit, MeasuredCurve, small_sample_aic
+from study.calibration.serial_correlation import (
+    Intervals,
+    SerialCorrelation,
+    Series,
+    effective_rows,
+    intervals,
+)
+from study.curve import Curve
+
+
+def with_serial_correlation(found: Fit, measured: Sequence[MeasuredCurve]) -> Fit:
+    """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation.
+
+    Parameters
+    ----------
+    found : Fit
+        By least squares, with independent points.
+    measured : sequence of MeasuredCurve
+        What it was fitted to, in the order of its curves.
+
+    Returns
+    -------
+    Fit
+        The same constants; unchanged where it has no errors to begin with (no success, no rank,
+        no degrees of freedom).
+    """
+    free = np.isfinite(found.standard_error)
+    if not found.converged or not free.any() or found.rss == 0:
+        return found
+    names = [name for name, known in zip(found.names, free, strict=True) if known]
+    series = _series(found, measured, names)
+    known = intervals(series)
+    if known is None:
+        return found
+    rows = sum(one.residual.size for one in series)
+    covariance = np.full_like(found.covariance, np.nan)
+    covariance[np.ix_(free, free)] = known.covariance
+    half = np.full(free.size, np.nan)
+    half[free] = known.half_width
+    independent = student_t(found.n - int(free.sum())) * found.standard_error
+    serial = SerialCorrelation(
+        rows, known.correlation, effective_rows(rows, known.correlation), half / independent
+    )
+    corrected = replace(
+        found,
+        covariance=covariance,
+        standard_error=np.sqrt(np.diag(covariance)),
+        ci95=np.stack([found.values - half, found.values + half], axis=1),
+        aicc=_aicc(known, rows, found.values.size),
+        serial=serial,
+    )
+    return _judged(corrected, rows - free.size) if free.all() else corrected
+
+
+def _aicc(known: Intervals, rows: int, parameters: int) -> float:
+    """AICc of recorded rows; the variance and, where it was estimated, rho count as parameters."""
+    correlated = math.isfinite(known.correlation)
+    return small_sample_aic(known.deviance, rows, parameters + 1 + int(correlated))
+
+
+def _judged(found: Fit, degrees_of_freedom: int) -> Fit:
+    """Fit with the verdict that its new intervals give."""
+    known = Uncertainty(
+        found.covariance,
+        found.standard_error,
+        found.ci95,
+        found.correlation,
+        found.condition,
+        found.values.size,
+        degrees_of_freedom,
+    )
+    identifiable, reason = identifiability(found.names, found.values, known)
+    return replace(found, identifiable=identifiable, reason=reason)
+
+
+def _series(found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]) -> list[Series]:
+    """Every recording with the influence of its rows on the free constants."""
+    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    rows = [_gradient(m, c, names) for m, c in pairs]
+    inverse, _ = scaled_inverse(np.concatenate(rows))
+    out = []
+    for (one, predicted), jacobian in zip(pairs, rows, strict=True):
+        used = one.weights > 0
+        # estimates move by minus this times a change of the measured forces at the points, N
+        by_point = inverse @ (jacobian * one.weights[used][:, None]).T
+        places = one.curve.displacement_mm[used]
+        recordings = one.recordings or (Curve(places, one.curve.force_N[used]),)
+        for recording in recordings:
+            made = _recorded(one, recording, len(recordings), predicted, names)
+            if made is None:
+                continue
+            weight, d, residual, gradient = made
+            own = interpolation_transposed(by_point, places, d) / len(recordings)
+            out.append(Series(residual, gradient, own / weight))
+    return out
+
+
+def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -> Array:
+    used = measured.weights > 0
+    d = measured.curve.displacement_mm[used]
+    slopes = np.array([predicted.gradient_at(name, d) for name in names]).T
+    return np.asarray(measured.weights[used][:, None] * slopes)
+
+
+def _recorded(
+    measured: MeasuredCurve, recording: Curve, repeats: int, predicted: Curve, names: Sequence[str]
+) -> tuple[Array, Array, Array, Array] | None:
+    """Weight, displacement, weighted residual and gradient of the rows in the fitted range."""
+    d, force = recording.displacement_mm, recording.force_N
+    places = measured.curve.displacement_mm[measured.weights > 0]
+    inside = (d >= places[0]) & (d <= places[-1])
+    d, force = d[inside], force[inside]
+    if d.size == 0:
+        return None
+    # the mean of k repeats scatters by one over root k of one of them
+    weights = np.interp(d, measured.curve.displacement_mm, measured.weights) / math.sqrt(repeats)
+    used = weights > 0
+    d, force, weights = d[used], force[used], weights[used]
+    slopes = np.array([predicted.gradient_at(name, d) for name in names]).T
+    return weights, d, weights * (_force_at(predicted, d) - force), weights[:, None] * slopes
+
+
+def _force_at(predicted: Curve, d: Array) -> Array:
+    """Predicted force at the rows, N; chords between few points would pass for misfit."""
+    knots, force = predicted.displacement_mm, predicted.force_N
+    if predicted.stiffness_N_per_mm is not None or knots.size < 3:
+        return predicted.force_at(d)
+    from scipy.interpolate import CubicSpline
+
+    if knots[0] > 0:  # the unloaded origin is part of every curve
+        knots, force = np.r_[0.0, knots], np.r_[0.0, force]
+    return np.asarray(CubicSpline(knots, force)(d))
+
+
+def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Array:
+    """Influence of rows from that of the points interpolated between them.
+
+    Parameters
+    ----------
+    by_point : ndarray, shape (p, m)
+        Influence of every point.
+    places : ndarray, shape (m,)
+        Displacements of the points, mm.
+    rows : ndarray, shape (n,)
+        Displacements of the rows, increasing; a point beyond them takes the nearest one.
+
+    Returns
+    -------
+    ndarray, shape (p, n)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> points = np.array([[1.0, 2.0, 4.0]])
+    >>> interpolation_transposed(points, np.array([0.0, 0.25, 3.0]), np.array([0.0, 1.0]))
+    array([[2.5, 4.5]])
+    """
+    place = np.interp(places, rows, np.arange(rows.size, dtype=float))
+    left = np.minimum(place.astype(int), max(rows.size - 2, 0))
+    share = place - left
+    out = np.zeros((by_point.shape[0], rows.size))
+    for k, influence in enumerate(by_point):
+        out[k] = np.bincount(left, influence * (1 - share), rows.size)
+        right = np.minimum(left + 1, rows.size - 1)
+        out[k] += np.bincount(right, influence * share, rows.size)
+    return out

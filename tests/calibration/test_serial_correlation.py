@@ -1,0 +1,183 @@
+"""Intervals from recorded rows: coverage by simulation, and answers known otherwise."""
+
+import json
+
+import numpy as np
+import pytest
+
+from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.influence import with_serial_correlation
+from study.calibration.serial_correlation import Series, intervals
+from study.cli.app import run
+from study.curve import Curve
+from tests.calibration.cylinder import AREA, predictor
+from tests.runner.test_calibrate import case
+
+ENERGIES = {
+    "neo-hookean": {"C10": 7e-3},
+    "reduced-polynomial": {"C10": 7e-3, "C20": 1.5e-3},
+}
+ROWS, DEPTH = 60, 9.0
+
+
+def autoregression(rho, rng, rows=ROWS):
+    """Stationary errors of unit variance."""
+    error = rng.normal(size=rows)
+    for t in range(1, rows):
+        error[t] = rho * error[t - 1] + np.sqrt(1 - rho**2) * error[t]
+    return error
+
+
+def coverage(model, points, rho, tests, noise_N=0.1, seed=2011):
+    """Share of 95 % intervals that hold the truth, shape (p,); ``points`` 0 fits the rows."""
+    names, truth = tuple(ENERGIES[model]), np.array(list(ENERGIES[model].values()))
+    at_rows, d = predictor(model, names, DEPTH, points=ROWS)
+    exact = at_rows(truth)[0].force_N
+    places = np.linspace(0.3, DEPTH, points) if points else d  # 60 of them are not the rows
+    predict = predictor(model, names, DEPTH, places=places)[0]
+    rng, hits = np.random.default_rng(seed), np.zeros(truth.size)
+    for _ in range(tests):
+        rows = Curve(d, exact + noise_N * autoregression(rho, rng))
+        curve = Curve(places, np.interp(places, d, rows.force_N))
+        measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
+        found = with_serial_correlation(fit(predict, measured, names, truth), measured)
+        hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
+    return hits / tests
+
+
+@pytest.mark.parametrize(("points", "rho"), [(0, 0.0), (1000, 0.0), (200, 0.9)])
+def test_intervals_cover_the_constant(points, rho):
+    # 60 tests of 95 %: fewer than 52 or so in one of 200 simulations; 35 % would hit 21
+    assert coverage("neo-hookean", points, rho, 60)[0] >= 52 / 60
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("model", ENERGIES)
+@pytest.mark.parametrize("points", [0, 60, 200, 1000])
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_coverage_is_92_to_98_percent(model, points, rho):
+    # one binomial standard deviation of 1500 tests is 0.6 points
+    found = coverage(model, points, rho, 1500)
+    assert np.all((found >= 0.92) & (found <= 0.98)), found
+
+
+def test_long_recording_gives_the_error_that_its_correlation_is_known_to_give():
+    """20,000 rows determine rho, and the error is that of an autoregression with it known."""
+    rho, rows = 0.8, 20_000
+    rng = np.random.default_rng(2011)
+    design = 1 + np.linspace(0, 1, rows)[:, None]
+    influence = design.T / (design.T @ design)
+    error = autoregression(rho, rng, rows)
+    residual = error - design @ (influence @ error)
+    found = intervals([Series(residual, design, influence)])
+    assert found is not None
+    assert found.correlation == pytest.approx(rho, abs=0.015)  # 3 sqrt((1 - rho^2) / n)
+    # a slowly varying influence sees the spectrum at frequency 0: (1 + rho) / (1 - rho) = 9
+    exact = 3 / np.linalg.norm(design)
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(exact, rel=0.05)
+    assert found.half_width[0] == pytest.approx(1.96 * exact, rel=0.06)
+
+
+def test_two_recordings_are_no_neighbors():
+    """The last row of one recording does not foretell the first of the next."""
+    rng = np.random.default_rng(2011)
+    one, two = rng.normal(size=(2, 2000))
+    design = np.ones((2000, 1))
+    apart = intervals([Series(e, design, design.T / 4000) for e in (one + 3, two - 3)])
+    assert apart is not None
+    # each stands off by 3: 18 times the noise is common to neighbors, 9 / 10 of the variance
+    assert apart.correlation == pytest.approx(0.9, abs=0.02)
+
+
+def test_seven_rows_count_as_independent():
+    d = np.arange(1.0, 8.0)
+    rng = np.random.default_rng(2011)
+    force = 2 * d + rng.normal(size=7)
+
+    def predict(values):
+        return [Curve(d, values[0] * d, force_gradient={"k": d})]
+
+    measured = [MeasuredCurve("line", Curve(d, force))]
+    plain = fit(predict, measured, ("k",), [1.0])
+    found = with_serial_correlation(plain, measured)
+    assert found.serial is not None
+    assert np.isnan(found.serial.correlation)
+    assert found.serial.effective_rows == 7
+    assert found.ci95 == pytest.approx(plain.ci95, rel=1e-8)
+    assert found.aicc == pytest.approx(plain.aicc, rel=1e-10)
+
+
+def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path, capsys):
+    """``study calibrate --json`` of 60 rows: half width of a straight regression at any points."""
+    _, d = predictor("neo-hookean", ("C10",), DEPTH, points=ROWS)
+    rng = np.random.default_rng(2011)
+    stretch = 1 - d / 30
+    slope = 2 * AREA * (stretch**-2 - stretch)  # F / C10, Treloar's uniaxial closed form
+    force = 7e-3 * slope + 0.1 * rng.normal(size=ROWS)
+    text = "".join(f"{x:.9f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
+    (tmp_path / "a.csv").write_text("d,f\n" + text, encoding="utf-8")
+    c10 = slope @ force / (slope @ slope)
+    residual = force - c10 * slope
+    scatter = np.sqrt(residual @ residual / (ROWS - 1))
+    lag1 = (residual[1:] @ residual[:-1]) / (residual @ residual)
+    # t of 59 degrees of freedom, kPa, as many rows as Bayley and Hammersley 1946 leave
+    by_hand = 2.001 * scatter / np.sqrt(slope @ slope) * np.sqrt((1 + lag1) / (1 - lag1))
+    half = {}
+    for points in ('"raw"', 60, 200, 1000):
+        test = {"points": points, "more": "", "range": '["1 %", "30 %"]'}
+        path = case(tmp_path, [test], "neo-hookean", "")
+        arguments = ["calibrate", str(path), "--data", str(tmp_path), "--json"]
+        assert run([*arguments, "--results", str(tmp_path / "results")]) == 0
+        document = json.loads(capsys.readouterr().out)
+        low, high = document["parameters"]["C10"]["ci95"]
+        half[points] = 1e-3 * (high - low) / 2
+        assert document["serial_correlation"]["rows"] == 59  # the first lies at 0.5 %
+        assert document["serial_correlation"]["correlation"] == pytest.approx(lag1, abs=0.05)
+    # that rho is not known widens the interval: by 3 to 15 % over many tests of 60 rows
+    assert min(half.values()) > by_hand
+    assert max(half.values()) < 1.15 * by_hand
+    assert min(half.values()) > 0.93 * max(half.values())
+
+
+def test_choice_between_energies_does_not_depend_on_the_grid():
+    """AICc of one term less that of two: with every point a row it would grow with points."""
+    names, truth = ("C10", "C20"), np.array([7e-3, 3e-4])
+    at_rows, d = predictor("reduced-polynomial", names, DEPTH, points=ROWS)
+    noise = 0.1 * np.random.default_rng(2011).normal(size=ROWS)
+    rows = Curve(d, at_rows(truth)[0].force_N + noise)
+    found, independent = [], []
+    for points in (60, 200, 1000):
+        places = np.linspace(0.3, DEPTH, points)
+        curve = Curve(places, np.interp(places, d, rows.force_N))
+        measured = [MeasuredCurve("virtual", curve, recordings=(rows,))]
+        two = predictor("reduced-polynomial", names, DEPTH, places=places)[0]
+        one = predictor("neo-hookean", names[:1], DEPTH, places=places)[0]
+        fits = fit(one, measured, names[:1], truth[:1]), fit(two, measured, names, truth)
+        independent.append(fits[0].aicc - fits[1].aicc)
+        fits = tuple(with_serial_correlation(each, measured) for each in fits)
+        found.append(fits[0].aicc - fits[1].aicc)
+    assert independent[2] > 10 * independent[0]
+    # the same from the rows alone: likelihood with the covariance written out
+    inside = d >= 0.3
+    gradient = at_rows(truth)[0].force_gradient
+    design = np.stack([gradient[n][inside] for n in names], axis=1)
+    by_hand = [aicc_by_hand(x, rows.force_N[inside]) for x in (design[:, :1], design)]
+    assert found == pytest.approx([by_hand[0] - by_hand[1]] * 3, abs=0.05)
+
+
+def aicc_by_hand(design, force):
+    """AICc of a linear model with errors of an autoregression, rho by a search."""
+    n, p = design.shape
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+
+    def deviance(rho):
+        covariance = rho**apart / (1 - rho**2)
+        inverse = np.linalg.inv(covariance)
+        normal, right = design.T @ inverse @ design, design.T @ inverse @ force
+        left = force - design @ np.linalg.solve(normal, right)
+        return n * np.log(left @ inverse @ left / n) + np.linalg.slogdet(covariance)[1]
+
+    k = p + 2
+    least = min(deviance(rho) for rho in np.linspace(-0.9, 0.99, 379))
+    return least + 2 * k + 2 * k * (k + 1) / (n - k - 1)
