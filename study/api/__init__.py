@@ -35,6 +35,7 @@ _HOME = {
     "solve": "study.api.single.solve",
     "calibrate": "study.api.single.calibrate",
     "choose_energy": "study.api.single.calibrate",
+    "compare_tests": "study.api.single.calibrate",
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single.virtual",
     "export": "study.api.haptics.export",
