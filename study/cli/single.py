@@ -163,7 +163,6 @@ def calibrate(
     """Find material constants from one or several measured tests."""
     from study import api
 
-    line = _Line()
     if by is not None:
         if by != "test" or energies or profiles:
             mend = "write --by test, without --energies and --profile"
@@ -172,12 +171,10 @@ def calibrate(
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
     if energies:
-        choice = api.choose_energy(
-            file, data=data, overrides=settings or (), progress=line.show
-        ).to_json()
-        line.end()
+        choice = _chosen(file, data, settings)
         output.print_json(choice) if as_json else _print_energies(choice)
         return
+    line = _Line()
     found = api.calibrate(
         file, data=data, overrides=settings or (), results=results, progress=line.show,
         profiles=profiles,
@@ -197,6 +194,16 @@ def calibrate(
         raise typer.Exit(1)
 
 
+def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
+    from study import api
+
+    line = _Line()
+    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
+    line.end()
+    document: Document = found.to_json()
+    return document
+
+
 def _compared(
     file: Path, data: Path | None, settings: Sequence[str] | None, difference: str, zero: str
 ) -> Document:
@@ -208,7 +215,8 @@ def _compared(
         zero=units.parse(zero, "ratio"), progress=line.show,
     )  # fmt: skip
     line.end()
-    return found.to_json()
+    document: Document = found.to_json()
+    return document
 
 
 VERBS: tuple[Callable[..., None], ...] = (new, solve, calibrate, converge, virtual, doctor)
