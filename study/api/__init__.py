@@ -36,6 +36,7 @@ _HOME = {
     "calibrate": "study.api.single.calibrate",
     "choose_energy": "study.api.single.calibrate",
     "indentation_modulus": "study.api.single.indentation",
+    "compare_tests": "study.api.single.calibrate",
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single.virtual",
     "export": "study.api.haptics.export",

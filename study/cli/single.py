@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from study import units
 from study.cli import output
 from study.cli.convergence import converge
 from study.cli.indentation import closed_form
@@ -150,6 +151,16 @@ def calibrate(
     method: Annotated[
         str, typer.Option(help="auto, or analytic: moduli of indentations in closed form.")
     ] = "",
+    by: Annotated[
+        str | None,
+        typer.Option(help="Fit every 'test' for itself: are the constants equal (Wald test)?"),
+    ] = None,
+    difference: Annotated[
+        str, typer.Option(help="With --by: the power is that of seeing moduli this far off.")
+    ] = "5 %",
+    zero: Annotated[
+        str, typer.Option(help="With --by: standard uncertainty of a test's zero, of its force.")
+    ] = "0 %",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -159,17 +170,23 @@ def calibrate(
 
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     if is_analytic(file, asked):
-        if energies or profiles or convention != "study":
-            rule = "takes no --energies, --profile or --convention"
+        if energies or profiles or by is not None or convention != "study":
+            rule = "takes no --energies, --profile, --by or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
         closed_form(file, data, asked, results, as_json)
         return
-    line = _Line()
+    if by is not None:
+        if by != "test" or energies or profiles:
+            mend = "write --by test, without --energies and --profile"
+            raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
+        compared = _compared(file, data, asked, difference, zero)
+        output.print_json(compared) if as_json else _print_comparison(compared)
+        return
     if energies:
-        choice = api.choose_energy(file, data=data, overrides=asked, progress=line.show).to_json()
-        line.end()
+        choice = _chosen(file, data, asked)
         output.print_json(choice) if as_json else _print_energies(choice)
         return
+    line = _Line()
     found = api.calibrate(
         file, data=data, overrides=asked, results=results, progress=line.show,
         profiles=profiles,
@@ -187,6 +204,31 @@ def calibrate(
         print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
     if not found.converged:
         raise typer.Exit(1)
+
+
+def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
+    from study import api
+
+    line = _Line()
+    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
+    line.end()
+    document: Document = found.to_json()
+    return document
+
+
+def _compared(
+    file: Path, data: Path | None, settings: Sequence[str] | None, difference: str, zero: str
+) -> Document:
+    from study import api
+
+    line = _Line()
+    found = api.compare_tests(
+        file, data=data, overrides=settings or (), difference=units.parse(difference, "ratio"),
+        zero=units.parse(zero, "ratio"), progress=line.show,
+    )  # fmt: skip
+    line.end()
+    document: Document = found.to_json()
+    return document
 
 
 VERBS: tuple[Callable[..., None], ...] = (new, solve, calibrate, converge, virtual, doctor)
@@ -300,6 +342,28 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
             continue
         print(f"{indent}{curve['role']}: {name}: RMS {curve['rms_force_error']:.4g} N "
               f"({curve['relative_rms_force_error']:.3g} %)")  # fmt: skip
+
+
+def _print_comparison(found: Document) -> None:
+    names = list(found["common"])
+    heads = [f"{n} [{one['unit']}]".replace(" []", "") for n, one in found["common"].items()]
+    rows = [["test", "n", *heads, "mu0 [kPa]",
+             f"power, {100 * found['difference']:.3g} % off", "seen with power 0.8"]]  # fmt: skip
+    for one in found["groups"]:
+        seen = "-" if one["detectable"] is None else f"{100 * one['detectable']:.3g} %"
+        rows.append(
+            [one["label"], str(one["n"]), *(_with_error(one["parameters"][n]) for n in names),
+             output.number(one["mu0"], 5), output.number(one["power"], 3), seen]
+        )  # fmt: skip
+    common = [_with_error(found["common"][n]) for n in names]
+    rows.append(["common", "", *common, "", "", ""])
+    output.table(rows, found["model"])
+    print(f"{found['verdict']}: {found['sentence']}")
+    output.warn(found["warnings"])
+
+
+def _with_error(entry: Document) -> str:
+    return f"{output.number(entry['value'], 5)} +- {output.number(entry['standard_error'], 2)}"
 
 
 def _print_energies(found: Document) -> None:

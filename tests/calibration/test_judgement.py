@@ -7,13 +7,13 @@ from study.calibration.fit import MeasuredCurve, fit
 from study.calibration.iteration import EvaluationFailed, Status
 from study.calibration.lack_of_fit import (
     Repeated,
-    agreement,
     akaike_weights,
     lack_of_fit,
     pattern,
     same_constants,
 )
 from study.calibration.levenberg_marquardt import levenberg_marquardt
+from study.calibration.wald_test import agreement
 from study.curve import Curve
 from study.errors import InputError, RefusedError
 from tests.calibration.cylinder import predictor, virtual

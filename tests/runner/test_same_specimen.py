@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from study.calibration.fit import Fit, MeasuredCurve
-from study.calibration.lack_of_fit import agreement
+from study.calibration.wald_test import agreement
 from study.design import load
 from study.runner.expansion import expand
 from study.runner.fitting import fit_task
@@ -53,7 +53,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
 
 
 def test_the_calibration_reads_the_same_files() -> None:
-    found = load.load_calibration(DESIGN.with_name("same-specimen-calibration.toml"))
+    found = load.load_calibration(DESIGN.with_name("one-material.toml"))
     assert found["calibration"]["leave_out"] == "test"
     files = [test["measurements"].file for test in found["tests"]]
     assert files == [f"same-specimen/{way}.csv" for way in WAYS]

@@ -14,9 +14,11 @@ from study.record.atomic_files import write_atomic
 from study.reporting.figure.curves.fit import FitPanel, fit_figure
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
+from study.runner.calibration.comparison import compare
 from study.runner.calibration.model_selection import choose
 
 if TYPE_CHECKING:
+    from study.runner.calibration.comparison import Comparison
     from study.runner.calibration.model_selection import EnergyChoice
     from study.runner.calibration.result import CalibrationResult
     from study.runner.fitting.staged_fit import Step
@@ -89,6 +91,57 @@ def choose_energy(
     """
     config = load_calibration(source, overrides)
     return choose(config, data_root(source, data), progress=progress)
+
+
+def compare_tests(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    difference: float = 0.05,
+    zero: float = 0.0,
+    progress: Callable[[Step], None] | None = None,
+) -> Comparison:
+    """Fit every test of a calibration for itself; Wald test that all have the same constants.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    difference : float
+        Share by which the moduli of one test are off in what the power is stated for.
+    zero : float
+        Standard uncertainty of the zero of a test's force, over its largest force.
+    progress : callable, optional
+        Gets every accepted iteration.
+
+    Returns
+    -------
+    Comparison
+        Constants of every test, the test of equality and its power.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data, or a difference that is no share.
+    RefusedError
+        If a test alone does not determine the constants.
+    """
+    if not 0 < difference < 1:
+        rule = f"must lie between 0 and 1, got {difference:g}"
+        raise InputError(Fault("difference", rule, 'write "5 %" on the command line, 0.05 here'))
+    if not 0 <= zero < 1:
+        rule = f"must be a share of the largest force, got {zero:g}"
+        raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
+    config = load_calibration(source, overrides)
+    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
+    return compare(
+        config, data_root(source, data), difference=difference, zero=zero, progress=progress
+    )
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:

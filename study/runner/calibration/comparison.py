@@ -1,0 +1,254 @@
+"""Comparison of the constants that the tests of one material give, each fitted for itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from study.arrays import Array
+from study.calibration.wald_test import ALPHA, USUAL_POWER, Agreement, agreement
+from study.errors import Fault, InputError, RefusedError
+from study.material.registry import is_dimensionless
+from study.record.record import plain
+from study.runner.calibration.calibrate import calibrate
+from study.runner.calibration.result import CalibrationResult, parameters
+from study.runner.calibration.systematic_error import mesh_error, zero_error
+from study.runner.fitting.staged_fit import Progress
+from study.runner.response import ConstantResponse, scale_of
+from study.runner.tables import Tables
+
+Verdict = Literal["differ", "agree", "undecided"]
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """Standard uncertainties of one test's constants that all its points share.
+
+    Parameters
+    ----------
+    mesh, zero : ndarray, shape (p,)
+        By the mesh and by the zero of the force, MPa (exponents plain).
+    """
+
+    mesh: Array
+    zero: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Of both, shape (p, p)."""
+        return np.outer(self.mesh, self.mesh) + np.outer(self.zero, self.zero)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Constants of every test for itself, and whether one material explains them all.
+
+    Parameters
+    ----------
+    name, model : str
+        Of the calibration and of the energy.
+    fits : mapping of str to CalibrationResult
+        By test, in the order of the file.
+    test : Agreement
+        Wald test of equality.
+    systematic : mapping of str to Systematic
+        By test: what moves its constants besides the scatter of its points.
+    difference : float
+        Share by which the moduli of one test are off in what the power is stated for.
+    power : mapping of str to float
+        By the test that is off: probability that the Wald test says so.
+    detectable : mapping of str to float
+        By the test that is off: share that is seen with a power of 80 %.
+    """
+
+    name: str
+    model: str
+    fits: Mapping[str, CalibrationResult]
+    test: Agreement
+    systematic: Mapping[str, Systematic]
+    difference: float
+    power: Mapping[str, float]
+    detectable: Mapping[str, float]
+
+    @property
+    def verdict(self) -> Verdict:
+        """``undecided`` where no difference was seen that could have been missed."""
+        if self.test.p < ALPHA:
+            return "differ"
+        return "agree" if min(self.power.values()) >= USUAL_POWER else "undecided"
+
+    @property
+    def least(self) -> str:
+        """Test whose difference is the hardest to see."""
+        return min(self.power, key=self.power.__getitem__)
+
+    @property
+    def mu0_spread(self) -> float:
+        """Largest less smallest initial shear modulus of the tests, over their mean."""
+        mu0 = [one.material.mu0 for one in self.fits.values() if one.material is not None]
+        return float(np.ptp(mu0) / np.mean(mu0))
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        test, seen = self.test, f"mu0 spreads over {100 * self.mu0_spread:.3g} %"
+        f = test.statistic / test.df
+        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, p = {test.p:.3g}"
+        off = f"moduli of {self.least} that are {100 * self.difference:.3g} % off"
+        chance = f"{off} would be seen with a power of {self.power[self.least]:.3g}"
+        says = {
+            "differ": "the tests do not give the same constants",
+            "agree": "one set of constants explains all tests",
+            "undecided": "no difference was seen, but one that matters could have been missed",
+        }
+        return f"{says[self.verdict]}: {wald}; {seen}; {chance}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Cautions of every fit, which are those of the comparison as well."""
+        said = [f"{label}: {w}" for label, one in self.fits.items() for w in one.warnings]
+        vague = [
+            f"{label}: the constants are not identifiable ({one.fit.reason}): the Wald test "
+            "compares what the data hardly determine"
+            for label, one in self.fits.items()
+            if not one.fit.identifiable
+        ]
+        return (*said, *vague)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study calibrate --by test --json``."""
+        names = next(iter(self.fits.values())).fit.names
+        error = np.sqrt(np.diag(self.test.covariance))
+        content = {
+            "name": self.name,
+            "model": self.model,
+            "by": "test",
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "groups": [
+                {
+                    "label": label,
+                    "status": one.status,
+                    "parameters": parameters(one.fit),
+                    "correlation": one.fit.correlation,
+                    "n": one.fit.n,
+                    "identifiable": one.fit.identifiable,
+                    "mesh_error": _shown(names, self.systematic[label].mesh),
+                    "zero_error": _shown(names, self.systematic[label].zero),
+                    "mu0": None if one.material is None else 1e3 * one.material.mu0,
+                    "power": self.power[label],
+                    "detectable": self.detectable[label],
+                }
+                for label, one in self.fits.items()
+            ],
+            "common": {
+                name: {
+                    "value": scale_of(name) * float(self.test.common[i]),
+                    "unit": ConstantResponse(name).unit,
+                    "standard_error": scale_of(name) * float(error[i]),
+                }
+                for i, name in enumerate(names)
+            },
+            "statistic": self.test.statistic,
+            "f": self.test.statistic / self.test.df,
+            "df": self.test.df,
+            "df_error": self.test.df_error,
+            "p": self.test.p,
+            "p_chi_square": self.test.p_chi_square,
+            "mu0_spread": self.mu0_spread,
+            "difference": self.difference,
+            "warnings": list(self.warnings),
+        }
+        return cast("dict[str, object]", plain(content, "comparison", {}))
+
+
+def compare(
+    config: Tables,
+    root: Path,
+    *,
+    difference: float = 0.05,
+    zero: float = 0.0,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Fit every test of a calibration for itself, and test whether the constants are equal.
+
+    Parameters
+    ----------
+    config : mapping
+        Of :func:`study.design.load_calibration`; tests that are held out take no part.
+    root : Path
+        Data root.
+    difference : float
+        Share by which the moduli of one test are off in what the power is stated for.
+    zero : float
+        Standard uncertainty of the zero of a test's force, over its largest force.
+    progress : callable, optional
+        Gets every accepted iteration of every fit.
+
+    Returns
+    -------
+    Comparison
+        Fits, test and power.
+
+    Raises
+    ------
+    InputError
+        If there are no two tests to fit, or data are missing or malformed.
+    RefusedError
+        If a test alone does not determine the constants.
+    """
+    groups = _groups(config)
+    fits = {label: calibrate(one, root, progress=progress) for label, one in groups.items()}
+    for label, one in fits.items():
+        if not one.converged:
+            mend = "take an energy with fewer constants, or give constants to start from"
+            raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
+    systematic = {
+        label: Systematic(
+            mesh_error(one, root, fits[label], progress), zero_error(one, root, fits[label], zero)
+        )
+        for label, one in groups.items()
+    }
+    extra = [one.covariance for one in systematic.values()]
+    test = agreement([one.fit for one in fits.values()], extra)
+    power: dict[str, float] = {}
+    detectable: dict[str, float] = {}
+    for i, label in enumerate(fits):
+        unit = _off(test.common, next(iter(fits.values())).fit.names, i, len(fits))
+        power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
+    return Comparison(
+        config["name"], config["material"]["model"], fits, test, systematic, difference, power,
+        detectable,
+    )  # fmt: skip
+
+
+def _groups(config: Tables) -> dict[str, Tables]:
+    """Calibration of every fitted test alone; only the bounds carry over."""
+    fitted = [(i, test) for i, test in enumerate(config["tests"]) if test["role"] == "fit"]
+    if len(fitted) < 2:
+        mend = "give a second [[tests]] table with role = 'fit'"
+        raise InputError(Fault("tests", "one test alone has nothing to be compared with", mend))
+    stems = [Path(str(t["measurements"].file or t["measurements"].files)).stem for _, t in fitted]
+    alone = {**config["calibration"], "specimens": "pooled", "leave_out": None}
+    return {
+        stem if stems.count(stem) == 1 else f"tests[{i}]": {
+            **config, **{key: test[key] for key in ("specimen", "model")},
+            "tests": [test], "calibration": alone,
+        }
+        for stem, (i, test) in zip(stems, fitted, strict=True)
+    }  # fmt: skip
+
+
+def _shown(names: tuple[str, ...], moved: Array) -> dict[str, float]:
+    return {n: scale_of(n) * float(m) for n, m in zip(names, moved, strict=True)}
+
+
+def _off(common: Array, names: tuple[str, ...], group: int, groups: int) -> Array:
+    """Difference of one group: all its moduli are larger by their own size, no exponent is."""
+    out = np.zeros((groups, len(names)))
+    out[group] = [0 if is_dimensionless(n) else v for n, v in zip(names, common, strict=True)]
+    return out

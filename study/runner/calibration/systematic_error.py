@@ -1,0 +1,116 @@
+"""Errors that all points of one test share, as changes of the constants that it gives.
+
+A fit's covariance knows the scatter of its points alone. A load cell's zero and the mesh shift
+a whole curve, and with it the constants, by more than that scatter admits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from study.arrays import Array
+from study.errors import Fault, InputError, RefusedError
+from study.runner.calibration.calibrate import calibrate
+from study.runner.calibration.measured_tests import in_order, problem_of, read_tests
+from study.runner.calibration.result import CalibrationResult
+from study.runner.fitting.staged_fit import Progress
+from study.runner.tables import Tables
+from study.setup.setup import MESH_LEVELS
+
+#: of the mesh sizes of neighboring names, and of the meshes whose constants are compared
+_RATIO = 1.5
+
+
+def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float) -> Array:
+    """Change of the constants by a shift of all forces of one test.
+
+    Parameters
+    ----------
+    config : mapping
+        Calibration of this test alone.
+    root : Path
+        Data root.
+    found : CalibrationResult
+        Its converged fit.
+    zero : float
+        Standard uncertainty of the force's zero, over the largest force.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        MPa (exponents plain); first order, at the fitted constants.
+    """
+    curves = in_order(read_tests(config["tests"], root)[0])
+    rows, shifts = [], []
+    for measured, predicted in zip(curves, found.fit.curves, strict=True):
+        curve, weight = measured.measured.curve, np.asarray(measured.weight)
+        slopes = [predicted.gradient_at(n, curve.displacement_mm) for n in found.fit.names]
+        rows.append((weight * np.array(slopes)).T)
+        shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
+    jacobian = np.concatenate(rows)
+    scale = np.linalg.norm(jacobian, axis=0)
+    shift = np.linalg.lstsq(jacobian / scale, np.concatenate(shifts), rcond=None)[0]
+    return np.asarray(shift / scale)
+
+
+def mesh_error(
+    config: Tables, root: Path, found: CalibrationResult, progress: Progress | None = None
+) -> Array:
+    """Error that the mesh leaves in the constants of one test, from a second, coarser mesh.
+
+    Constants move with the first power of the mesh size where an edge or a bonded corner makes
+    the stress singular, so that of the change between two meshes of ratio r, change / (r - 1) is
+    left; for smooth solutions that is more than there is.
+
+    Parameters
+    ----------
+    config : mapping
+        Calibration of this test alone.
+    root : Path
+        Data root.
+    found : CalibrationResult
+        Its converged fit.
+    progress : callable, optional
+        Gets every accepted iteration.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        MPa (exponents plain); zero where the test is answered in closed form.
+
+    Raises
+    ------
+    InputError
+        If the mesh is the coarsest there is.
+    RefusedError
+        If the coarser mesh gives no constants.
+    """
+    coarser = _coarser(config)
+    if coarser is None:
+        return np.zeros_like(found.fit.values)
+    other = calibrate(coarser, root, progress=progress)
+    if not other.converged:
+        raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
+                           "take a finer mesh")  # fmt: skip
+    return np.asarray((found.fit.values - other.fit.values) / (_RATIO - 1))
+
+
+def _coarser(config: Tables) -> Tables | None:
+    """Calibration of one test on a mesh that is coarser; None where there is no mesh."""
+    (test,) = config["tests"]
+    if problem_of(test).method != "inverse-fem":
+        return None
+    model: Mapping[str, object] = test["model"]
+    size = test["model"].get("mesh_size_mm")
+    if size is not None:
+        model = {**model, "mesh_size_mm": _RATIO * size}
+    else:
+        level = MESH_LEVELS.index(test["model"].get("mesh") or "medium")
+        if level == 0:
+            mend = 'write mesh = "medium" or "fine" in [model]'
+            raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
+        model = {**model, "mesh": MESH_LEVELS[level - 1]}
+    return {**config, "model": model, "tests": [{**test, "model": model}]}

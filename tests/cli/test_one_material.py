@@ -1,0 +1,165 @@
+"""`study calibrate --by test`: the Wald statistic by hand from calibrations made one by one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tests.cli.small import study
+
+HEAD = """
+schema = 1
+[specimen]
+shape = "homogeneous"
+area = "20 mm^2"
+length = "25 mm"
+[material]
+model = "neo-hookean"
+incompressible = true
+"""
+TEST = """
+[[tests]]
+test = {{ kind = "{kind}" }}
+[tests.measurements]
+file = "{file}.csv"
+columns = {{ stretch = "l", stress = "s" }}
+units = {{ stretch = "1", stress = "kPa" }}
+"""
+KINDS = {"tension": "tension", "equibiaxial": "equibiaxial", "planar": "planar"}
+MU_KPA = 30.0
+NOISE_KPA = 0.4
+
+
+def stress(kind: str, stretch: np.ndarray) -> np.ndarray:
+    """Nominal stress over mu of an incompressible neo-Hookean solid."""
+    exponent = {"tension": -2, "planar": -3, "equibiaxial": -5}[kind]
+    return np.asarray(stretch - stretch**exponent)
+
+
+def measure(
+    folder: Path, mu: dict[str, float], rng: np.random.Generator, n: int = 15, zero: float = 0.0
+) -> None:
+    stretch = np.linspace(1.05, 1.8, n)
+    for kind, value in mu.items():
+        s = value * stress(kind, stretch) + NOISE_KPA * rng.normal(size=n) + zero
+        rows = ["l,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(stretch, s, strict=True))]
+        (folder / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def written(folder: Path, kinds: list[str], name: str = "all") -> Path:
+    path = folder / f"{name}.toml"
+    text = HEAD + "".join(TEST.format(kind=KINDS[kind], file=kind) for kind in kinds)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def calibrated(path: Path, *more: object) -> Any:
+    found = study(
+        "calibrate", path, "--data", path.parent, "--results", path.parent / "r", "--json", *more
+    )
+    assert found.code == 0, found.err
+    return found.json
+
+
+def by_hand(folder: Path, kinds: list[str]) -> tuple[float, float, float, list[float]]:
+    """Statistic, denominator and common constant, from the fits of every test for itself."""
+    alone = [calibrated(written(folder, [kind], kind)) for kind in kinds]
+    (name,) = alone[0]["parameters"]
+    value = np.array([one["parameters"][name]["value"] for one in alone])
+    variance = np.array([one["parameters"][name]["standard_error"] ** 2 for one in alone])
+    common = float(np.sum(value / variance) / np.sum(1 / variance))
+    wald = float(np.sum((value - common) ** 2 / variance))
+    return wald, common, value, variance
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(1.0, "agree"), (1.06, "differ")])
+def test_wald_statistic_and_power_of_three_separate_calibrations(
+    tmp_path: Path, off: float, verdict: str
+) -> None:
+    kinds = ["tension", "equibiaxial", "planar"]
+    mu = {**dict.fromkeys(kinds, MU_KPA), "planar": off * MU_KPA}
+    measure(tmp_path, mu, np.random.default_rng(7))
+    wald, common, _, variance = by_hand(tmp_path, kinds)
+    found = calibrated(written(tmp_path, kinds), "--by", "test", "--difference", "4 %")
+    assert found["verdict"] == verdict
+    (name,) = found["common"]
+    assert found["common"][name]["value"] == pytest.approx(common, rel=1e-9)
+    assert found["statistic"] == pytest.approx(wald, rel=1e-7)
+    assert found["df"] == 2
+    assert found["p_chi_square"] == pytest.approx(stats.chi2.sf(wald, 2), rel=1e-6)
+    assert found["p"] == pytest.approx(stats.f.sf(wald / 2, 2, found["df_error"]), rel=1e-6)
+    # one constant that is off by d has the noncentrality d^2 w (1 - w / sum of w)
+    weight = 1 / variance
+    for i, one in enumerate(found["groups"]):
+        lam = (0.04 * common) ** 2 * weight[i] * (1 - weight[i] / weight.sum())
+        limit = stats.f.isf(0.05, 2, found["df_error"])
+        power = stats.ncf.sf(limit, 2, found["df_error"], lam)
+        assert one["power"] == pytest.approx(power, abs=1e-6)
+        again = (one["detectable"] / 0.04) ** 2 * lam
+        assert stats.ncf.sf(limit, 2, found["df_error"], again) == pytest.approx(0.8, abs=1e-5)
+
+
+def test_two_tests_of_one_constant_are_welchs_t(tmp_path: Path) -> None:
+    kinds = ["tension", "planar"]
+    measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3), n=6)
+    wald, _, _, variance = by_hand(tmp_path, kinds)
+    found = calibrated(written(tmp_path, kinds), "--by", "test")
+    welch = variance.sum() ** 2 / np.sum(variance**2 / 5)
+    assert found["df_error"] == pytest.approx(welch, rel=1e-7)
+    assert found["p"] == pytest.approx(2 * stats.t.sf(np.sqrt(wald), welch), rel=1e-6)
+
+
+def test_a_zero_of_the_load_cell_is_no_other_material(tmp_path: Path) -> None:
+    kinds = ["tension", "planar"]
+    rng = np.random.default_rng(5)
+    measure(tmp_path, {"tension": MU_KPA}, rng, n=200, zero=1.0)
+    measure(tmp_path, {"planar": MU_KPA}, rng, n=200, zero=-1.0)
+    path = written(tmp_path, kinds)
+    assert calibrated(path, "--by", "test")["verdict"] == "differ"
+    known = calibrated(path, "--by", "test", "--zero", "2 %")
+    assert known["p"] > 0.05
+    # a shift z of all stresses moves mu by z sum(g) / sum(g^2), g the stress over mu
+    stretch = np.linspace(1.05, 1.8, 200)
+    g = stress("tension", stretch)
+    largest = max(
+        float(row.split(",")[1]) for row in (tmp_path / "tension.csv").read_text().split()[1:]
+    )
+    (name,) = known["common"]
+    # C10 = mu / 2
+    half = 0.5 * 0.02 * largest * g.sum() / (g @ g)
+    assert known["groups"][0]["zero_error"][name] == pytest.approx(half, rel=1e-5)
+
+
+def test_words_and_refusals(tmp_path: Path) -> None:
+    kinds = ["tension", "planar"]
+    measure(tmp_path, dict.fromkeys(kinds, MU_KPA), np.random.default_rng(3))
+    path = written(tmp_path, kinds)
+    words = study("calibrate", path, "--data", tmp_path, "--by", "test")
+    assert words.code == 0, words.err
+    for word in ("tension", "planar", "common", "power", "agree: one set of constants"):
+        assert word in words.out
+    one = study("calibrate", written(tmp_path, ["planar"], "p"), "--data", tmp_path, "--by", "test")
+    assert (one.code, "second [[tests]]" in one.err) == (2, True)
+    for wrong in (["--by", "batch"], ["--by", "test", "--difference", "0 %"],
+                  ["--by", "test", "--zero", "100 %"]):  # fmt: skip
+        assert study("calibrate", path, "--data", tmp_path, *wrong).code == 2
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_five_percent_of_equal_materials_are_told_apart(tmp_path: Path) -> None:
+    """600 materials of three tests with 15 points each; a share of 0.05 +- 0.009 is expected."""
+    kinds = ["tension", "equibiaxial", "planar"]
+    rng = np.random.default_rng(2011)
+    path, p = written(tmp_path, kinds), []
+    for _ in range(600):
+        measure(tmp_path, dict.fromkeys(kinds, MU_KPA), rng)
+        p.append(calibrated(path, "--by", "test")["p"])
+    share = float(np.mean(np.array(p) < 0.05))
+    print(json.dumps({"rejected": share}))
+    assert 0.03 <= share <= 0.07
