@@ -20,6 +20,7 @@ from study.material.registry import is_dimensionless
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
+    from study.runner.calibration.result import CalibrationResult
     from study.runner.fitting.staged_fit import Step
 
 
@@ -176,9 +177,7 @@ def calibrate(
         closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
-        if by != "test" or energies or profiles:
-            mend = "write --by test, without --energies and --profile"
-            raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
+        _check_by(by, alone=not (energies or profiles))
         compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
@@ -188,22 +187,31 @@ def calibrate(
         return
     line = _Line()
     found = api.calibrate(
-        file, data=data, overrides=asked, results=results, progress=line.show,
-        profiles=profiles,
-    )  # fmt: skip
+        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles
+    )
     line.end()
+    _show(found, convention, results / found.name, as_json)
+    if not found.converged:
+        raise typer.Exit(1)
+
+
+def _check_by(by: str, *, alone: bool) -> None:
+    """Refuse a comparison by anything but tests, or beside other questions."""
+    if by != "test" or not alone:
+        mend = "write --by test, without --energies and --profile"
+        raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
+
+
+def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
     document = found.to_json()
     if convention != "study":
         converted = found.converted(convention)
         document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
-    folder = results / found.name
     if as_json:
         output.print_json(document)
     else:
         _print_calibration(document)
         print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
-    if not found.converged:
-        raise typer.Exit(1)
 
 
 def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
