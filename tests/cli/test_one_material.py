@@ -31,6 +31,7 @@ columns = {{ stretch = "l", stress = "s" }}
 units = {{ stretch = "1", stress = "kPa" }}
 """
 KINDS = {"tension": "tension", "equibiaxial": "equibiaxial", "planar": "planar"}
+DESIGNS = Path(__file__).parents[2] / "designs"
 MU_KPA = 30.0
 NOISE_KPA = 0.4
 
@@ -163,3 +164,24 @@ def test_five_percent_of_equal_materials_are_told_apart(tmp_path: Path) -> None:
     share = float(np.mean(np.array(p) < 0.05))
     print(json.dumps({"rejected": share}))
     assert 0.03 <= share <= 0.07
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize(("truth", "verdict"), [("bonded", "agree"), ("frictionless", "differ")])
+def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: str) -> None:
+    """Plates that are bonded as the calibration says, and plates that slip: mu0 tells it, too."""
+    slip = f"presets.way.bonded-compression.test.interface={truth}"
+    made = study("virtual", tmp_path, "--from", DESIGNS / "same-specimen.toml", "-s", slip)
+    assert made.code == 0, made.err
+    found = study(
+        "calibrate", DESIGNS / "one-material.toml", "--by", "test", "--zero", "0.2 %",
+        "--data", tmp_path, "--json",
+    )  # fmt: skip
+    assert found.code == 0, found.err
+    assert found.json["verdict"] == verdict
+    mu0 = {one["label"]: one["mu0"] for one in found.json["groups"]}
+    others = (mu0["lubricated-compression"] + mu0["flat-indentation"]) / 2
+    # the same files but one: the other two tests agree under both truths
+    assert mu0["lubricated-compression"] == pytest.approx(mu0["flat-indentation"], rel=0.02)
+    assert (mu0["bonded-compression"] == pytest.approx(others, rel=0.05)) is (verdict == "agree")
