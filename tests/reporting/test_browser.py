@@ -1,0 +1,135 @@
+"""The report in a real browser: quiet, whole, within the screen, and deaf to hostile names."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from study.reporting.output import write
+from study.reporting.output.page import build
+from study.study_result.report_data import ReportData
+from tests.reporting.browser import Browser, running
+from tests.reporting.test_page import hostile
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.verify,
+    pytest.mark.skipif(
+        not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
+    ),
+]
+
+OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+EMPTY_FIGURES = """
+[...document.querySelectorAll("figure svg, figure img")].filter((one) => {
+  const box = one.getBoundingClientRect();
+  return box.width < 50 || box.height < 50;
+}).length
+"""
+FIGURES = 'document.querySelectorAll("figure").length'
+DRAWN = 'document.querySelectorAll("figure svg, figure img").length'
+# The first column of a table as written, and after each of two presses on its head.
+SORT = """
+(() => {
+  const table = [...document.querySelectorAll(".scroll table")].find(
+    (one) => one.querySelector("th button"));
+  const column = () => [...table.tBodies[0].rows].map((row) => row.cells[0].textContent.trim());
+  const before = column();
+  const press = () => {
+    table.querySelector("th button").click();
+    return [column(), table.querySelector("th").getAttribute("aria-sort")];
+  };
+  return [before, press(), press()];
+})()
+"""
+# Names that would change the title of the page if any of them ran.
+HOSTILE = (
+    "<script>document.title='run'</script>",
+    '"><img src=x onerror="document.title=`run`">',
+    "</style><script>document.title='run'</script>",
+    "=cmd|' /C calc'!A0",
+    r"$\frac{a}{b}$",
+    "\u05e9\u05dc\u05d5\u05dd",
+)
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with running(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory, html: str) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    path.write_text(html, "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390])
+def test_page_is_quiet_whole_and_within_the_screen(
+    tab: Browser, page: Path, width: int, scheme: str
+):
+    tab.open(page, width, scheme)
+    assert tab.ask("innerWidth") == width
+    assert tab.ask(f'matchMedia("(prefers-color-scheme: {scheme})").matches')
+    assert tab.complaints() == []
+    assert tab.requests() == []
+    assert tab.ask(OVERFLOW) <= 0
+    assert tab.ask(DRAWN) >= tab.ask(FIGURES) > 0
+    assert tab.ask(EMPTY_FIGURES) == 0
+
+
+def test_pressed_head_sorts_its_table(tab: Browser, page: Path):
+    tab.open(page, 1400, "light")
+    before, (up, first), (down, second) = tab.ask(SORT)
+    assert (first, second) == ("ascending", "descending")
+    assert up == sorted(before, key=str.lower)
+    assert down == sorted(before, key=str.lower, reverse=True)
+    assert up != down
+
+
+def test_faults_of_a_page_are_seen(tab: Browser, tmp_path: Path):
+    path = tmp_path / "bad.html"
+    path.write_text(
+        "<title>x</title><div style='width:3000px'>x</div><img src='http://127.0.0.1:9/x.png'>"
+        "<script>document.title='run'; console.error('x')</script>"
+    )
+    tab.open(path, 390, "light")
+    assert tab.complaints()
+    assert tab.requests() == ["http://127.0.0.1:9/x.png"]
+    assert tab.ask(OVERFLOW) > 2000
+    assert tab.ask("document.title") == "run"
+
+
+@pytest.mark.parametrize("name", HOSTILE, ids=range(len(HOSTILE)))
+def test_hostile_names_run_nothing(tab: Browser, tmp_path: Path, data: ReportData, name: str):
+    path = tmp_path / "hostile.html"
+    path.write_text(build(hostile(data, name)), "utf-8")
+    tab.open(path, 1400, "light")
+    assert tab.complaints() == []
+    assert tab.requests() == []
+    assert tab.ask("document.title") != "run"
+    assert tab.ask(f"document.body.textContent.includes({json.dumps(name)})")
+
+
+def test_printed_page_has_an_outline(tmp_path: Path, page: Path):
+    write.print_page(page, tmp_path / "r.pdf")
+    assert b"/Outlines" in (tmp_path / "r.pdf").read_bytes()
+
+
+@pytest.mark.skipif(not shutil.which("pdftotext"), reason="pdftotext (poppler) is not installed")
+def test_printed_page_holds_the_answer(tmp_path: Path, tab: Browser, page: Path):
+    tab.open(page, 1400, "light")
+    answer = str(tab.ask('document.querySelector("#answer p").textContent')).split()
+    write.print_page(page, tmp_path / "r.pdf")
+    text = subprocess.run(
+        ["pdftotext", tmp_path / "r.pdf", "-"], capture_output=True, check=True, text=True
+    )
+    assert " ".join(answer[:4]) in " ".join(text.stdout.split())
