@@ -296,7 +296,8 @@ def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
     if key in _NAMES:
         return _NAMES[key]
     # a dot between two digits is one of a number
-    return clean(re.split(r"\.(?!\d)", key)[-1].replace("_", " ") or key)
+    last = re.split(r"\.(?!\d)", key)[-1]
+    return _NAMES.get(last) or clean(last.replace("_", " ") or key)
 
 
 def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:

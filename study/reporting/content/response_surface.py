@@ -243,7 +243,7 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     for item in one.found.sensitivity:
         if item.range is not None:
             by.setdefault(item.range.verdict, []).append(name_of(item.factor, data.labels))
-    limit = f"{one.practical:g} {clean(one.unit)}".strip()
+    limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
     said = []
     if MATTERS in by:
         verb = "matters" if len(by[MATTERS]) == 1 else "matter"
@@ -253,8 +253,7 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
         said.append(f"{listing(by.pop(NO_DIFFERENCE))} {verb} no practical difference")
     rest = [name for names in by.values() for name in names]
     if rest:
-        verb = "matters" if len(rest) == 1 else "matter"
-        said.append(f"these runs cannot show whether {listing(rest, 'or')} {verb}")
+        said.append(f"these runs cannot show whether {listing(rest, 'or')} matters")
     return sentence(f"against {limit}, {'; '.join(said)}") if said else ""
 
 
