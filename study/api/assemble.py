@@ -81,6 +81,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         beside=study.beside,
         surfaces=study.surfaces,
         ranges=_ranges(study),
+        is_measured=spec is not None or design.calibration.problem is not None,
     )
 
 

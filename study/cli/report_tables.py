@@ -44,10 +44,10 @@ def anova_rows(data: ReportData, response: str) -> Rows:
 
 def answer_lines(data: ReportData) -> list[str]:
     """Return the sentences of the answer box, and what would change them."""
-    from study.reporting.content import sentences
+    from study.reporting.content import recommendation, sentences
 
     found = facts(data)
-    change = f"What would change this? {sentences.would_change(data, found)}"
+    change = f"What would change this? {recommendation.would_change(data, found)}"
     lines = [*sentences.answer(data, found), change]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 

@@ -296,6 +296,8 @@ class ReportData:
         Ends of those factors with their unit, in place of a list of levels.
     is_table : bool
         Whether the rows are those of a table: nothing was simulated.
+    is_measured : bool
+        Whether anything was measured: of a simulation alone, another run repeats the first.
     """
 
     name: str
@@ -336,6 +338,7 @@ class ReportData:
     surfaces: tuple[FittedSurface, ...] = ()
     ranges: Mapping[str, str] = field(default_factory=dict)
     is_table: bool = False
+    is_measured: bool = True
 
     @property
     def planned(self) -> int:

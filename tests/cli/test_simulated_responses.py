@@ -151,3 +151,17 @@ def test_what_a_study_of_simulations_cannot_answer_is_refused(
     assert answer.code == 2
     assert told in answer.err
     assert not (folder / "results").exists()
+
+
+def test_more_runs_of_a_simulation_are_not_advised(folder: Path) -> None:
+    """A simulation gives the same answer again; a finer mesh may give another."""
+    design = folder / "alone.toml"
+    text = design.read_text().replace('interface = "frictionless"', 'interface = "bonded"')
+    design.write_text(text.replace('format = ["csv"]', 'format = ["html"]'))
+    found = study("run", design, "--no-refine", "-j", "1")
+    assert found.code == 0, found.err
+    said = " ".join(found.out.split()).partition("What would change this?")[2][:400]
+    assert "a refined mesh, which was not tried, could move every result" in said
+    assert "replicate" not in said
+    page = (folder / "reports" / "alone" / "alone.html").read_text()
+    assert "none: every response is one of the simulation alone" in page

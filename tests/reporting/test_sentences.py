@@ -15,7 +15,12 @@ from study.analysis.request import AnalysisRequest
 from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
 from study.reporting import report
 from study.reporting.content import sentences, verdicts
-from study.reporting.content.recommendation import best_cell, cheaper, recommendation
+from study.reporting.content.recommendation import (
+    best_cell,
+    cheaper,
+    recommendation,
+    would_change,
+)
 from study.reporting.output.page import prepare, render
 from study.reporting.report import Facts, Group, describe, facts, groups
 from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
@@ -176,7 +181,7 @@ def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
     assert "scatter of their generator" in render(prepare(replace(virtual, curves=())))
-    assert "real measurements" in sentences.would_change(virtual, facts(virtual))
+    assert "real measurements" in would_change(virtual, facts(virtual))
 
 
 def test_error_term_names_source_and_question(data: ReportData):
@@ -244,8 +249,7 @@ def test_plurals_of_blocks_are_english(data: ReportData):
     found = facts(replace(data, block="batch"))
     doubt = replace(found[0], terms=(effect(CANNOT_TELL),))
     assert (
-        "more batches would narrow"
-        in sentences.would_change(replace(data, block="batch"), (doubt,)).lower()
+        "more batches would narrow" in would_change(replace(data, block="batch"), (doubt,)).lower()
     )
 
 
@@ -296,6 +300,6 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData)
     why = "the numerical uncertainty would have to be below 0.2"
     few = replace(error(), terms=(effect(CANNOT_TELL, why="the interval crosses the threshold"),))
     coarse = replace(error(), terms=(effect(NOT_RESOLVED, term="order", why=why),))
-    text = sentences.would_change(data, [few, coarse])
+    text = would_change(data, [few, coarse])
     assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
-    assert "narrow" not in sentences.would_change(data, [coarse])
+    assert "narrow" not in would_change(data, [coarse])

@@ -1,4 +1,7 @@
-"""What to use: the best cell, the cheapest within reach of it, and what a cheaper level costs."""
+"""What to use: the best cell, the cheapest within reach of it, what a cheaper level costs.
+
+And what would change the answer.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect
-from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.record.table import cell_names
-from study.reporting.content import roles
+from study.reporting.content import response_surface, roles
 from study.reporting.content.verdicts import size, size_interval
 from study.reporting.numbers import (
     THIN,
@@ -25,6 +28,7 @@ from study.reporting.numbers import (
     rounded,
     sentence,
     significant,
+    term_name,
 )
 from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
 from study.study_result.report_data import ReportData
@@ -261,3 +265,65 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
         f"{gap} ({level(facts.alpha)} interval {size_interval(effect, facts)}), {weight}; "
         f"it {cost}"
     )
+
+
+def would_change(data: ReportData, found: Sequence[Facts]) -> str:
+    """Say what would change the answer."""
+    if data.surfaces:
+        return response_surface.would_change(data)
+    parts = [*_surer(data, found), *_closer_to_reality(data)]
+    if not parts:
+        other = "measurements of another material" if data.is_measured else "other given values"
+        parts = [f"a different smallest difference that matters, or {other}"]
+    return sentence("; ".join(parts))
+
+
+def _surer(data: ReportData, found: Sequence[Facts]) -> list[str]:
+    """More units, or finer meshes: each where it is the cause of a doubt."""
+    parts, unit = [], clean(data.block) if data.block else "replicate"
+    unstated = [one.title for one in found if any(_has_no_practical(e) for e in one.effects)]
+    if unstated:
+        parts.append(f"the smallest difference that matters, stated for the {listing(unstated)}")
+    effects = [e for facts in found for e in facts.effects if not _has_no_practical(e)]
+    doubts = _names([e for e in effects if e.verdict == CANNOT_TELL], data)
+    # the same computation gives the same answer: nothing is gained from it again
+    if doubts and data.is_measured:
+        several = "s" if len(doubts) > 1 else ""
+        parts.append(
+            f"more {plural_of(unit)} would narrow the interval{several} of {listing(doubts)}"
+        )
+    claims = _names([e for e in effects if e.lost_without], data)
+    if claims:
+        more = plural_of(clean(data.block) or "block")
+        parts.append(f"more {more} could overturn or confirm what is said of {listing(claims)}")
+    coarse = _names([e for e in effects if e.verdict == NOT_RESOLVED], data)
+    if not data.is_measured:
+        coarse = list(dict.fromkeys([*coarse, *doubts]))
+    if coarse:
+        parts.append(f"finer meshes could resolve {listing(coarse)}")
+    if not data.is_measured and effects and all(e.u_num is None for e in effects):
+        parts.append("a refined mesh, which was not tried, could move every result")
+    return parts
+
+
+def _has_no_practical(effect: Effect) -> bool:
+    """Whether no verdict is possible, since nobody said from where on a difference matters."""
+    return effect.verdict == CANNOT_TELL and effect.practical is None
+
+
+def _closer_to_reality(data: ReportData) -> list[str]:
+    parts = []
+    if data.assumed:
+        names = listing([name_of(key, data.labels) for key in data.assumed])
+        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
+    if data.failures:
+        some = len(data.failures) < len(data.table)
+        hidden = "may hide an effect" if some else "hide every effect"
+        parts.append(f"{count(len(data.failures), 'failed case')} {hidden}")
+    if data.virtual:
+        parts.append("real measurements would, since these were generated")
+    return parts
+
+
+def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
+    return list(dict.fromkeys(term_name(effect.term, data.labels) for effect in effects))

@@ -215,54 +215,6 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
     )
 
 
-def would_change(data: ReportData, found: Sequence[Facts]) -> str:
-    """Say what would change the answer."""
-    if data.surfaces:
-        return response_surface.would_change(data)
-    undecided = (CANNOT_TELL, NOT_RESOLVED)
-    open_ones = [e for facts in found for e in facts.effects if e.verdict in undecided]
-    doubts = _names([e for e in open_ones if not _of_the_mesh(e)], data)
-    coarse = _names([e for e in open_ones if _of_the_mesh(e)], data)
-    parts = []
-    if doubts:
-        unit = clean(data.block) if data.block else "replicate"
-        parts.append(
-            f"more {plural_of(unit)} would narrow the interval"
-            f"{'s' if len(doubts) > 1 else ''} of {listing(doubts)}"
-        )
-    claims = [e for facts in found for e in facts.effects if e.lost_without]
-    if claims:
-        unit = plural_of(clean(data.block) or "block")
-        named = listing(_names(claims, data))
-        parts.append(f"more {unit} could overturn or confirm what is said of {named}")
-    if coarse:
-        parts.append(f"finer meshes could resolve {listing(coarse)}")
-    if data.assumed:
-        names = listing([name_of(key, data.labels) for key in data.assumed])
-        parts.append(f"a measured value of what is assumed here ({names}) could move every result")
-    if data.failures:
-        hidden = (
-            "may hide an effect" if len(data.failures) < len(data.table) else "hide every effect"
-        )
-        parts.append(f"{count(len(data.failures), 'failed case')} {hidden}")
-    if data.virtual:
-        parts.append("real measurements would, since these were generated")
-    if not parts:
-        parts.append(
-            "a different smallest difference that matters, or measurements of another material"
-        )
-    return sentence("; ".join(parts))
-
-
-def _of_the_mesh(effect: Effect) -> bool:
-    """Whether it is the numerical uncertainty that leaves an effect open."""
-    return effect.verdict == NOT_RESOLVED
-
-
-def _names(effects: Sequence[Effect], data: ReportData) -> list[str]:
-    return list(dict.fromkeys(term_name(effect.term, data.labels) for effect in effects))
-
-
 def error_term(facts: Facts, data: ReportData) -> str:
     """Say where the error of the table comes from and what its p answers."""
     term = facts.error_term

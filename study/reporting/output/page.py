@@ -196,7 +196,7 @@ def render(contents: Contents) -> str:
             *sentences.answer(data, contents.found),
             *comparison.answer_lines(data.beside, data.labels),
         ),
-        would_change=sentences.would_change(data, contents.found),
+        would_change=recommendation.would_change(data, contents.found),
         checks=checks.grouped(checks.all_checks(data, contents.found)),
         controls=checks.grouped(data.controls),
         error_terms=sentences.error_terms(data, contents.found),
