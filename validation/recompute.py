@@ -11,7 +11,7 @@ taken as it is: a wrong optimum is not found here.
 A record of the closed form is compared with finite elements, which have no closed form.
 Measured curves are read again where ``--data`` names their folder; else those of the records
 are used. Left out, and counted: records without an answer, fits to resampled noise (they hold
-no curve), and directions whose constants a record does not hold.
+no curve), and directions whose constants a record does not hold. Not computed again: stiffnesses.
 
 Exit code 0 if all agree, 1 if one differs by more than the bar or has no answer now, 2 for
 bad input.
@@ -50,7 +50,8 @@ class Line:
     Parameters
     ----------
     difference : float
-        In pp for a response in %, else in % of the RMS or the largest measured force.
+        In pp for a response in %, else in % of the RMS or the largest measured force; of a
+        response of the simulation alone in % of itself.
     interpolation : float
         How far two interpolations of the denser curve differ, in the same unit: what cannot be
         told apart here.
@@ -112,19 +113,22 @@ def _lines(
     other: Mapping[str, float],
 ) -> Iterator[Line]:  # fmt: skip
     scale = _scales(job)
-    for name in RESPONSES:
-        if name in recorded:
-            difference = scale[name] * (value[name] - recorded[name])
-            unclear = scale[name] * abs(value[name] - other[name])
-            yield Line(
-                job.study, job.case_id, job.levels, name + label, recorded[name], value[name],
-                difference, unclear,
-            )  # fmt: skip
+    for name, known in recorded.items():
+        one = scale[name] if name in scale else 100 / abs(known) if known else math.nan
+        yield Line(
+            job.study, job.case_id, job.levels, name + label, known, value[name],
+            one * (value[name] - known), one * abs(value[name] - other[name]),
+        )  # fmt: skip
 
 
 def _scales(job: Job) -> dict[str, float]:
-    """Factors that make differences pp, or % of the measured force where they are in N."""
-    forces = [np.array(one.measured[1]) for one in job.directions]
+    """Factors that make differences pp, or % of the measured force where they are in N.
+
+    A response of the simulation alone has none: its differences are in % of itself.
+    """
+    forces = [np.array(one.measured[1]) for one in job.directions if one.measured is not None]
+    if not forces:
+        return {}
     rms = float(np.mean([np.sqrt(np.mean(force**2)) for force in forces]))
     peak = float(np.mean([np.abs(force).max() for force in forces]))
     return dict.fromkeys(RESPONSES, 1.0) | {
@@ -228,7 +232,8 @@ def shown(outcome: Outcome, bar: float) -> Iterator[str]:
             f"{line.interpolation:>8.1e}  {outcome.steps[line.case_id]:>8.1e}{mark}"
         )
     yield "difference and spline (two interpolations of the denser curve) in pp, or in % of the"
-    yield "measured force; steps: largest difference of force at the recorded steps, in %"
+    yield "measured force (a response of the simulation alone: of itself); steps: largest"
+    yield "difference of force at the recorded steps, in %"
     yield from (f"note: {note}" for note in outcome.notes)
     yield from (f"left out: {n} {why}" for why, n in sorted(outcome.left_out.items()) if n)
     yield from (f"no answer: {name}: {why}" for name, why in outcome.failed.items())

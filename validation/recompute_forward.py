@@ -30,11 +30,11 @@ def recomputed(job: Job) -> dict[str, Any]:
     """
     spline, monotone, at_steps, meshes = [], [], 0.0, set()
     for one in job.directions:
-        measured, recorded = np.array(one.measured), np.array(one.predicted)
-        dense, mesh = solved(job, one, float(measured[0].max()))
+        recorded = np.array(one.predicted)
+        dense, mesh = solved(job, one, float(np.array(one.measured or one.predicted)[0].max()))
         meshes.add(mesh)
-        spline.append(scores(between(dense, measured[0]), measured))
-        monotone.append(scores(between(dense, measured[0], monotone=True), measured))
+        spline.append(_responses(one, dense, monotone=False))
+        monotone.append(_responses(one, dense, monotone=True))
         gap = np.abs(between(dense, recorded[0]) - recorded[1]).max()
         at_steps = max(at_steps, 100 * float(gap / np.abs(recorded[1]).max()))
     return {
@@ -86,13 +86,53 @@ def between(curve: Array, at: Array, *, monotone: bool = False) -> Array:
     >>> between(curve, np.array([0.5, 2.5])).round(9).tolist()
     [0.125, 15.625]
     """
+    piecewise = _interpolated(curve, monotone)
+    return np.asarray(piecewise(np.clip(at, 0.0, piecewise.x[-1])), dtype=float)
+
+
+def _interpolated(curve: Array, monotone: bool) -> Any:
+    """Piecewise cubic through the forces and the unloaded origin."""
     from scipy.interpolate import CubicSpline, PchipInterpolator
 
     knots, force = curve
     if knots[0] > 0:
         knots, force = np.r_[0.0, knots], np.r_[0.0, force]
-    make = PchipInterpolator if monotone else CubicSpline
-    return np.asarray(make(knots, force)(np.clip(at, 0.0, knots[-1])), dtype=float)
+    return (PchipInterpolator if monotone else CubicSpline)(knots, force)
+
+
+def _responses(one: Direction, dense: Array, *, monotone: bool) -> dict[str, float]:
+    """Responses of a solution that is denser than the record's."""
+    found = {}
+    if one.measured is not None:
+        measured = np.array(one.measured)
+        found = scores(between(dense, measured[0], monotone=monotone), measured)
+    piecewise = _interpolated(dense, monotone)
+    return found | {
+        name: of_the_simulation(name, piecewise) for name in one.responses if name not in found
+    }
+
+
+def _place(name: str) -> float:
+    """Displacement of ``force_at_2.5_mm``, mm."""
+    return float(name.split("_at_")[1].removesuffix("_mm"))
+
+
+def of_the_simulation(name: str, piecewise: Any) -> float:
+    """Value of a response of the simulation alone; ``force_at_2.5_mm`` is one at 2.5 mm.
+
+    Examples
+    --------
+    >>> from scipy.interpolate import CubicSpline
+    >>> d = np.linspace(0, 3, 4)
+    >>> names = ("peak_force", "force_at_2.5_mm", "work")
+    >>> [round(of_the_simulation(name, CubicSpline(d, d**3)), 9) for name in names]
+    [27.0, 15.625, 20.25]
+    """
+    if name == "peak_force":
+        return float(piecewise(piecewise.x).max())
+    if name == "work":
+        return float(piecewise.integrate(0.0, piecewise.x[-1]))
+    return float(piecewise(_place(name)))
 
 
 def scores(force: Array, measured: Array) -> dict[str, float]:

@@ -275,3 +275,59 @@ def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
     found = recompute_forward.between(np.array([knots, knots**1.5]), at, monotone=monotone)
     # a tenth of the bar: what cannot be told apart is far below what is looked for
     assert np.abs(found - at**1.5).max() < 0.1 * recompute.BAR / 100 * 2**1.5
+
+
+def test_a_study_without_measurements_is_computed_again(tmp_path: Path) -> None:
+    """The peak force, the force at a displacement and the work of a simulation alone."""
+    design = tmp_path / "alone.toml"
+    design.write_text(ALONE)
+    made = subprocess.run(
+        [sys.executable, "-m", "study", "run", design, "-j", "1", "--no-refine"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    file = tmp_path / "found.json"
+    found = recomputed(tmp_path / "results" / "alone", "--sample", 4, "--json", file)
+    assert found.returncode == 0, found.stdout + found.stderr
+    lines = json.loads(file.read_text())["lines"]
+    assert {line["response"] for line in lines} == {"peak_force", "force_at_1.3_mm", "work"}
+    assert len(lines) == 12
+    assert max(abs(line["difference"]) for line in lines) <= 0.05
+
+
+ALONE = """
+schema = 1
+[study]
+name = "alone"
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "20 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "2 mm"
+steps = 4
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+incompressible = true
+[model]
+mesh_size = "5 mm"
+[factors]
+material.C10 = ["5 kPa", "10 kPa"]
+specimen.radius = ["10 mm", "11 mm"]
+[[response]]
+name = "peak_force"
+practical = "0.2 N"
+[[response]]
+name = "force_at"
+displacement = "1.3 mm"
+[[response]]
+name = "stiffness_at"
+displacement = "1.3 mm"
+[[response]]
+name = "work"
+[report]
+format = ["csv"]
+"""
