@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
 from study.api.comparison.design_changes import read_truths
-from study.api.folders import REPORTS, RESULTS, data_root
+from study.api.folders import REPORTS, RESULTS, design_root
 from study.api.opened_study import open_study
 from study.api.planning.remaining_time import (
     control_seconds,
@@ -123,7 +123,7 @@ def run(
     allowed = Allowed(allow_commands, function)
     if reports is not None:
         checked_formats(formats or loaded.report.format)
-    work = expand(loaded, data_root(loaded.source, data), allowed)
+    work = expand(loaded, design_root(loaded, data), allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
     warnings: list[str] = []

@@ -1,4 +1,4 @@
-"""Verbs about one thing: new, solve, virtual, doctor (calibrate, converge: own files)."""
+"""Verbs about one thing: solve, calibrate, doctor (converge: its own file)."""
 
 from __future__ import annotations
 
@@ -22,28 +22,6 @@ if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
     from study.runner.calibration.result import CalibrationResult
     from study.runner.fitting.staged_fit import Step
-
-
-def new(
-    file: Annotated[Path, typer.Argument(help="File to be written.")],
-    calibration: Annotated[
-        bool, typer.Option(help="A calibration, with virtual measurements beside it.")
-    ] = False,
-) -> None:
-    """Write a commented design, or calibration, to start from."""
-    from study.api.single.virtual import new_file
-
-    try:
-        new_file(file, calibration=calibration)
-    except FileExistsError as error:
-        rule = "exists already"
-        where = str(error.filename or file)
-        raise InputError(Fault(where, rule, "choose another name")) from None
-    except OSError as error:
-        rule = f"cannot be written ({error.strerror or error})"
-        raise InputError(Fault(str(file), rule)) from None
-    verb = "calibrate" if calibration else "plan"
-    print(f"{file}: edit it, then: study {verb} {file}")
 
 
 def solve(
@@ -97,27 +75,6 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
         write_picture(solution, picture)
     if vtu is not None:
         write_vtu(solution, vtu)
-
-
-def virtual(
-    out: Annotated[Path, typer.Argument(help="Folder for the generated CSV files.")],
-    source: Annotated[
-        Path | None, typer.Option("--from", help="Design whose measurements are imitated.")
-    ] = None,
-    truth: Annotated[
-        str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
-    ] = "yeoh",
-    specimens: Annotated[
-        int | None, typer.Option(min=2, help="Number of specimens (or batches).")
-    ] = None,
-    settings: Set = None,
-) -> None:
-    """Write virtual measurements as CSV."""
-    from study import api
-
-    chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
-    for path in api.virtual(out, source, **chosen):
-        print(path)
 
 
 def doctor(as_json: Json = False) -> None:
@@ -239,7 +196,7 @@ def _compared(
     return document
 
 
-VERBS: tuple[Callable[..., None], ...] = (new, solve, calibrate, converge, virtual, doctor)
+VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, converge, doctor)
 
 
 class _Line:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import analysis_tables, mixed_effects, output, surface_tables
+from study.cli import output
 from study.cli.studies import RESULTS, Json, Results
+from study.cli.tables import analysis_tables, mixed_effects, surface_tables
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:

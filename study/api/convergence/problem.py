@@ -11,9 +11,9 @@ from study.analysis.convergence.grid_convergence import grid_convergence
 from study.api.convergence.cells import design_series
 from study.api.convergence.page import write_page
 from study.api.convergence.result import ProblemConvergence
-from study.api.folders import RESULTS, data_root
+from study.api.folders import RESULTS, data_root, design_root
 from study.api.opened_study import open_study
-from study.design.load import file_kind, load_problem
+from study.design.load import file_kind, load, load_problem
 from study.errors import Fault, InputError
 from study.runner import provenance
 from study.runner.numerical import curve_quantities
@@ -105,8 +105,9 @@ def converge(
             progress=say, memory_MB=memory_MB,
         ).to_json()  # fmt: skip
 
+    root = design_root(load(source, overrides), data)
     return design_series(
-        source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
+        source, overrides, root, jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
     ).to_json()  # fmt: skip
 

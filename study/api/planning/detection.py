@@ -14,7 +14,7 @@ from study.analysis.effects.power.verdict_power import (
     planned_verdicts,
 )
 from study.analysis.request import threshold
-from study.api.folders import RESULTS, data_root
+from study.api.folders import RESULTS, design_root
 from study.api.statistics.analysis import analyze
 from study.canonical import plain
 from study.design.load import load
@@ -123,7 +123,7 @@ def power(
     if sd is not None and not (math.isfinite(sd) and sd > 0):
         raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
     warnings: list[str] = []
-    blocks, seconds = _planned(loaded, data_root(loaded.source, data), warnings)
+    blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
     found: list[Detection] = []
     for response in loaded.responses:
         if response.practical is None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.folders import RESULTS, data_root, results_folder
+from study.api.folders import RESULTS, design_root, results_folder
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
@@ -127,7 +127,7 @@ def plan(
     described = overview(loaded)
     warnings = list(described.warnings)
     workers = jobs or default_jobs()
-    root = data_root(loaded.source, data)
+    root = design_root(loaded, data)
     try:
         work = expand(loaded, root)
     except MissingDataError as error:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import data_root
+from study.api.folders import calibration_root
 from study.design.load import load_calibration
 from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
@@ -65,10 +65,16 @@ def calibrate(
     if config["calibration"]["method"] == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
-    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
+    config = provenance.located(
+        config, provenance.folders(source, calibration_root(config, source, data))
+    )
     folder = None if results is None else results / config["name"]
     found = run_calibration(
-        config, data_root(source, data), progress=progress, profiles=profiles, folder=folder
+        config,
+        calibration_root(config, source, data),
+        progress=progress,
+        profiles=profiles,
+        folder=folder,
     )
     if folder is not None:
         save_calibration(found, folder)
@@ -90,7 +96,7 @@ def choose_energy(
         For a faulty file or faulty data.
     """
     config = load_calibration(source, overrides)
-    return choose(config, data_root(source, data), progress=progress)
+    return choose(config, calibration_root(config, source, data), progress=progress)
 
 
 def compare_tests(
@@ -138,9 +144,15 @@ def compare_tests(
         rule = f"must be a share of the largest force, got {zero:g}"
         raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
     config = load_calibration(source, overrides)
-    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
+    config = provenance.located(
+        config, provenance.folders(source, calibration_root(config, source, data))
+    )
     return compare(
-        config, data_root(source, data), difference=difference, zero=zero, progress=progress
+        config,
+        calibration_root(config, source, data),
+        difference=difference,
+        zero=zero,
+        progress=progress,
     )
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import data_root
+from study.api.folders import calibration_root
 from study.contact_mechanics.closed_form import IndentationTest
 from study.contact_mechanics.closed_form import indentation_modulus as modulus_of
 from study.contact_mechanics.layer import Layer
@@ -63,7 +63,7 @@ def indentation_modulus(
     """
     began = time.perf_counter()
     config = load_calibration(source, (*overrides, ASKED))
-    root = data_root(source, data)
+    root = calibration_root(config, source, data)
     tests: list[IndentationTest] = []
     faults: list[Fault] = []
     for number, tables in enumerate(config["tests"]):
