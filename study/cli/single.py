@@ -37,10 +37,11 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single.solve import solution_json
+    from study.api.single.solve import cautions, solution_json
 
     if picture or vtu:
         _writable(picture, vtu)
+    output.warn(cautions(file, settings or ()))
     solution = api.solve(file, overrides=settings or ())
     curve = solution.curve
     if picture or vtu:

@@ -20,6 +20,8 @@ from study.canonical import plain
 from study.errors import Fault, InputError
 
 __all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
+#: distance of the finest from the extrapolated value, over the latter, that is told
+FAR = 0.05
 _MIN_RATIO = 1.3
 #: factor of the GCI where observed and formal order agree (Roache 1994)
 SAFE = 1.25
@@ -144,7 +146,9 @@ def grid_convergence(
         "warnings": tuple(warnings),
     }
     if behaviour == "monotone":
-        return ConvergenceResult(**base, **_monotone(h, f, formal_order, tolerance))
+        found = _monotone(h, f, formal_order, tolerance)
+        base["warnings"] = (*warnings, *_far_warnings(float(f[0]), found["extrapolated"]))
+        return ConvergenceResult(**base, **found)
     return ConvergenceResult(**base, **_without_order(behaviour, f, tolerance))
 
 
@@ -184,6 +188,17 @@ def _ratio_warnings(h: Array) -> list[str]:
     return [
         f"refinement ratio {ratios.min():.3g} is below {_MIN_RATIO}: "
         "noise of the mesh is amplified in the order"
+    ]
+
+
+def _far_warnings(finest: float, extrapolated: float) -> list[str]:
+    """Say where the limit is an extrapolation by more than a study should rest on."""
+    if not extrapolated or abs(finest - extrapolated) <= FAR * abs(extrapolated):
+        return []
+    off = abs(finest / extrapolated - 1)
+    return [
+        f"the finest value, {finest:.6g}, is {100 * off:.3g} % from its extrapolated value, "
+        f"{extrapolated:.6g}: refine further before either is used"
     ]
 
 

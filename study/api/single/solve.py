@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
 from study.design.load import load_problem
+from study.design.plausibility import plausibility, plausible_sizes
 from study.forward import closed_form
 from study.material.stability import check
 from study.record.record import plain
 from study.runner import provenance
-from study.setup.setup import Problem, ResolvedTables, problem_of
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Problem, ResolvedTables, Setup, problem_of
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -54,6 +56,20 @@ def solve(
     if made.setup.has_no_elements:
         return closed_form.solution(made)
     return forward_solve(made, gradients=gradients, progress=progress)
+
+
+def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
+    """Sentences about moduli and sizes in a file that no soft material or specimen has.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem.
+    """
+    tables = load_problem(problem, overrides)
+    setup = Setup.of(tables)
+    material = MaterialSection.of(tables["material"])
+    return plausibility(material) + plausible_sizes(setup.specimen, setup.model)
 
 
 def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
