@@ -96,7 +96,7 @@ def calibration_root(config: Config, source: str | Path, data: str | Path | None
     )
 
 
-def results_folder(path: str | Path, results: Path = RESULTS) -> Path:
+def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:
     """Results of a study, named by their folder, by its design file, or by the study's name.
 
     Raises
@@ -105,9 +105,9 @@ def results_folder(path: str | Path, results: Path = RESULTS) -> Path:
         If nothing has been computed there.
     """
     given = Path(path)
-    candidates = [given, results / given.name]
+    candidates = [given, Path(results) / given.name]
     if given.suffix == ".toml" and given.is_file():
-        candidates = [results / load(given).name]
+        candidates = [Path(results) / load(given).name]
     for folder in candidates:
         if (folder / "study.json").is_file():
             return folder

@@ -98,8 +98,8 @@ class Verification:
 def verify(
     path: str | Path,
     *,
-    results: Path = RESULTS,
-    reports: Path = REPORTS,
+    results: str | Path = RESULTS,
+    reports: str | Path = REPORTS,
     resolve: int = 0,
     seed: int = 1,
     data: str | Path | None = None,
@@ -138,7 +138,7 @@ def verify(
     InputError
         If there is no report, or no results to compute it from.
     """
-    page = _page(Path(path), reports)
+    page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
     found = Verification()
     _check_records(folder, found)

@@ -80,7 +80,7 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
 
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
-    from study.api.doctor import examine
+    from study.api.single.doctor import examine
 
     found = examine()
     if as_json:

@@ -254,6 +254,10 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
     if report is not None and not source.is_file():
         rule = "writes the page of a table, and this is no file"
         raise InputError(Fault("--report", rule, "the page of a study: study report STUDY"))
+    if report is not None and formats:
+        from study.reporting.output.write import checked_formats
+
+        checked_formats(_names(formats))
     if report is not None and report.exists() and not report.is_dir():
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 

@@ -78,3 +78,58 @@ def test_a_value_far_from_its_limit() -> None:
     assert any("28.6 % from its extrapolated value" in said for said in far["warnings"])
     near = study("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4", "--json")
     assert near.json["warnings"] == []
+
+
+TABLE = """material,Space,specimen,Force
+soft,2d,1,1.00
+soft,3d,1,1.10
+stiff,2d,1,2.00
+stiff,3d,1,2.20
+soft,2d,2,1.05
+soft,3d,2,1.15
+{stiff},2d,2,2.10
+stiff,3d,2,2.30
+"""
+ASKED = ("--response", "Force", "--factors", "material,Space", "--block", "specimen")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "meant"),
+    [("Force", "force", "Force"), ("material,Space", "materail,Space", "material"),
+     ("material,Space", "material,space", "Space"), ("specimen", "Specimen", "specimen")],
+)  # fmt: skip
+def test_columns_in_other_letters_are_guessed(
+    home: Path, wrong: str, right: str, meant: str
+) -> None:
+    (home / "t.csv").write_text(TABLE.format(stiff="stiff"))
+    answer = study("analyze", "t.csv", *(right if word == wrong else word for word in ASKED))
+    assert answer.code == 2
+    assert f"did you mean '{meant}'?" in answer.err
+
+
+@pytest.mark.parametrize("label", ["Stiff", "STIFF", "stiff"])
+def test_levels_that_differ_in_case_are_told(home: Path, label: str) -> None:
+    (home / "t.csv").write_text(TABLE.format(stiff=label))
+    answer = study("analyze", "t.csv", *ASKED, "--error", "pooled", "--model", "1", "--json")
+    assert answer.code == 0, answer.err
+    said = f"column 'material' holds 'stiff' and '{label}' as different levels: did you mean one?"
+    assert (said in answer.json["warnings"]) == (label != "stiff")
+
+
+def test_a_format_is_checked_before_anything_is_computed(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from study import api
+
+    def compute(*_: object, **__: object) -> None:
+        raise AssertionError("something was computed")
+
+    (home / "t.csv").write_text(TABLE.format(stiff="stiff"))
+    for verb in ("analyze", "open_study"):
+        monkeypatch.setattr(api, verb, compute, raising=False)
+    words = ("--report", "out", "--format", "htm")
+    for command in (("analyze", "t.csv", *ASKED, *words), ("report", "small", "--format", "htm")):
+        answer = study(*command)
+        assert answer.code == 2
+        assert "did you mean 'html'?" in answer.err
+    assert not (home / "out").exists()

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,11 @@ from study.arrays import Array
 from study.canonical import plain
 from study.errors import Fault, InputError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
+
 #: distance of the finest from the extrapolated value, over the latter, that is told
 FAR = 0.05
 _MIN_RATIO = 1.3
@@ -86,6 +91,22 @@ class ConvergenceResult:
     def to_json(self) -> dict[str, object]:
         """JSON document."""
         return dict(plain(self))
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the meshes, the finest first.
+
+        Returns
+        -------
+        DataFrame
+            ``mesh_size`` and ``value``.
+        """
+        import pandas as pd
+
+        return pd.DataFrame({"mesh_size": self.mesh_size, "value": self.value})
+
+    def _repr_html_(self) -> str:
+        """Meshes and verdict as the last line of a cell shows them."""
+        return self.to_frame().to_html(index=False) + f"<p>{escape(self.verdict)}</p>"
 
 
 def grid_convergence(

@@ -87,7 +87,7 @@ def power(
     *,
     sd: float | None = None,
     data: str | Path | None = None,
-    results: Path = RESULTS,
+    results: str | Path = RESULTS,
     overrides: Sequence[str] = (),
     counts: Sequence[int] = COUNTS,
 ) -> Power:
@@ -152,7 +152,7 @@ def _detections(
     design: Design,
     response: Response,
     sd: float | None,
-    results: Path,
+    results: str | Path,
     seconds: float | None,
     counts: Sequence[int],
     warnings: list[str],
@@ -197,12 +197,15 @@ def _practical(response: Response, known: tuple[float, float, float] | None) -> 
     return limit.on_scale(1.0 if known is None else known[2], response.transform)
 
 
-def _known(design: Design, response: Response, results: Path) -> tuple[float, float, float] | None:
+def _known(
+    design: Design, response: Response, results: str | Path
+) -> tuple[float, float, float] | None:
     """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
-    if not (results / design.name).is_dir():
+    folder = Path(results) / design.name
+    if not folder.is_dir():
         return None
     try:
-        found = analyze(str(results / design.name), response.name)
+        found = analyze(str(folder), response.name)
     except StudyError:
         return None
     spread = _scatter(found)

@@ -35,7 +35,7 @@ def indentation_modulus(
     *,
     data: str | Path | None = None,
     overrides: Sequence[str] = (),
-    results: Path | None = None,
+    results: str | Path | None = None,
 ) -> AnalyticCalibration:
     """Fit Young's modulus to measured indentations in closed form, curve by curve.
 
@@ -78,7 +78,7 @@ def indentation_modulus(
     moduli = tuple(one for one, _ in found)
     result = AnalyticCalibration(config["name"], moduli, notes, time.perf_counter() - began)
     if results is not None:
-        save_moduli(result, results / result.name)
+        save_moduli(result, Path(results) / result.name)
     return result
 
 
