@@ -5,12 +5,22 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
 
-from study.cli import accuracy, haptics, new_files, power, single, statistics, studies, verification
+from study.cli import (
+    accuracy,
+    haptics,
+    new_files,
+    power,
+    serve,
+    single,
+    statistics,
+    studies,
+    verification,
+)
 from study.cli.next_command import interrupted
 from study.cli.output import complain
 from study.errors import StudyError
@@ -44,10 +54,11 @@ def root(
     """Design of experiments and honest statistics for simulations of soft materials."""
 
 
-VERBS = (
+VERBS: tuple[Callable[..., None], ...] = (
     *studies.VERBS,
     *verification.VERBS,
     power.power,
+    serve.serve,
     *statistics.VERBS,
     *new_files.VERBS,
     *single.VERBS,
