@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from study import api
@@ -22,6 +23,7 @@ from study.api.server.request import StudyServer
 from study.api.server.states import Folders
 from study.record.store import Store
 from study.reporting.output import write
+from tests.cli.small import PROBLEM
 from tests.reporting.browser.devtools import Browser, running
 
 
@@ -106,6 +108,21 @@ def test_a_report_with_every_part(
     page.write_text(html, "utf-8")
     tab.open(page, width, scheme)
     assert violations(tab) == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_pages_of_a_table_and_of_a_series(
+    tab: Browser, tmp_path: Path, width: int, scheme: str
+) -> None:
+    rows = [(b, m, 1 + 0.1 * b + (m == "stiff") + 0.01 * k) for b in (1, 2, 3)
+            for k, m in enumerate(("soft", "stiff"))]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["specimen", "material", "force"])
+    found = api.analyze(table, "force", ["material"], block="specimen", practical=0.5)
+    (tmp_path / "problem.toml").write_text(PROBLEM)
+    api.converge(tmp_path / "problem.toml", results=tmp_path, reports=tmp_path / "series")
+    for page in (found.report(tmp_path / "table"), next(tmp_path.glob("series/**/*.html"))):
+        tab.open(page, width, scheme)
+        assert violations(tab) == []
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
