@@ -33,4 +33,5 @@ def setup(app: object) -> None:
 
     (HERE / "design-file.md").write_text(reference.design_file(), encoding="utf-8")
     (HERE / "python.md").write_text(reference.python(), encoding="utf-8")
+    (HERE / "cookbook.md").write_text(reference.cookbook(HERE / "cookbook.ipynb"), encoding="utf-8")
     (HERE / "gallery.md").write_text(reference.gallery(HERE.parent / "designs"), encoding="utf-8")

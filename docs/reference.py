@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import tomllib
 from collections.abc import Iterable
@@ -129,6 +130,16 @@ def python() -> str:
             parts += [f"## `study.{name}`", "", "```{eval-rst}", f".. autofunction:: study.{name}"]
             parts += ["```", ""]
     return "\n".join(parts)
+
+
+def cookbook(path: Path) -> str:
+    """Return the page of the cookbook: its notebook, whose cells a test runs."""
+    parts = []
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        text = "".join(cell["source"])
+        parts += [f"```python\n{text}\n```" if cell["cell_type"] == "code" else text]
+    note = f"The same as a notebook: {{download}}`{path.name}`."
+    return "\n\n".join([parts[0], note, *parts[1:]]) + "\n"
 
 
 def gallery(folder: Path) -> str:

@@ -11,7 +11,7 @@ import pytest
 import study
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.result import AnalysisResult
-from study.api.depth_effects import effects_by_depth
+from study.api.statistics.depth_effects import effects_by_depth
 from study.api.statistics.records import analyze_records
 from study.curve import Curve
 from study.reporting.output.page import build
@@ -91,7 +91,7 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
         found.append(result.detection.u_num)
         return result
 
-    monkeypatch.setattr("study.api.depth_effects.analyze_records", noted)
+    monkeypatch.setattr("study.api.statistics.depth_effects.analyze_records", noted)
     effects_by_depth(replace(outcome, numerical=(rough,)))
     # an order of .7 and a factor of 3 bound the finer mesh, whose distance is 50; a cell that was
     # not refined is taken to be at most three times as far off, on either side of a difference

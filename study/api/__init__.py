@@ -20,6 +20,7 @@ _HOME = {
     "status": "study.api.planning.plan",
     "why": "study.api.planning.plan",
     "report": "study.api.study",
+    "serve": "study.api.server.serve",
     "open_study": "study.api.opened_study",
     "diff": "study.api.comparison.compare",
     "verify": "study.api.verification",

@@ -6,7 +6,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from study.api.depth_effects import effects_by_depth
+from study.api.statistics.depth_effects import effects_by_depth
 from study.api.uncertainty.credibility import checks_of_spaces
 from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve

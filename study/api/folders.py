@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from study.design.load import load
+from study.design.sections.cell import Config
+from study.design.spec import Design
 from study.errors import Fault, InputError
+from study.measurement.data_root import locate, locate_pattern
+from study.measurement.section import MeasurementSpec
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
 
 
-def data_root(source: str | Path, data: str | Path | None = None) -> Path:
+def data_root(
+    source: str | Path, data: str | Path | None = None, named: Iterable[MeasurementSpec] = ()
+) -> Path:
     """Folder that measurement files are relative to.
+
+    Without a folder that the user named it is the first of three that holds the files:
+    ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
+    design's folder. Where none holds them it is the first that exists.
 
     Parameters
     ----------
@@ -20,6 +31,8 @@ def data_root(source: str | Path, data: str | Path | None = None) -> Path:
         The design file.
     data : str or Path, optional
         The folder that the user named, which wins.
+    named : iterable of MeasurementSpec
+        What names the files that are looked for.
 
     Raises
     ------
@@ -33,11 +46,57 @@ def data_root(source: str | Path, data: str | Path | None = None) -> Path:
             raise InputError(Fault("--data", f"there is no folder {str(folder)!r}", mend))
         return folder
     home = Path(source).resolve().parent
-    beside = home.parent / "measurements"
-    return beside if beside.is_dir() else home
+    usual = [home.parent / "measurements", home / "measurements", home]
+    there = [folder for folder in usual if folder.is_dir()]
+    wanted = list(named)
+    complete = [folder for folder in there if wanted and _holds(folder, wanted)]
+    return next(iter([*complete, *there]), home)
 
 
-def results_folder(path: str | Path, results: Path = RESULTS) -> Path:
+def _holds(folder: Path, wanted: Iterable[MeasurementSpec]) -> bool:
+    """Whether a folder has a file for each of some specifications."""
+    try:
+        for spec in wanted:
+            if spec.file is not None:
+                locate(spec.file, folder)
+            elif spec.files is not None:
+                locate_pattern(spec.files, folder)
+    except InputError:
+        return False
+    return True
+
+
+def design_root(design: Design, data: str | Path | None = None) -> Path:
+    """Folder that the measurement files of a design are relative to.
+
+    Raises
+    ------
+    InputError
+        If the named folder does not exist.
+    """
+    specs = [
+        spec
+        for cell in design.treatments
+        for problem in (cell.cell.problem, cell.cell.fitted_elsewhere)
+        if problem is not None and (spec := problem.measurements) is not None
+    ]
+    return data_root(design.source, data, {(s.file, s.files): s for s in specs}.values())
+
+
+def calibration_root(config: Config, source: str | Path, data: str | Path | None = None) -> Path:
+    """Folder that the measurement files of a calibration are relative to.
+
+    Raises
+    ------
+    InputError
+        If the named folder does not exist.
+    """
+    return data_root(
+        source, data, [test["measurements"] for test in config["tests"] if test["measurements"]]
+    )
+
+
+def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:
     """Results of a study, named by their folder, by its design file, or by the study's name.
 
     Raises
@@ -46,9 +105,9 @@ def results_folder(path: str | Path, results: Path = RESULTS) -> Path:
         If nothing has been computed there.
     """
     given = Path(path)
-    candidates = [given, results / given.name]
+    candidates = [given, Path(results) / given.name]
     if given.suffix == ".toml" and given.is_file():
-        candidates = [results / load(given).name]
+        candidates = [Path(results) / load(given).name]
     for folder in candidates:
         if (folder / "study.json").is_file():
             return folder

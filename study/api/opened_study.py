@@ -13,22 +13,23 @@ from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import cross_validated, scored_on
 from study.api.statistics.study_surface import SEE_SURFACE, is_numeric, surfaces
+from study.api.study_notebook import Study
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
+from study.design.overview import implausible
 from study.design.spec import Design
 from study.errors import InputError, StudyError
-from study.measurement.conditioning import SORTED
+from study.measurement.conditioning import is_caution
 from study.record.record import Record
 from study.record.store import Store
 from study.study_result.report_data import ResponseAnalysis
-from study.study_result.study_result import StudyResult
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.study_result.report_data import ResponseAnalysis
 
 
-def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
+def open_study(path: str | Path, results: str | Path = RESULTS) -> Study:
     """Open the stored records of a study and analyze them.
 
     Raises
@@ -46,7 +47,9 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     records = tuple(store.records(manifest["cases"]))
     numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
-    warnings += [note for note in manifest["notes"] if SORTED in note]
+    problems = [one.cell.problem for one in design.treatments]
+    warnings += dict.fromkeys(said for problem in problems for said in implausible(problem))
+    warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)
@@ -54,7 +57,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     fitted = surfaces(design, records, numerical)
     warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
     warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
-    return StudyResult(
+    return Study(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,

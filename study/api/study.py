@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
 from study.api.comparison.design_changes import read_truths
-from study.api.folders import REPORTS, RESULTS, data_root
+from study.api.folders import REPORTS, RESULTS, design_root
 from study.api.opened_study import open_study
 from study.api.planning.remaining_time import (
     control_seconds,
@@ -19,9 +19,10 @@ from study.api.planning.remaining_time import (
     refinement_seconds,
     with_time_left,
 )
+from study.api.study_notebook import Study
 from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
-from study.design.load import dump, load, loads
+from study.design.load import dump, from_tables, load, loads
 from study.design.spec import Design
 from study.errors import InputError, RefusedError
 from study.execution.task import check_limit
@@ -40,7 +41,34 @@ if TYPE_CHECKING:
     from study.runner.batch import Progress, Summary
     from study.runner.job import Work
 
-load_design = load
+
+def load_design(
+    design: Design | Mapping[str, object] | str | Path, overrides: Sequence[str] = ()
+) -> Design:
+    """Load a design from its file, or make it of the tables that a file would have.
+
+    Parameters
+    ----------
+    design : Design, mapping, str or Path
+        A file; or its keys, with texts that have a unit or numbers in mm, N, MPa and deg.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
+    Returns
+    -------
+    Design
+        The validated study.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    if isinstance(design, Design):
+        return design
+    if isinstance(design, Mapping):
+        return loads(from_tables(design), "design", overrides)
+    return load(design, overrides)
 
 
 @dataclass
@@ -55,12 +83,12 @@ class _Clock:
 
 
 def run(
-    design: Design | str | Path,
+    design: Design | Mapping[str, object] | str | Path,
     *,
     data: str | Path | None = None,
     jobs: int | None = None,
-    results: Path = RESULTS,
-    reports: Path | None = REPORTS,
+    results: str | Path = RESULTS,
+    reports: str | Path | None = REPORTS,
     overrides: Sequence[str] = (),
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
@@ -69,15 +97,16 @@ def run(
     allow_commands: bool | str = False,
     forward: Function | None = None,
     version: str = "",
-) -> StudyResult:
+) -> Study:
     """Compute what is missing of a study, then analyze and report it.
 
     Running again resumes: nothing that is finished is computed twice.
 
     Parameters
     ----------
-    design : Design, str or Path
-        The study, or its file.
+    design : Design, mapping, str or Path
+        The study, its file, or the tables of one: the keys of the file, with texts that have a
+        unit or numbers in mm, N, MPa and deg.
     data : str or Path, optional
         Folder of the measurements.
     jobs : int, optional
@@ -106,8 +135,9 @@ def run(
 
     Returns
     -------
-    StudyResult
-        Records, analyses, numerical uncertainty and the report.
+    Study
+        Records, analyses, numerical uncertainty and the report; ``to_frame()``, ``plot()``, and
+        verdicts in a notebook.
 
     Raises
     ------
@@ -118,16 +148,16 @@ def run(
     """
     clock = _Clock()
     check_limit(timeout_s)
-    loaded = design if isinstance(design, Design) else load(design, overrides)
+    loaded = load_design(design, overrides)
     function = None if forward is None else PythonFunction.of(forward, version)
     allowed = Allowed(allow_commands, function)
     if reports is not None:
         checked_formats(formats or loaded.report.format)
-    work = expand(loaded, data_root(loaded.source, data), allowed)
+    work = expand(loaded, design_root(loaded, data), allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
     warnings: list[str] = []
-    store = Store(results / loaded.name, warn=warnings.append)
+    store = Store(Path(results) / loaded.name, warn=warnings.append)
     with store.lock():
         _write_manifest(store, work, {}, None)
         summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
@@ -195,13 +225,13 @@ def _write_manifest(
 def report(
     path: str | Path | StudyResult,
     *,
-    reports: Path | None = REPORTS,
-    results: Path = RESULTS,
+    reports: str | Path | None = REPORTS,
+    results: str | Path = RESULTS,
     formats: Sequence[str] = (),
     beside: str | Path | None = None,
     extra_warnings: Sequence[str] = (),
     began: _Clock | None = None,
-) -> StudyResult:
+) -> Study:
     """Analyze the stored records of a study and write its report.
 
     A figure or page that cannot be made never costs the numbers: the failure is a warning.
@@ -225,7 +255,7 @@ def report(
 
     Returns
     -------
-    StudyResult
+    Study
         The study with its report.
 
     Raises
@@ -235,7 +265,7 @@ def report(
     """
     if formats:
         checked_formats(formats)
-    study = path if isinstance(path, StudyResult) else open_study(path, results)
+    study = Study.of(path) if isinstance(path, StudyResult) else open_study(path, results)
     if beside is not None:
         study = replace(study, beside=compare(study, open_study(beside, results)))
     study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
@@ -249,7 +279,7 @@ def report(
         timings = dict(study.manifest.get("timings", {}))
         if began is not None:
             timings["statistics"] = began.parts.get("statistics", 0.0)
-        written = write(report_data(study, timings), reports / study.design.name, wanted)
+        written = write(report_data(study, timings), Path(reports) / study.design.name, wanted)
     except (InputError, RefusedError):
         raise
     except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
@@ -260,17 +290,17 @@ def report(
 
 def demo(
     *,
-    results: Path = RESULTS,
-    reports: Path | None = REPORTS,
+    results: str | Path = RESULTS,
+    reports: str | Path | None = REPORTS,
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> StudyResult:
+) -> Study:
     """Run the embedded study on virtual specimens, from generated data to the report."""
     from importlib import resources
 
     text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
     design = loads(text, "demo.toml")
-    folder = results / design.name / "measurements"
+    folder = Path(results) / design.name / "measurements"
     spec = design.measurements
     if spec is None or spec.file is None:
         raise RuntimeError("the embedded design names no measurement file")

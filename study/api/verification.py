@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.folders import REPORTS, RESULTS, data_root, results_folder
+from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.opened_study import open_study
 from study.api.study import report
 from study.design.load import loads
@@ -98,8 +98,8 @@ class Verification:
 def verify(
     path: str | Path,
     *,
-    results: Path = RESULTS,
-    reports: Path = REPORTS,
+    results: str | Path = RESULTS,
+    reports: str | Path = REPORTS,
     resolve: int = 0,
     seed: int = 1,
     data: str | Path | None = None,
@@ -138,7 +138,7 @@ def verify(
     InputError
         If there is no report, or no results to compute it from.
     """
-    page = _page(Path(path), reports)
+    page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
     found = Verification()
     _check_records(folder, found)
@@ -273,7 +273,7 @@ def _solve_again(
     if manifest is None:
         return
     design = loads(manifest["design"], manifest["source"])
-    work = expand(design, data_root(design.source, data), allowed)
+    work = expand(design, design_root(design, data), allowed)
     kept = store.by_case(manifest["cases"])
     known = [job for job in work.jobs if (r := kept.get(job.case.case_id)) and r.converged]
     size = min(count, len(known))

@@ -5,29 +5,62 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import typer
 
-from study.cli import accuracy, haptics, power, single, statistics, studies, verification
+from study.cli import (
+    accuracy,
+    haptics,
+    new_files,
+    power,
+    serve,
+    single,
+    statistics,
+    studies,
+    verification,
+)
+from study.cli.next_command import interrupted
 from study.cli.output import complain
 from study.errors import StudyError
 
 INTERRUPTED = 130
 app = typer.Typer(
     name="study",
-    help="Design of experiments and honest statistics for simulations of soft materials.",
     epilog="Exit codes: 0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-VERBS = (
+
+
+def _say_version(asked: bool) -> None:
+    """Print the version and leave."""
+    if asked:
+        from study import __version__
+
+        print(f"study {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_say_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Design of experiments and honest statistics for simulations of soft materials."""
+
+
+VERBS: tuple[Callable[..., None], ...] = (
     *studies.VERBS,
     *verification.VERBS,
     power.power,
+    serve.serve,
     *statistics.VERBS,
+    *new_files.VERBS,
     *single.VERBS,
     *haptics.VERBS,
     *accuracy.VERBS,
@@ -45,7 +78,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run the program; errors that a user can mend are printed, bugs raise."""
     signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
     try:
-        code = app(list(arguments) if arguments is not None else None, standalone_mode=False)
+        words = None if arguments is None else list(arguments)
+        code = app(words, prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
         return error.exit_code
@@ -63,7 +97,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
         # a second Ctrl-C while leaving must not undo the orderly end
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print("interrupted: what is finished is kept, run again to resume", file=sys.stderr)
+        print(interrupted(sys.argv[1:] if arguments is None else arguments), file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 

@@ -133,22 +133,22 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
 def _text(state: Progress) -> str:
     failed = f", {state.failed} failed" if state.failed else ""
     left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
-    return f"{state.done}/{state.total} computations{failed}{left}: {state.label}"
+    return f"{state.counted}{failed}{left}: {state.label}"
 
 
 @contextmanager
 def _bar() -> Iterator[Callable[[Progress], None]]:
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
 
     columns = (
-        BarColumn(bar_width=30), MofNCompleteColumn(),
+        BarColumn(bar_width=30), TextColumn("{task.fields[counted]}"),
         TextColumn("{task.fields[left]} left"), TextColumn("{task.description}"),
     )  # fmt: skip
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("starting", total=None, left="?")
+        task = bar.add_task("starting", total=None, left="?", counted="")
 
         def update(state: Progress) -> None:
             failed = f"[red]{state.failed} failed[/red] " if state.failed else ""
@@ -156,11 +156,20 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
                 task,
                 total=state.total,
                 completed=state.done,
+                counted=state.counted,
                 left=seconds(state.seconds_left),
                 description=failed + escape(state.label),
             )
 
         yield update
+
+
+def next_step(what: str, command: str, *, beside: bool = False) -> None:
+    """Say what can be done next, and the command that does it.
+
+    ``beside`` is for verbs whose stdout is a list that scripts read.
+    """
+    print(f"next, {what}:\n  {command}", file=sys.stderr if beside else sys.stdout)
 
 
 def counts(cases: Mapping[str, int]) -> str:

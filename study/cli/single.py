@@ -1,4 +1,4 @@
-"""Verbs about one thing: new, solve, virtual, doctor (calibrate, converge: own files)."""
+"""Verbs about one thing: solve, calibrate, doctor (converge: its own file)."""
 
 from __future__ import annotations
 
@@ -24,28 +24,6 @@ if TYPE_CHECKING:
     from study.runner.fitting.staged_fit import Step
 
 
-def new(
-    file: Annotated[Path, typer.Argument(help="File to be written.")],
-    calibration: Annotated[
-        bool, typer.Option(help="A calibration, with virtual measurements beside it.")
-    ] = False,
-) -> None:
-    """Write a commented design, or calibration, to start from."""
-    from study.api.single.virtual import new_file
-
-    try:
-        new_file(file, calibration=calibration)
-    except FileExistsError as error:
-        rule = "exists already"
-        where = str(error.filename or file)
-        raise InputError(Fault(where, rule, "choose another name")) from None
-    except OSError as error:
-        rule = f"cannot be written ({error.strerror or error})"
-        raise InputError(Fault(str(file), rule)) from None
-    verb = "calibrate" if calibration else "plan"
-    print(f"{file}: edit it, then: study {verb} {file}")
-
-
 def solve(
     file: Annotated[Path, typer.Argument(help="Problem file.")],
     settings: Set = None,
@@ -59,10 +37,11 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.single.solve import solution_json
+    from study.api.single.solve import cautions, solution_json
 
     if picture or vtu:
         _writable(picture, vtu)
+    output.warn(cautions(file, settings or ()))
     solution = api.solve(file, overrides=settings or ())
     curve = solution.curve
     if picture or vtu:
@@ -99,30 +78,9 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
         write_vtu(solution, vtu)
 
 
-def virtual(
-    out: Annotated[Path, typer.Argument(help="Folder for the generated CSV files.")],
-    source: Annotated[
-        Path | None, typer.Option("--from", help="Design whose measurements are imitated.")
-    ] = None,
-    truth: Annotated[
-        str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
-    ] = "yeoh",
-    specimens: Annotated[
-        int | None, typer.Option(min=2, help="Number of specimens (or batches).")
-    ] = None,
-    settings: Set = None,
-) -> None:
-    """Write virtual measurements as CSV."""
-    from study import api
-
-    chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
-    for path in api.virtual(out, source, **chosen):
-        print(path)
-
-
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
-    from study.api.doctor import examine
+    from study.api.single.doctor import examine
 
     found = examine()
     if as_json:
@@ -239,7 +197,7 @@ def _compared(
     return document
 
 
-VERBS: tuple[Callable[..., None], ...] = (new, solve, calibrate, converge, virtual, doctor)
+VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, converge, doctor)
 
 
 class _Line:

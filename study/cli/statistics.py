@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import analysis_tables, mixed_effects, output, surface_tables
+from study.cli import output
 from study.cli.studies import RESULTS, Json, Results
+from study.cli.tables import analysis_tables, mixed_effects, surface_tables
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -253,6 +254,10 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
     if report is not None and not source.is_file():
         rule = "writes the page of a table, and this is no file"
         raise InputError(Fault("--report", rule, "the page of a study: study report STUDY"))
+    if report is not None and formats:
+        from study.reporting.output.write import checked_formats
+
+        checked_formats(_names(formats))
     if report is not None and report.exists() and not report.is_dir():
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 

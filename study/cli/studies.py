@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import output
+from study.cli import next_command, output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def demo(
 
     with output.progress_line() as progress:
         study = api.demo(results=results, reports=reports, jobs=jobs, progress=progress)
-    _finish(study, as_json)
+    _finish(study, as_json, _folders(results, reports))
 
 
 def plan(
@@ -79,14 +79,17 @@ def plan(
         asked = int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
         further = api.augment(load(design, settings or ()), augment, terms=asked)
     found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
+    typed = {"--data": data, "--jobs": jobs, "-s": settings, **_folders(results, REPORTS)}
+    after = next_command.after_plan(found, design, typed)
     if as_json:
         output.warn(found.warnings)
         added = {} if further is None else {"augment": further.to_json()}
-        output.print_json(found.to_json() | added)
+        output.print_json(found.to_json() | added | {"next": after[1]})
         return
     _print_plan(found)
     if further is not None:
         _print_further(further)
+    output.next_step(*after)
 
 
 def run(
@@ -119,7 +122,7 @@ def run(
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
             allow_commands=allow_commands or allow_digest,
         )  # fmt: skip
-    _finish(study, as_json)
+    _finish(study, as_json, _folders(results, reports))
 
 
 def status(
@@ -158,7 +161,7 @@ def report(
 
     wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
     found = api.report(path, reports=reports, results=results, formats=wanted, beside=beside)
-    _finish(found, as_json)
+    _finish(found, as_json, _folders(results, reports))
 
 
 def diff(
@@ -220,7 +223,7 @@ def predict(
 ) -> None:
     """Predict responses at settings that were not run, inside those that were."""
     from study import api
-    from study.cli import surface_tables
+    from study.cli.tables import surface_tables
 
     found = api.predict(path, surface_tables.settings(at), response=response, results=results)
     if as_json:
@@ -239,24 +242,35 @@ def _running(runner: Document | None, seconds_left: float | None) -> str:
     who = ", ".join(f"{name} {runner[name]}" for name in ("pid", "host", "since") if name in runner)
     if seconds_left is None:
         return f"running: {who}"
-    done = f"{runner.get('done')}/{runner.get('total')} computations"
-    return f"running: {done}, {output.seconds(seconds_left)} left ({who})"
+    return (
+        f"running: {runner.get('counted', 'at work')}, {output.seconds(seconds_left)} left ({who})"
+    )
 
 
-def _finish(study: StudyResult, as_json: bool) -> None:
+def _folders(results: Path, reports: Path) -> next_command.Options:
+    """Folders that were named, to be named again."""
+    return {
+        "--results": None if results == RESULTS else results,
+        "--reports": None if reports == REPORTS else reports,
+    }
+
+
+def _finish(study: StudyResult, as_json: bool, typed: next_command.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
     output.warn(study.warnings)
+    after = next_command.after_run(study, typed)
     if as_json:
-        output.print_json(study.to_json())
+        output.print_json(study.to_json() | {"next": after[1]})
     else:
         _print_study(study)
+        output.next_step(*after)
     if study.failed or study.report is None:
         raise typer.Exit(1)
 
 
 def _print_study(study: StudyResult) -> None:
     from study.api.assemble import report_data
-    from study.cli import report_tables, surface_tables
+    from study.cli.tables import report_tables, surface_tables
 
     data = report_data(study, study.manifest.get("timings", {}))
     print(f"\n{study.design.name}: {output.counts(study.cases)}")
@@ -282,7 +296,7 @@ def _print_study(study: StudyResult) -> None:
 
 def _print_diff(beside: Beside) -> None:
     """Print what was changed, what holds, then the numbers of both studies."""
-    from study.cli import report_tables
+    from study.cli.tables import report_tables
 
     changed = report_tables.changes_rows(beside)
     if len(changed) > 1:
@@ -339,6 +353,9 @@ def _print_plan(found: Plan) -> None:
         print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
     if found.overview.replicates is not None:
         print(f"replicates: {found.overview.replicates.sentence}")
+    cells = len(found.overview.matrix)
+    if len(found.blocks) > 1 and cells * len(found.blocks) == found.total:
+        print(f"{cells} cells in {len(found.blocks)} blocks: a case is a cell in a block")
     print(output.counts(found.counts))
     if found.missing and found.fits:
         print(f"{found.fits} calibrations to be made; each is shared by all cells that can")

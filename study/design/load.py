@@ -85,6 +85,26 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
     return design
 
 
+def from_tables(tables: Mapping[str, object]) -> str:
+    """Text of a file that holds some tables: its own keys, texts with units or bare numbers.
+
+    Parameters
+    ----------
+    tables : mapping
+        As in a file; bare numbers are in mm, N, MPa, deg and s. ``schema`` may be left out.
+
+    Examples
+    --------
+    >>> print(from_tables({"specimen": {"shape": "cylinder", "radius": 25.0}}), end="")
+    schema = 1
+    <BLANKLINE>
+    [specimen]
+    shape = "cylinder"
+    radius = "25.0 mm"
+    """
+    return toml_document.dump_toml({"schema": 1, **overlay.with_units(tables)})
+
+
 def dump(design: Design) -> str:
     """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
     return toml_document.dump_toml(design.config)

@@ -20,6 +20,7 @@ from study.setup.section import keys_of, written_keys
 from study.setup.setup import Model
 from study.setup.test_section import TestSection
 from study.setup.text import MAX_NAME
+from study.units import INTERNAL
 
 
 @dataclass(frozen=True)
@@ -200,3 +201,47 @@ def _belongs(table: str, ruling: object, key: str) -> bool:
     if ruling not in ENERGIES or not is_constant_key(key):
         return True  # an unknown key stays, to be reported
     return ENERGIES[ruling].has_key(key)
+
+
+def with_units(tables: Table, path: str = "") -> dict[str, object]:
+    """Copy tables whose bare numbers, where a key has a dimension, are in mm, N, MPa, deg and s.
+
+    Parameters
+    ----------
+    tables : mapping
+        Keys as in a file; the values of ``factors`` are those of their keys.
+    path : str
+        Dotted key of the table.
+
+    Examples
+    --------
+    >>> with_units({"specimen": {"radius": 25, "height": "3 cm"}, "test": {"steps": 4}})
+    {'specimen': {'radius': '25 mm', 'height': '3 cm'}, 'test': {'steps': 4}}
+    """
+    made: dict[str, object] = {}
+    for name, value in tables.items():
+        made[name] = _measured(_key_meant(f"{path}{name}"), value, f"{path}{name}.")
+    return made
+
+
+def _key_meant(path: str) -> str:
+    """Key that the value at a dotted path of a file is one of: of a factor, of a preset, itself."""
+    whose, _, rest = path.partition(".")
+    if whose == "factors":
+        return re.sub(r"\.(low|high)$", "", rest)
+    if whose == "presets" and rest.count(".") >= 2:
+        table, _, key = rest.split(".", 2)
+        return f"{table}.{key}" if table in TABLES else key
+    return path
+
+
+def _measured(key: str, value: object, path: str) -> object:
+    """Value of a key with the unit that bare numbers have inside the program."""
+    if isinstance(value, Mapping):
+        return with_units(value, path)
+    if isinstance(value, (list, tuple)):
+        return [_measured(key, one, path) for one in value]
+    value = getattr(value, "item", lambda: value)()  # a number of numpy becomes one of Python
+    unit = INTERNAL.get(dimension(key) or "")
+    is_bare = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return f"{value!r} {unit}" if unit and is_bare else value

@@ -24,6 +24,7 @@ from study.setup.geometry import (
 )
 from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
+from study.setup.setup import Model
 from study.setup.test_section import TEST_KINDS
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
@@ -209,3 +210,36 @@ def plausibility(material: MaterialSection) -> tuple[str, ...]:
         f"material: an initial shear modulus of {mu0 * 1e3:.4g} kPa is outside {low * 1e3:g} to "
         f"{high * 1e3:g} kPa, the window of tissue and silicone: is the unit right?",
     )
+
+
+#: sizes of specimens that anybody tests, mm: 0.1 mm to 1 m
+PLAUSIBLE_MM = (0.1, 1000.0)
+
+
+def plausible_sizes(specimen: Specimen, model: Model) -> tuple[str, ...]:
+    """Warnings about a specimen of no usual size, and about elements as large as the specimen.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        A surface is passed over: its size stands in its file.
+    model : Model
+        Its mesh size is compared where one is given.
+    """
+    half, height = half_width(specimen), getattr(specimen, "height_mm", None)
+    if half is None or height is None or isinstance(specimen, Homogeneous):
+        return ()
+    low, high = PLAUSIBLE_MM
+    found = [
+        f"specimen: {size:g} mm is no usual size of a specimen ({low:g} to {high:g} mm): "
+        "is the unit right?"
+        for size in (2 * half, height)
+        if not low <= size <= high
+    ]
+    least = min(half, height)
+    if model.mesh_size_mm is not None and model.mesh_size_mm > least:
+        found.append(
+            f"model.mesh_size: {model.mesh_size_mm:g} mm is larger than the specimen "
+            f"({least:g} mm from its axis or along it): a single element answers"
+        )
+    return tuple(found)

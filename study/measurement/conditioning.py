@@ -2,13 +2,14 @@
 
 The rules are applied in this order, and every row they drop or change is counted:
 
-1. sign: force, and displacement where it runs the other way, made positive into the specimen;
+1. branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept;
+2. sign: force, and displacement where it runs the other way, made positive into the specimen;
    a force that falls with displacement is refused;
-2. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
+3. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
    ``fit``: the start of a straight line through the first tenth of the travel);
-3. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
-4. ``toe``: displacement counts from where the force passes this load for good;
-5. resampling by linear interpolation at ``points`` displacements even over the range; or, for
+4. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
+5. ``toe``: displacement counts from where the force passes this load for good;
+6. resampling by linear interpolation at ``points`` displacements even over the range; or, for
    ``raw``, the rows within the range as they are.
 """
 
@@ -22,15 +23,26 @@ import numpy as np
 from study.arrays import Array
 from study.curve import Curve
 from study.errors import Fault, InputError
+from study.measurement.loading_branch import last_of_loading
+from study.measurement.plausibility import IMPLAUSIBLE
 
 ZERO_RULES = ("none", "first", "fit")
 SIGNS = ("positive", "negative")
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
 EQUAL_MM = 1e-9
+#: force of the unloaded specimen over the largest one, from which a zero is asked for
+OFFSET_SHARE = 0.02
+#: times that a test may go further than its range and still be a test for it
+_SAME_SIZE = 5.0
 
-#: the one rule that a user is warned of: it may mean that the file holds something else
+#: a rule that a user is warned of: it may mean that the file holds something else
 SORTED = "rows out of order sorted by displacement"
+#: the other one: a test that was also unloaded has two forces at every displacement
+UNLOADED = "rows after the first loading left out: the loading branch is used"
+#: and one that asks for a rule
+OFFSET = "a load-cell offset?"
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE)
 
 
 @dataclass(frozen=True)
@@ -75,7 +87,8 @@ class Rules:
 class Conditioned:
     """Curve of one test on the grid of its rules, shape (points,), and what was done.
 
-    ``recorded`` holds the rows in the range that it was interpolated from.
+    ``recorded`` holds the rows in the range that it was interpolated from. ``offset`` is the force
+    of the unloaded specimen over the largest one, where that is no zero and no rule asks for it.
     """
 
     displacement_mm: Array
@@ -85,6 +98,7 @@ class Conditioned:
     toe_mm: float
     rows: int
     recorded: Curve
+    offset: float | None = None
 
 
 def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> Conditioned:
@@ -110,8 +124,11 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         raise InputError(
             Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
         )
-    d, f = _apply_sign(displacement_mm, force_N, rules, where, counts)
-    zero = _zero(d, f, rules.zero)
+    last = last_of_loading(displacement_mm)
+    if last + 1 < displacement_mm.size:
+        counts[UNLOADED] += displacement_mm.size - last - 1
+    d, f = _apply_sign(displacement_mm[: last + 1], force_N[: last + 1], rules, where, counts)
+    zero, offset = _zero(d, f, rules.zero), _offset(d, f, rules)
     d, f = _sorted_unique(d, f - zero, counts)
     d, f, toe = _toe(d, f, rules, where, counts)
     within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
@@ -120,9 +137,9 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     if rules.is_raw:
         if inside < MIN_ROWS:
             raise InputError(_too_few(inside, rules, where))
-        return Conditioned(d[within], f[within], counts, zero, toe, inside, recorded)
+        return Conditioned(d[within], f[within], counts, zero, toe, inside, recorded, offset)
     force = _resample(d, f, rules, where, counts)
-    return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded)
+    return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded, offset)
 
 
 def _slack(rules: Rules) -> float:
@@ -130,12 +147,24 @@ def _slack(rules: Rules) -> float:
     return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)
 
 
-def _too_few(inside: int, rules: Rules, where: str) -> Fault:
+def _too_few(inside: int, rules: Rules, where: str, reached_mm: float | None = None) -> Fault:
     rule = (
         f"has {inside} rows between {_place(rules.low_mm, rules)} and "
         f"{_place(rules.high_mm, rules)}, a curve needs at least {MIN_ROWS}"
     )
-    return Fault(where, rule, "widen the range or record more points")
+    far = "" if reached_mm is None else _other_unit(reached_mm, rules.high_mm)
+    return Fault(where, rule, "widen the range or record more points" + far)
+
+
+def _other_unit(reached_mm: float, high_mm: float) -> str:
+    """Say where a travel is of the right size but for a factor of 1000."""
+    for factor, size in ((1000.0, "small"), (0.001, "large")):
+        if high_mm <= reached_mm * factor <= _SAME_SIZE * high_mm:
+            return (
+                f"; the displacements are 1000 times too {size} for this range: check "
+                "measurements.units"
+            )
+    return ""
 
 
 def _apply_sign(
@@ -202,6 +231,23 @@ def _zero(d: Array, f: Array, rule: str) -> float:
     return 0.0
 
 
+def _offset(d: Array, f: Array, rules: Rules) -> float | None:
+    """Share of the largest force that is there before the specimen is loaded; None if it is small.
+
+    Both the first reading and the straight line through the first tenth of the travel must say so:
+    the one alone may be noise, the other the curvature of a sound test.
+    """
+    first = int(np.argmin(d))
+    if rules.zero != "none" or rules.toe_N is not None:
+        return None
+    if abs(float(d[first])) > OFFSET_SHARE * float(np.abs(d).max()):
+        return None
+    largest = float(np.abs(f).max())
+    shares = sorted((float(f[first]) / largest, _zero(d, f, "fit") / largest), key=abs)
+    same = shares[0] * shares[1] > 0
+    return shares[0] if same and abs(shares[0]) > OFFSET_SHARE else None
+
+
 def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Array]:
     out_of_order = int(np.count_nonzero(np.diff(d) < 0))
     if out_of_order:
@@ -248,7 +294,7 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
             Fault(
                 where,
                 f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}",
-                "shorten the range or leave this test out",
+                "shorten the range or leave this test out" + _other_unit(float(d[-1]), high),
             )
         )
     if d[0] > low + slack:
@@ -265,10 +311,15 @@ def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
         d, f = np.r_[0.0, d], np.r_[0.0, f]
     inside = int(np.count_nonzero((d >= low - slack) & (d <= high + slack)))
     if inside < MIN_ROWS:
-        raise InputError(_too_few(inside, rules, where))
+        raise InputError(_too_few(inside, rules, where, float(d[-1])))
     return np.asarray(np.interp(rules.grid(), d, f), dtype=float)
 
 
 def _place(value_mm: float, rules: Rules) -> str:
     percent = f" ({100 * value_mm / rules.height_mm:.4g} %)" if rules.height_mm else ""
     return f"{value_mm:.4g} mm{percent}"
+
+
+def is_caution(note: str) -> bool:
+    """Whether a note on measurements says that they may not be what they seem."""
+    return any(mark in note for mark in _CAUTIONS)

@@ -11,7 +11,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.errors import Fault, InputError, nearest
-from study.measurement.conditioning import SIGNS, ZERO_RULES, Conditioned, Rules, condition
+from study.measurement.conditioning import OFFSET, SIGNS, ZERO_RULES, Conditioned, Rules, condition
 from study.measurement.measured_test import Measurements, SingleTest
 from study.measurement.quantities import Gauge, displacement_and_force
 from study.measurement.recording import Recordings, capped, read_recordings
@@ -190,6 +190,13 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
         zero = [result.zero_N for result in done]
         notes.append(
             f"load cell zero ({rules.zero}) subtracted: {min(zero):.4g} to {max(zero):.4g} N"
+        )
+    offsets = [result.offset for result in done if result.offset is not None]
+    if offsets:
+        worst = max(offsets, key=abs)
+        notes.append(
+            f"{OFFSET} {len(offsets)} of {len(done)} tests begin with up to {100 * worst:.2g} % of "
+            'their largest force: write zero = "first" or "fit" to subtract it, or toe'
         )
     if rules.toe_N is not None:
         toe = [result.toe_mm for result in done]

@@ -6,11 +6,13 @@ to clear by hand. On a network file system flock may hold on one machine only.
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import fcntl
 import json
 import os
 import socket
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,6 +20,10 @@ from pathlib import Path
 from study.errors import StoreError
 
 LOCK_NAME = ".lock"
+
+#: times that a lock is tried for, and seconds between them
+_GLANCES = 5
+_GLANCE_S = 0.01
 
 #: what the lock file says of its owner, and the bytes that this and its progress take
 _OWNER = ("pid", "host", "since")
@@ -40,7 +46,7 @@ def exclusive(folder: Path) -> Iterator[None]:
         raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _take(handle)
         except BlockingIOError as error:
             raise StoreError(_held(folder, path)) from error
         except OSError as error:
@@ -52,6 +58,16 @@ def exclusive(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)  # releases the lock
+
+
+def _take(handle: int) -> None:
+    """Take the lock; one who only looks whether it is held has it for some microseconds."""
+    for _ in range(_GLANCES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(_GLANCE_S)
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def holder(folder: Path) -> dict[str, object]:

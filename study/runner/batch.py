@@ -39,7 +39,11 @@ RETRIED = ("crashed", "timeout", "out-of-memory")
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a run after each finished computation; what a progress line shows."""
+    """State of a run after each finished computation; what a progress line shows.
+
+    Of ``done`` and ``total`` computations, ``fits_done`` and ``fits`` are calibrations; the others
+    are cases.
+    """
 
     done: int
     total: int
@@ -47,6 +51,20 @@ class Progress:
     seconds: float
     seconds_left: float
     label: str
+    fits_done: int = 0
+    fits: int = 0
+
+    @property
+    def counted(self) -> str:
+        """Cases and calibrations in words.
+
+        Examples
+        --------
+        >>> Progress(7, 10, 0, 1.0, 2.0, "", fits_done=4, fits=4).counted
+        '3/6 cases, 4/4 calibrations'
+        """
+        cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
+        return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
 
 @dataclass(frozen=True)
@@ -186,6 +204,7 @@ class _Batch:
             else:
                 self.known[job.key] = stored
         self.failed = 0
+        self.fits_done = 0
         self.spent = {"fits": 0.0, "cases": 0.0}
 
     def execute(self, workers: int, executor: Executor) -> Summary:
@@ -199,8 +218,11 @@ class _Batch:
                 self._keep(outcome)
                 pace.finished(outcome.key, outcome.seconds)
                 seconds, left = time.monotonic() - began, pace.seconds_left()
-                label = self._label(outcome.key)
-                state = Progress(count, len(tasks), self.failed, seconds, left, label)
+                self.fits_done += outcome.key in self.fits
+                state = Progress(
+                    count, len(tasks), self.failed, seconds, left, self._label(outcome.key),
+                    self.fits_done, len(self.fits),
+                )  # fmt: skip
                 self.progress(state)
         already = len(self.work.jobs) - len(self.cases)
         seconds = time.monotonic() - began

@@ -11,7 +11,8 @@ from study.canonical import digest
 from study.curve import Curve
 from study.design.sections.content import case_id
 from study.design.spec import Case, Design
-from study.measurement.conditioning import SORTED
+from study.measurement import plausibility
+from study.measurement.conditioning import is_caution
 from study.measurement.measured_test import Measurements
 from study.measurement.reading import read_measurements
 from study.measurement.recording import Recordings, read_recordings
@@ -22,7 +23,7 @@ from study.runner.case_task import CONSTANTS, Forward, Origin
 from study.runner.fitting.external_model import NOTHING, Allowed
 from study.runner.fitting.fit_task import FitProblem, fit_key
 from study.runner.tables import CalibrationTable, Tables, gauge_of
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup, known_height_mm
 
 #: ends in the name of the file that says how virtual measurements were made
 TRUTH_SUFFIX = ".virtual.json"
@@ -73,7 +74,8 @@ class DataCache:
         key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
             rows = self._recordings(made)
-            self._read[key] = read_measurements(made, self.root, height, depth, gauge, rows)
+            found = read_measurements(made, self.root, height, depth, gauge, rows)
+            self._read[key] = plausibility.checked(found, Setup.of(tables))
         return self._read[key]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
@@ -264,7 +266,7 @@ class Work:
     def cautions(self) -> tuple[str, ...]:
         """What was done to measurements and surfaces that may not be what they seem."""
         mended = provenance.surface_notes([job.case.config for job in self.jobs])
-        return (*(note for note in self.notes if SORTED in note), *mended)
+        return (*(note for note in self.notes if is_caution(note)), *mended)
 
     @property
     def files(self) -> dict[str, str]:

@@ -17,6 +17,7 @@ from tests.cli.small import study
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+COUNTED = r"\d+/12 cases, \d+/12 calibrations"
 PROGRAM = (sys.executable, "-c", "from study.cli import main; main()")
 
 
@@ -48,14 +49,16 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     ) as process:  # fmt: skip
         assert process.stderr is not None
         # the first line of progress: the first computation is stored
-        assert any(re.search(r"\d+/\d+ computations", line) for line in process.stderr)
+        assert any(
+            re.search(r"\d+/\d+ cases, \d+/\d+ calibrations", line) for line in process.stderr
+        )
         during = study("status", "small")
         process.send_signal(number)
         _, words = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "run again to resume" in words
+    assert "To resume:\n  study run small.toml --data data --jobs 1\n" in words
     assert "Traceback" not in words
-    assert re.search(rf"running: \d+/\d+ computations, .+ left \(pid {process.pid}, ", during.out)
+    assert re.search(rf"running: {COUNTED}, .+ left \(pid {process.pid}, ", during.out)
     state = study("status", "small", "--json").json
     # what is finished is kept, and nothing half-finished counts
     assert state["cases"]["done"] + state["cases"]["missing"] == 12

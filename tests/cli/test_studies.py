@@ -69,7 +69,7 @@ def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
     assert (finished.folder / found["report"]).is_file()
     assert {row["factor"] for row in found["verdicts"]} >= {"material", "range"}
     assert all(set(row) >= VERDICT_KEYS for row in found["verdicts"])
-    assert "24/24 computations" in finished.answer.err
+    assert "12/12 cases, 12/12 calibrations" in finished.answer.err
 
 
 def test_run_scores_what_was_measured(finished: Finished) -> None:
@@ -94,7 +94,7 @@ def test_running_again_computes_only_what_is_missing(done: Path) -> None:
     assert plan["fits"] == 0
     answer = good(study("run", "small.toml", "--data", "data", "--jobs", 1, "--json"))
     assert answer.json["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
-    assert "3/3 computations" in answer.err
+    assert "3/3 cases" in answer.err
     after = stamps(done)
     assert after.keys() == before.keys()
     changed = {Path(name).parts[3] for name in after if after[name] != before[name]}

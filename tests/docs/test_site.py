@@ -89,7 +89,7 @@ def test_a_command_that_prints_something_else_is_found(tmp_path, monkeypatch):
 
 def test_every_page_stands_in_a_table_of_contents():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
-    made = {"design-file", "python", "gallery"}
+    made = {"design-file", "python", "gallery", "cookbook"}
     pages = {path.stem for path in DOCS.glob("*.md")} | made
     listed = {line for line in index.splitlines() if re.fullmatch(r"[\w-]+", line)}
     assert pages - {"index"} == listed & (pages | listed)
@@ -119,5 +119,5 @@ def test_the_site_builds_without_a_warning(tmp_path):
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    for page in ("index", "theory", "design-file", "python", "gallery", "contributing"):
+    for page in ("index", "theory", "design-file", "python", "gallery", "cookbook", "contributing"):
         assert (tmp_path / f"{page}.html").is_file()

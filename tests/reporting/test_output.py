@@ -13,7 +13,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from study.cli import report_tables
+from study.cli.tables import report_tables
 from study.errors import InputError
 from study.reporting.content import tables
 from study.reporting.content.table import Table

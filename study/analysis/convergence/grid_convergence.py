@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,13 @@ from study.arrays import Array
 from study.canonical import plain
 from study.errors import Fault, InputError
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
+
+#: distance of the finest from the extrapolated value, over the latter, that is told
+FAR = 0.05
 _MIN_RATIO = 1.3
 #: factor of the GCI where observed and formal order agree (Roache 1994)
 SAFE = 1.25
@@ -85,6 +92,22 @@ class ConvergenceResult:
         """JSON document."""
         return dict(plain(self))
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return the meshes, the finest first.
+
+        Returns
+        -------
+        DataFrame
+            ``mesh_size`` and ``value``.
+        """
+        import pandas as pd
+
+        return pd.DataFrame({"mesh_size": self.mesh_size, "value": self.value})
+
+    def _repr_html_(self) -> str:
+        """Meshes and verdict as the last line of a cell shows them."""
+        return self.to_frame().to_html(index=False) + f"<p>{escape(self.verdict)}</p>"
+
 
 def grid_convergence(
     sizes: ArrayLike,
@@ -144,7 +167,9 @@ def grid_convergence(
         "warnings": tuple(warnings),
     }
     if behaviour == "monotone":
-        return ConvergenceResult(**base, **_monotone(h, f, formal_order, tolerance))
+        found = _monotone(h, f, formal_order, tolerance)
+        base["warnings"] = (*warnings, *_far_warnings(float(f[0]), found["extrapolated"]))
+        return ConvergenceResult(**base, **found)
     return ConvergenceResult(**base, **_without_order(behaviour, f, tolerance))
 
 
@@ -184,6 +209,17 @@ def _ratio_warnings(h: Array) -> list[str]:
     return [
         f"refinement ratio {ratios.min():.3g} is below {_MIN_RATIO}: "
         "noise of the mesh is amplified in the order"
+    ]
+
+
+def _far_warnings(finest: float, extrapolated: float) -> list[str]:
+    """Say where the limit is an extrapolation by more than a study should rest on."""
+    if not extrapolated or abs(finest - extrapolated) <= FAR * abs(extrapolated):
+        return []
+    off = abs(finest / extrapolated - 1)
+    return [
+        f"the finest value, {finest:.6g}, is {100 * off:.3g} % from its extrapolated value, "
+        f"{extrapolated:.6g}: refine further before either is used"
     ]
 
 

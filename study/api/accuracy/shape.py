@@ -26,7 +26,7 @@ def shape(
     surface_unit: str = "mm",
     options: Options | None = None,
     overrides: Sequence[str] = (),
-    reports: Path | None = None,
+    reports: str | Path | None = None,
 ) -> ShapeDeviation:
     """Compare a simulated, deformed body with a scan of the real one.
 
@@ -72,7 +72,7 @@ def shape(
     found = judge_shape(name, body, cloud, marked, options or Options())
     if reports is None:
         return found
-    return replace(found, report=str(write_accuracy(shape_page(found), reports / slug(name))))
+    return replace(found, report=str(write_accuracy(shape_page(found), Path(reports) / slug(name))))
 
 
 def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedBody:

@@ -14,7 +14,7 @@ from study.tracker_accuracy.section import load_tracking
 
 
 def tracking(
-    source: str | Path, *, data: str | Path | None = None, reports: Path | None = None
+    source: str | Path, *, data: str | Path | None = None, reports: str | Path | None = None
 ) -> TrackerAccuracy:
     """Judge a tracker: fixed distances, commanded displacements, a better instrument.
 
@@ -43,5 +43,5 @@ def tracking(
     found = judge_tracker(declared, data_root(source, data), default_name(str(source)))
     if reports is None:
         return found
-    page = write_accuracy(tracker_page(found), reports / slug(found.name))
+    page = write_accuracy(tracker_page(found), Path(reports) / slug(found.name))
     return replace(found, report=str(page))

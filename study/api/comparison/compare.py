@@ -52,7 +52,7 @@ class Comparison:
         return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}
 
 
-def diff(first: str | Path, second: str | Path, *, results: Path = RESULTS) -> Comparison:
+def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS) -> Comparison:
     """Compare two finished studies: which of their conclusions hold under both.
 
     Parameters

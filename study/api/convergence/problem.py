@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.api.convergence.cells import design_series
+from study.api.convergence.notebook import SeriesDocument
 from study.api.convergence.page import write_page
 from study.api.convergence.result import ProblemConvergence
-from study.api.folders import RESULTS, data_root
+from study.api.folders import RESULTS, data_root, design_root
 from study.api.opened_study import open_study
-from study.design.load import file_kind, load_problem
+from study.design.load import file_kind, load, load_problem
 from study.errors import Fault, InputError
 from study.runner import provenance
 from study.runner.numerical import curve_quantities
@@ -44,10 +45,10 @@ def converge(
     data: str | Path | None = None,
     jobs: int | None = None,
     memory_MB: float | None = None,  # noqa: N803
-    results: Path = RESULTS,
-    reports: Path | None = None,
+    results: str | Path = RESULTS,
+    reports: str | Path | None = None,
     progress: Progress | None = None,
-) -> ConvergenceResult | dict[str, Any]:
+) -> ConvergenceResult | SeriesDocument:
     """Judge a refinement series: of plain numbers, of a problem, or of a study.
 
     Solutions are kept under ``results``: running again continues where it stopped.
@@ -82,7 +83,7 @@ def converge(
     -------
     ConvergenceResult
         Of plain numbers. A problem gives a dictionary with the same keys and more, a design
-        ``{"cells": [...]}``.
+        ``{"cells": [...]}``; both with ``to_frame()``, ``plot()``, and a table in a notebook.
 
     Raises
     ------
@@ -90,6 +91,7 @@ def converge(
         If there is nothing to judge.
     """
     say = progress or (lambda _: None)
+    results, reports = Path(results), None if reports is None else Path(reports)
     if source is None:
         if not len(values) or not len(sizes):
             mend = "give a file, or --values and --sizes"
@@ -98,17 +100,20 @@ def converge(
     if len(values) or len(sizes):
         raise InputError(Fault("converge", "takes a file or numbers, not both"))
     if not Path(source).is_file():
-        return stored(source, results)
+        return SeriesDocument(stored(source, results))
     if file_kind(source) != "design":
-        return problem(
+        one = problem(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
-        ).to_json()  # fmt: skip
+        )  # fmt: skip
+        return SeriesDocument(one.to_json())
 
-    return design_series(
-        source, overrides, data_root(source, data), jobs=jobs, results=results, reports=reports,
+    root = design_root(load(source, overrides), data)
+    every = design_series(
+        source, overrides, root, jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
-    ).to_json()  # fmt: skip
+    )  # fmt: skip
+    return SeriesDocument(every.to_json())
 
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:

@@ -14,7 +14,7 @@ from study.analysis.effects.power.verdict_power import (
     planned_verdicts,
 )
 from study.analysis.request import threshold
-from study.api.folders import RESULTS, data_root
+from study.api.folders import RESULTS, design_root
 from study.api.statistics.analysis import analyze
 from study.canonical import plain
 from study.design.load import load
@@ -87,7 +87,7 @@ def power(
     *,
     sd: float | None = None,
     data: str | Path | None = None,
-    results: Path = RESULTS,
+    results: str | Path = RESULTS,
     overrides: Sequence[str] = (),
     counts: Sequence[int] = COUNTS,
 ) -> Power:
@@ -123,7 +123,7 @@ def power(
     if sd is not None and not (math.isfinite(sd) and sd > 0):
         raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
     warnings: list[str] = []
-    blocks, seconds = _planned(loaded, data_root(loaded.source, data), warnings)
+    blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
     found: list[Detection] = []
     for response in loaded.responses:
         if response.practical is None:
@@ -152,7 +152,7 @@ def _detections(
     design: Design,
     response: Response,
     sd: float | None,
-    results: Path,
+    results: str | Path,
     seconds: float | None,
     counts: Sequence[int],
     warnings: list[str],
@@ -197,12 +197,15 @@ def _practical(response: Response, known: tuple[float, float, float] | None) -> 
     return limit.on_scale(1.0 if known is None else known[2], response.transform)
 
 
-def _known(design: Design, response: Response, results: Path) -> tuple[float, float, float] | None:
+def _known(
+    design: Design, response: Response, results: str | Path
+) -> tuple[float, float, float] | None:
     """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
-    if not (results / design.name).is_dir():
+    folder = Path(results) / design.name
+    if not folder.is_dir():
         return None
     try:
-        found = analyze(str(results / design.name), response.name)
+        found = analyze(str(folder), response.name)
     except StudyError:
         return None
     spread = _scatter(found)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.api.folders import RESULTS, data_root, results_folder
+from study.api.folders import RESULTS, design_root, results_folder
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
@@ -110,7 +110,7 @@ def plan(
     design: Design | str | Path,
     *,
     data: str | Path | None = None,
-    results: Path = RESULTS,
+    results: str | Path = RESULTS,
     overrides: Sequence[str] = (),
     jobs: int | None = None,
 ) -> Plan:
@@ -127,7 +127,7 @@ def plan(
     described = overview(loaded)
     warnings = list(described.warnings)
     workers = jobs or default_jobs()
-    root = data_root(loaded.source, data)
+    root = design_root(loaded, data)
     try:
         work = expand(loaded, root)
     except MissingDataError as error:
@@ -136,7 +136,7 @@ def plan(
         return Plan(
             loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
         )
-    return _counted(work, described, Store(results / loaded.name, warn=warnings.append),
+    return _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
                     workers, warnings)  # fmt: skip
 
 
@@ -177,7 +177,7 @@ def _idle_replicates(work: Work) -> list[str]:
     ]
 
 
-def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
+def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
     """Progress of a study, from any shell.
 
     Returns
@@ -216,7 +216,7 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
     }
 
 
-def why(case: str, *, study: str | Path | None = None, results: Path = RESULTS) -> Record:
+def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
     """Record of one case, found by the beginning of its id in one study or in all of them.
 
     Raises
@@ -245,5 +245,5 @@ def why(case: str, *, study: str | Path | None = None, results: Path = RESULTS) 
     return record
 
 
-def _all_studies(results: Path) -> list[Path]:
-    return sorted(path.parent for path in results.glob("*/study.json"))
+def _all_studies(results: str | Path) -> list[Path]:
+    return sorted(path.parent for path in Path(results).glob("*/study.json"))

@@ -54,6 +54,7 @@ def with_time_left(
             {
                 "done": whole.done,
                 "total": whole.total,
+                "counted": whole.counted,
                 "seconds_left": round(whole.seconds_left, 1),
                 "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             }

@@ -7,11 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import data_root
+from study.api.folders import calibration_root
+from study.api.single.fit_figure import panels_of
+from study.api.single.notebook import Calibrated
 from study.design.load import load_calibration
 from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
-from study.reporting.figure.curves.fit import FitPanel, fit_figure
+from study.reporting.figure.curves.fit import fit_figure
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.comparison import compare
@@ -29,10 +31,10 @@ def calibrate(
     *,
     data: str | Path | None = None,
     overrides: Sequence[str] = (),
-    results: Path | None = None,
+    results: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
     profiles: bool = False,
-) -> CalibrationResult:
+) -> Calibrated:
     """Find material constants from one or several measured tests.
 
     Parameters
@@ -54,7 +56,8 @@ def calibrate(
     Returns
     -------
     CalibrationResult
-        Constants with intervals, stability, residuals and how the search ended.
+        Constants with intervals, stability, residuals and how the search ended; ``to_frame()``,
+        ``plot()``, and a table in a notebook.
 
     Raises
     ------
@@ -65,14 +68,20 @@ def calibrate(
     if config["calibration"]["method"] == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
-    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
-    folder = None if results is None else results / config["name"]
+    config = provenance.located(
+        config, provenance.folders(source, calibration_root(config, source, data))
+    )
+    folder = None if results is None else Path(results) / config["name"]
     found = run_calibration(
-        config, data_root(source, data), progress=progress, profiles=profiles, folder=folder
+        config,
+        calibration_root(config, source, data),
+        progress=progress,
+        profiles=profiles,
+        folder=folder,
     )
     if folder is not None:
         save_calibration(found, folder)
-    return found
+    return Calibrated.of(found)
 
 
 def choose_energy(
@@ -90,7 +99,7 @@ def choose_energy(
         For a faulty file or faulty data.
     """
     config = load_calibration(source, overrides)
-    return choose(config, data_root(source, data), progress=progress)
+    return choose(config, calibration_root(config, source, data), progress=progress)
 
 
 def compare_tests(
@@ -138,9 +147,15 @@ def compare_tests(
         rule = f"must be a share of the largest force, got {zero:g}"
         raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
     config = load_calibration(source, overrides)
-    config = provenance.located(config, provenance.folders(source, data_root(source, data)))
+    config = provenance.located(
+        config, provenance.folders(source, calibration_root(config, source, data))
+    )
     return compare(
-        config, data_root(source, data), difference=difference, zero=zero, progress=progress
+        config,
+        calibration_root(config, source, data),
+        difference=difference,
+        zero=zero,
+        progress=progress,
     )
 
 
@@ -156,17 +171,4 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
 
 def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
-    panels = [
-        FitPanel(
-            curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
-            curve.role == "fit",
-            curve.measured.curve.displacement_mm,
-            curve.measured.curve.force_N,
-            None
-            if curve.predicted is None
-            else curve.predicted.force_at(curve.measured.curve.displacement_mm),
-            curve.measured.scatter_N,
-        )
-        for curve in found.curves
-    ]
-    return fit_figure(panels, f"{found.name}: {found.model}, {found.status}")
+    return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import data_root
+from study.api.folders import calibration_root
 from study.contact_mechanics.closed_form import IndentationTest
 from study.contact_mechanics.closed_form import indentation_modulus as modulus_of
 from study.contact_mechanics.layer import Layer
@@ -35,7 +35,7 @@ def indentation_modulus(
     *,
     data: str | Path | None = None,
     overrides: Sequence[str] = (),
-    results: Path | None = None,
+    results: str | Path | None = None,
 ) -> AnalyticCalibration:
     """Fit Young's modulus to measured indentations in closed form, curve by curve.
 
@@ -63,7 +63,7 @@ def indentation_modulus(
     """
     began = time.perf_counter()
     config = load_calibration(source, (*overrides, ASKED))
-    root = data_root(source, data)
+    root = calibration_root(config, source, data)
     tests: list[IndentationTest] = []
     faults: list[Fault] = []
     for number, tables in enumerate(config["tests"]):
@@ -78,7 +78,7 @@ def indentation_modulus(
     moduli = tuple(one for one, _ in found)
     result = AnalyticCalibration(config["name"], moduli, notes, time.perf_counter() - began)
     if results is not None:
-        save_moduli(result, results / result.name)
+        save_moduli(result, Path(results) / result.name)
     return result
 
 

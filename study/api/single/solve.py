@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.api.folders import data_root
-from study.design.load import load_problem
+from study.api.single.notebook import SolvedProblem
+from study.design.load import from_tables, load_problem, loads_problem
+from study.design.plausibility import plausibility, plausible_sizes
 from study.forward import closed_form
 from study.material.stability import check
 from study.record.record import plain
 from study.runner import provenance
-from study.setup.setup import Problem, ResolvedTables, problem_of
+from study.setup.material_section import MaterialSection
+from study.setup.setup import Problem, ResolvedTables, Setup, problem_of
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -24,13 +27,14 @@ def solve(
     overrides: Sequence[str] = (),
     gradients: bool = True,
     progress: Callable[[float], None] | None = None,
-) -> Solution:
+) -> SolvedProblem:
     """Simulate one test.
 
     Parameters
     ----------
     problem : Problem, mapping, str or Path
-        A problem, its resolved configuration, or its file.
+        A problem, its file, or the tables of one: the keys of the file, with texts that have a
+        unit or numbers in mm, N, MPa and deg. Resolved tables (``radius_mm``) are taken too.
     overrides : sequence of str
         ``key=value`` each, laid over the file before it is validated.
     gradients : bool
@@ -41,30 +45,70 @@ def solve(
     Returns
     -------
     Solution
-        Curve in mm and N, with gradients, energy balance, mesh and status.
+        Curve in mm and N, with gradients, energy balance, mesh and status; ``to_frame()``,
+        ``plot()``, and a table in a notebook.
 
     Raises
     ------
     InputError
         For a faulty problem, or constants that make an unstable material.
+
+    Examples
+    --------
+    Between frictionless plates the deformation is the same everywhere: with lambda = 0.9 and
+    W = C10 (I1 - 3) the force is 2 C10 (1/lambda^2 - lambda) pi R^2.
+
+    >>> import study
+    >>> found = study.solve({
+    ...     "specimen": {"shape": "cylinder", "radius": 10, "height": "1 cm"},
+    ...     "test": {"kind": "compression", "displacement": "1 mm", "steps": 2},
+    ...     "material": {"model": "neo-hookean", "C10": "10 kPa", "incompressible": True},
+    ...     "model": {"mesh_size": 5},
+    ... })
+    >>> found.status
+    'converged'
+    >>> [round(float(force), 4) for force in found.curve.force_N]
+    [0.9928, 2.1020]
     """
     from study.fem.solver.solve import solve as forward_solve
 
     made = _problem(problem, overrides)
     if made.setup.has_no_elements:
-        return closed_form.solution(made)
-    return forward_solve(made, gradients=gradients, progress=progress)
+        return SolvedProblem.of(closed_form.solution(made))
+    return SolvedProblem.of(forward_solve(made, gradients=gradients, progress=progress))
+
+
+def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
+    """Sentences about moduli and sizes in a file that no soft material or specimen has.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem.
+    """
+    tables = load_problem(problem, overrides)
+    setup = Setup.of(tables)
+    material = MaterialSection.of(tables["material"])
+    return plausibility(material) + plausible_sizes(setup.specimen, setup.model)
 
 
 def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
         config = problem
-        if not isinstance(config, Mapping):
+        if isinstance(config, Mapping) and not _is_resolved(config):
+            tables = loads_problem(from_tables(config), "problem", overrides)
+            config = provenance.located(tables, provenance.folders("problem", data_root("problem")))
+        elif not isinstance(config, Mapping):
             places = provenance.folders(config, data_root(config))
             config = provenance.located(load_problem(config, overrides), places)
         problem = problem_of(config)
     _judge(problem)
     return problem
+
+
+def _is_resolved(tables: ResolvedTables) -> bool:
+    """Whether tables have the keys of the program rather than those of a file."""
+    return "displacement_mm" in tables.get("test", {})
 
 
 def _judge(problem: Problem) -> None:

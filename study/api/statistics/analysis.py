@@ -37,7 +37,32 @@ def _table(
     frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
 ) -> AnalysisResult:
     _check_named(response, factors)
-    return anova(frame, str(response), list(factors), **options)
+    found = anova(frame, str(response), list(factors), **options)
+    return found.noted(*twin_levels(frame, factors))
+
+
+def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """Sentences about labels of a column that differ in case or spaces alone: probably one level.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        The table.
+    columns : sequence of str
+        Those of its columns that hold labels.
+    """
+    said = []
+    for name in columns:
+        alike: dict[str, dict[str, None]] = {}
+        for label in dict.fromkeys(map(str, frame[name])):
+            alike.setdefault("".join(label.split()).casefold(), {})[label] = None
+        said += [
+            f"column {name!r} holds {' and '.join(map(repr, labels))} as different levels: "
+            "did you mean one?"
+            for labels in alike.values()
+            if len(labels) > 1
+        ]
+    return said
 
 
 def _check_named(response: str | None, factors: Sequence[str]) -> None:
@@ -54,7 +79,7 @@ def _study(
     source: str | Path,
     response: str | None,
     factors: Sequence[str],
-    results: Path,
+    results: str | Path,
     options: AnovaOptions,
 ) -> AnalysisResult:
     """Analysis of stored records: what is not said is taken from the design."""
@@ -107,7 +132,7 @@ def analyze(
     response: str | None = None,
     factors: Sequence[str] = (),
     *,
-    results: Path = Path("results"),
+    results: str | Path = Path("results"),
     decimal: str = ".",
     **options: Unpack[AnovaOptions],
 ) -> Analysis:

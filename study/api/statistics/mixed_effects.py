@@ -25,7 +25,7 @@ def fit_mixed_model(  # noqa: PLR0913  # one keyword for each thing that may be 
     covariates: Sequence[str] = (),
     model: Model | None = None,
     alpha: float = 0.05,
-    results: Path = Path("results"),
+    results: str | Path = Path("results"),
     decimal: str = ".",
 ) -> MixedModel:
     """Fit a mixed model by REML to one response of a study or of a CSV.

@@ -56,7 +56,7 @@ def predict(
     at: Mapping[str, Setting],
     *,
     response: str | None = None,
-    results: Path = RESULTS,
+    results: str | Path = RESULTS,
 ) -> tuple[Predicted, ...]:
     """Predict the responses of a study with numeric factors.
 

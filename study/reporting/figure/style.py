@@ -121,6 +121,26 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     return _inline(buffer.getvalue(), name, title)
 
 
+def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:
+    """Draw a figure that a notebook shows without any of its own settings for figures.
+
+    Parameters
+    ----------
+    draw : callable
+        Returns a finished figure; runs inside the style.
+    name, title : str
+        As of :func:`render`.
+    """
+    import matplotlib as mpl
+
+    look: Any = _RC
+    with mpl.rc_context(look):
+        figure = draw()
+    # a notebook asks whatever it shows for this; a figure of no backend has none
+    vars(figure)["_repr_svg_"] = lambda: render(lambda: figure, name, title)
+    return figure
+
+
 def _inline(text: str, name: str, title: str) -> str:
     """Strip the prologue, prefix ids, let the page choose the font, name the drawing."""
     ElementTree.register_namespace("", _SVG)

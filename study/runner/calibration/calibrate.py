@@ -22,7 +22,7 @@ from study.errors import Fault, InputError
 from study.material.energy import DeclaredConstants
 from study.material.registry import ENERGIES
 from study.material.stability import check, stability
-from study.measurement.conditioning import SORTED
+from study.measurement.conditioning import is_caution
 from study.runner.calibration.measured_tests import (
     FitCurve,
     in_order,
@@ -131,7 +131,7 @@ def calibrate(
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
         starts=starts,
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
-        warnings=(*(note for note in notes if SORTED in note), *result.warnings),
+        warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
         seconds=time.perf_counter() - began,
     )
     checkpoint.clear()

@@ -14,12 +14,13 @@ from study.calibration.fit import MeasuredCurve
 from study.calibration.lack_of_fit import Repeated
 from study.curve import Curve
 from study.errors import Fault, InputError
+from study.measurement import plausibility
 from study.measurement.measured_test import MeasuredTest, Measurements
 from study.measurement.reading import read_measurements
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
 from study.runner.tables import Tables, gauge_of
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup, known_height_mm
 
 Role = Literal["fit", "held-out"]
 
@@ -97,7 +98,8 @@ def _read(test: Tables, root: Path) -> Measurements:
     height = known_height_mm(test["specimen"])
     depth = test["test"].get("displacement_mm")
     gauge = gauge_of(test["specimen"], test["test"])
-    return read_measurements(test["measurements"], root, height, depth, gauge)
+    found = read_measurements(test["measurements"], root, height, depth, gauge)
+    return plausibility.checked(found, Setup.of(test))
 
 
 def _weight(asked: str | float, one: MeasuredTest, where: str) -> float | Array:

@@ -61,8 +61,9 @@ class Browser:
         first, self._buffer = self._buffer.split(b"\0", 1)
         return json.loads(first)
 
-    def open(self, page: Path, width: int, scheme: str) -> None:
-        """Load a file at a width in CSS pixels, in the light or the dark scheme."""
+    def open(self, page: Path | str, width: int, scheme: str) -> None:
+        """Load a file or an address at a width in CSS pixels, in the light or the dark scheme."""
+        url = page if isinstance(page, str) else page.resolve().as_uri()
         self.events.clear()
         self.send(
             "Emulation.setDeviceMetricsOverride",
@@ -73,7 +74,7 @@ class Browser:
         )
         feature = {"name": "prefers-color-scheme", "value": scheme}
         self.send("Emulation.setEmulatedMedia", features=[feature])
-        self.send("Page.navigate", url=page.resolve().as_uri())
+        self.send("Page.navigate", url=url)
         end = time.monotonic() + PATIENCE
         while self.ask("document.readyState") != "complete":
             assert time.monotonic() < end, f"{page} was not loaded within {PATIENCE} s"
@@ -81,7 +82,9 @@ class Browser:
 
     def ask(self, expression: str) -> object:
         """Value of a JavaScript expression in the page."""
-        found = self.send("Runtime.evaluate", expression=expression, returnByValue=True)
+        found = self.send(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 

@@ -44,7 +44,12 @@ class FitPanel:
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
     """Return the figure as SVG, the same bytes for the same data."""
-    return render(lambda: _draw(panels[:_MOST], title, len(panels)), "calibration", title)
+    return render(lambda: draw_fit(panels, title), "calibration", title)
+
+
+def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
+    """Draw the first curves with their fits, and residuals below each."""
+    return _draw(panels[:_MOST], title, len(panels))
 
 
 def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:

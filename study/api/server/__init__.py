@@ -1,0 +1,1 @@
+"""``study serve``: studies and their reports as pages, on this machine alone and read only."""

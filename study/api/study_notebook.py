@@ -1,0 +1,83 @@
+"""A study as a notebook shows it: a frame, verdicts in HTML, a figure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+from study.api.assemble import report_data
+from study.errors import Fault, InputError, nearest
+from study.reporting.figure import effects
+from study.reporting.figure.style import shown
+from study.reporting.report import facts
+from study.study_result.study_result import StudyResult
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.reporting.figure.style import Drawing
+
+
+@dataclass(frozen=True)
+class Study(StudyResult):
+    """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
+
+    @classmethod
+    def of(cls, found: StudyResult) -> Study:
+        """Give a study the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(StudyResult)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table of the study, one tidy row a case, failed ones included.
+
+        Returns
+        -------
+        DataFrame
+            ``case_id``, a column for every factor, ``block``, ``status`` and the responses.
+        """
+        return self.table
+
+    def plot(self, response: str | None = None) -> Drawing:
+        """Draw the largest difference of every term with its interval against what matters.
+
+        Parameters
+        ----------
+        response : str, optional
+            Name of a response; the first one by default.
+
+        Returns
+        -------
+        Figure
+            Of matplotlib.
+
+        Raises
+        ------
+        InputError
+            If the study has no such response.
+        ValueError
+            If no effect could be estimated.
+        """
+        data = report_data(self, {})
+        found = {item.name: item for item in facts(data)}
+        name = response or next(iter(found), "")
+        if name not in found:
+            rule = f"there is no response {name!r}"
+            raise InputError(Fault("response", rule, nearest(name, found)))
+        frame = effects.effect_sizes(found[name], data.labels)
+        if frame.empty:
+            raise ValueError("there is nothing to draw: no effect could be estimated")
+        title = f"largest difference of every term: {found[name].title}"
+        return shown(lambda: effects.draw_effect_sizes(frame, found[name]), "effects", title)
+
+    def _repr_html_(self) -> str:
+        """Cases and verdicts as the last line of a cell shows them."""
+        import pandas as pd
+
+        shape = {"response", "factor", "verdict", "effect", "p"}
+        rows = [{k: v for k, v in row.items() if k in shape} for row in self.verdicts]
+        cases = pd.DataFrame([self.cases], index=[self.design.name])
+        return (
+            cases.to_html()
+            + "\n"
+            + pd.DataFrame(rows).to_html(index=False, na_rep="", float_format=lambda x: f"{x:.4g}")
+        )

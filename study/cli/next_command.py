@@ -1,0 +1,91 @@
+"""The command that comes next, or that resumes: as it is typed, with what was typed before."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from study.api.planning.plan import Plan
+    from study.study_result.study_result import StudyResult
+
+#: verbs that keep what is finished, so that the same command goes on from there
+RESUMABLE = frozenset({"demo", "run", "converge", "calibrate"})
+
+#: inside double quotes a shell reads these
+_READ_INSIDE = frozenset('"$`\\!')
+
+#: options of a verb by how they are typed; None or a usual value leaves one out
+Options = Mapping[str, object]
+
+
+def written(*words: object, options: Options | None = None) -> str:
+    r"""Command as it is typed.
+
+    Examples
+    --------
+    >>> written("run", "my study.toml", options={"--data": None, "-s": ["a=\'1 mm\'"]})
+    'study run \'my study.toml\' -s "a=\'1 mm\'"'
+    """
+    typed = [str(word) for word in words]
+    for name, value in (options or {}).items():
+        values = value if isinstance(value, (list, tuple)) else [value]
+        for one in values:
+            typed += [] if one is None else [name] if one is True else [name, str(one)]
+    return " ".join(["study", *map(_quoted, typed)])
+
+
+def _quoted(word: str) -> str:
+    """Quote a word for a shell, with double quotes where it holds single ones alone."""
+    if "'" in word and not _READ_INSIDE & set(word):
+        return f'"{word}"'
+    return shlex.quote(word)
+
+
+def interrupted(arguments: Sequence[str]) -> str:
+    """Say what is kept of an interrupted command, and what resumes it."""
+    verb = next((word for word in arguments if not word.startswith("-")), "")
+    if verb not in RESUMABLE:
+        return "interrupted: nothing was written"
+    return (
+        "interrupted: what is finished is kept, and is not computed again. To resume:\n"
+        f"  {written(*arguments)}"
+    )
+
+
+def after_plan(found: Plan, design: Path, options: Options) -> tuple[str, str]:
+    """Say what to do after a plan, and the command."""
+    if found.predicted_seconds is None:
+        return (
+            "put the measurements there, or make some of virtual specimens",
+            written("virtual", "measurements", options={"--from": design, "-s": options.get("-s")}),
+        )
+    if found.missing:
+        allowed = {"--allow-digest": found.digest or None}
+        return "compute what is missing", written("run", design, options={**options, **allowed})
+    return "everything is computed; the report again", written(
+        "report", found.design.name, options=_folders(options)
+    )
+
+
+def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
+    """Say what to do after a run or a report, and the command."""
+    folders = _folders(options)
+    failed = [record.case_id for record in study.records if not record.converged]
+    if failed:
+        where = {"--study": study.folder, "--results": folders.get("--results")}
+        return "why the first case failed", written("why", failed[0], options=where)
+    if len(study.records) < study.total:
+        return "progress of the cases that are missing", written(
+            "status", study.design.name, options={"--results": folders.get("--results")}
+        )
+    if study.report is None or study.report.suffix != ".html":
+        wanted = {**folders, "--format": "html"}
+        return "write its page", written("report", study.design.name, options=wanted)
+    return "check every number of the report", written("verify", study.design.name, options=folders)
+
+
+def _folders(options: Options) -> Options:
+    return {name: options.get(name) for name in ("--results", "--reports")}

@@ -1,0 +1,1 @@
+"""Tables of what was found, as rows for the terminal."""

@@ -1,0 +1,171 @@
+"""What Python users hold: tables of a file as input, paths as text, results that are shown."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import study
+from study.design import load
+from study.errors import InputError
+from tests.cli.small import write_files
+
+PROBLEM = {
+    "specimen": {"shape": "cylinder", "radius": 10, "height": "1 cm"},
+    "test": {"kind": "compression", "interface": "frictionless", "displacement": 1, "steps": 2},
+    "material": {"model": "neo-hookean", "C10": 0.01, "incompressible": True},
+    "model": {"mesh_size": "5 mm"},
+}
+#: 2 C10 (1/l^2 - l) pi R^2 at l = 0.95 and 0.9
+FORCE = [2 * 0.01 * (s**-2 - s) * math.pi * 100 for s in (0.95, 0.9)]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_problem_is_given_by_the_keys_of_its_file() -> None:
+    found = study.solve(PROBLEM)
+    assert found.curve.force_N == pytest.approx(FORCE, rel=1e-9)
+    texts = {**PROBLEM, "material": {**PROBLEM["material"], "C10": "10 kPa"}}
+    assert study.solve(texts).curve.force_N.tolist() == found.curve.force_N.tolist()
+    numpy = {**PROBLEM, "material": {**PROBLEM["material"], "C10": np.float64(0.01)}}
+    assert study.solve(numpy).curve.force_N.tolist() == found.curve.force_N.tolist()
+    twice = study.solve(PROBLEM, overrides=['material.C10="20 kPa"'])
+    assert twice.curve.force_N == pytest.approx(2 * np.array(FORCE), rel=1e-9)
+
+
+def test_what_was_resolved_is_still_taken() -> None:
+    text = load.from_tables(PROBLEM)
+    found = study.solve(load.loads_problem(text))
+    assert found.curve.force_N == pytest.approx(FORCE, rel=1e-9)
+
+
+def test_faults_of_tables_are_those_of_a_file() -> None:
+    wrong = {**PROBLEM, "specimen": {"shape": "cylinder", "radios": 10, "height": 10}}
+    with pytest.raises(InputError, match="did you mean 'radius'"):
+        study.solve(wrong)
+
+
+@pytest.mark.parametrize(
+    ("tables", "key", "labels"),
+    [
+        ({"specimen.radius": [24, 26.5]}, "specimen.radius", ("24 mm", "26.5 mm")),
+        ({"model": {"mesh_size": [2, "0.3 cm"]}}, "model.mesh_size", ("2 mm", "0.3 cm")),
+        ({"model.element_order": ["linear", "quadratic"]}, "model.element_order",
+         ("linear", "quadratic")),
+        ({"specimen.radius": {"low": 24, "high": 26}}, "specimen.radius", ("24 mm", "26 mm")),
+    ],
+)  # fmt: skip
+def test_numbers_of_factors_have_the_units_of_their_keys(
+    tables: dict[str, object], key: str, labels: tuple[str, ...]
+) -> None:
+    made = study.load_design(
+        {
+            **PROBLEM, "study": {"name": "numbers"},
+            "factors": {**tables, "test.base": ["frictionless", "bonded"]},
+            "response": [{"name": "peak_force", "practical": "0.1 N"}],
+        }
+    )  # fmt: skip
+    factor = next(one for one in made.factors if one.name == key)
+    assert factor.labels == labels
+
+
+def test_presets_have_units_too() -> None:
+    made = study.load_design(
+        {
+            **PROBLEM,
+            "presets": {
+                "material": {"soft": {"C10": 0.005}, "stiff": {"C10": "20 kPa"}},
+                "depth": {
+                    "small": {"test.displacement": 1},
+                    "large": {"test": {"displacement": 2}},
+                },
+            },
+            "factors": {"material": ["soft", "stiff"], "depth": ["small", "large"]},
+            "response": [{"name": "peak_force", "practical": "0.1 N"}],
+        }
+    )
+    cells = {one.label: one.cell.problem for one in made.treatments}
+    soft, stiff = cells["soft / small"], cells["stiff / large"]
+    assert soft.material.constants == {"C10": 0.005}
+    assert stiff.material.constants == {"C10": 0.02}
+    assert (soft.test.displacement_mm, stiff.test.displacement_mm) == (1.0, 2.0)
+
+
+def test_a_solution_is_shown(home: Path) -> None:
+    found = study.solve("problem.toml")
+    frame = found.to_frame()
+    assert frame.force_N.to_list() == found.curve.force_N.tolist()
+    assert "force_gradient_C10" in frame
+    assert "converged" in found._repr_html_()
+    assert f"{found.curve.force_N[-1]:.6g}" in found._repr_html_()
+    (axes,) = found.plot().axes
+    steps = axes.lines[1].get_xydata()
+    assert steps.tolist() == frame[["displacement_mm", "force_N"]].to_numpy().tolist()
+    assert found.plot()._repr_svg_() == found.plot()._repr_svg_()
+
+
+def test_a_calibration_is_shown(home: Path) -> None:
+    found = study.calibrate("calibration.toml", data="data", results="here")
+    assert (home / "here" / "calibration" / "calibration.json").is_file()
+    frame = found.to_frame().set_index("constant")
+    document = found.to_json()["parameters"]
+    assert frame.value["C10"] == document["C10"]["value"]
+    assert frame.loc["C10", ["low", "high"]].to_list() == document["C10"]["ci95"]
+    assert "C01" in found._repr_html_()
+    force, residual = found.plot().axes
+    assert force.get_ylabel() == "force (N)"
+    assert found.plot()._repr_svg_().startswith("<svg")
+
+
+def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
+    found = study.run("small.toml", data="data", results="out", reports="pages", jobs=1)
+    assert str(found.report).startswith("pages")
+    frame = found.to_frame()
+    assert len(frame) == 12
+    assert {"material", "range", "relative_rms_force_error"} <= set(frame)
+    html = found._repr_html_()
+    assert all(row["verdict"] in html for row in found.verdicts)
+    drawn = found.plot()._repr_svg_()
+    assert all(f">{name}<" in drawn for name in ("material", "range"))
+    with pytest.raises(InputError, match="did you mean 'relative_rms_force_error'"):
+        found.plot("relative_rms_force_eror")
+    again = study.report("small", results="out", reports="pages")
+    assert again.to_frame().equals(frame)
+    assert study.analyze("out/small", results="out").to_frame() is not None
+
+
+def test_a_series_is_shown(home: Path) -> None:
+    found = study.converge("problem.toml", results="out")
+    assert found["behaviour"] == "noise-floor"
+    frame = found.to_frame()
+    assert frame.mesh_size.to_list() == found["mesh_size"]
+    assert frame.value.to_list() == found["value"]
+    assert "<table" in found._repr_html_()
+    assert found.plot()._repr_svg_().startswith("<svg")
+    numbers = study.grid_convergence(sizes=[1, 2, 4], values=[0.97050, 0.96854, 0.96178])
+    assert numbers.to_frame().value.to_list() == [0.97050, 0.96854, 0.96178]
+    assert numbers.verdict[:20] in numbers._repr_html_()
+
+
+def test_a_hostile_name_is_escaped_in_a_notebook(home: Path) -> None:
+    name = "<script>alert(1)</script>"
+    table = study.run("small.toml", data="data", jobs=1, reports=None).to_frame()
+    found = study.analyze(
+        table.rename(columns={"material": name}), "relative_rms_force_error", [name, "range"],
+        block="block",
+    )  # fmt: skip
+    assert name not in found._repr_html_()
+    assert name not in found.plot()._repr_svg_()
+    assert "&lt;script&gt;" in found._repr_html_()
+
+
+def test_dir_lists_what_is_public() -> None:
+    assert set(dir(study)) == set(study.__all__)

@@ -1,0 +1,265 @@
+"""Pages over HTTP: what is shown, who is answered, and that nothing outside two folders leaves."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import os
+import socket
+import threading
+import urllib.parse
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from study import api
+from study.api.server.request import StudyServer
+from study.api.server.states import Folders
+from study.errors import InputError
+from study.record.store import Store
+from tests.cli.small import DESIGN, write_files
+
+Reply = tuple[int, dict[str, str], str]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two finished studies with their reports, and a secret beside them."""
+    folder = tmp_path_factory.mktemp("served")
+    write_files(folder)
+    coarse = DESIGN.replace('"small"', '"coarse"', 1).replace("points = 30", "points = 20")
+    coarse = coarse.replace("Does the energy", "<script>document.title=1</script> Does the energy")
+    (folder / "coarse.toml").write_text(coarse)
+    with contextlib.chdir(folder):
+        for name in ("small", "coarse"):
+            api.run(f"{name}.toml", data="data", jobs=1, formats=("html",))
+    (folder / "secret.html").write_text("secret")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(home: Path) -> Iterator[StudyServer]:
+    made = StudyServer(Folders(home / "results", home / "reports"), 0)
+    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield made
+    made.shutdown()
+    thread.join()
+    made.server_close()
+
+
+def ask(
+    server: StudyServer, path: str, method: str = "GET", host: str | None = "", body: str = ""
+) -> Reply:
+    """Send one request as it stands, without the tidying of a client."""
+    port = server.server_port
+    lines = [f"{method} {path} HTTP/1.1", "Connection: close"]
+    if host is not None:
+        lines.append(f"Host: {host or f'127.0.0.1:{port}'}")
+    if body:
+        lines.append(f"Content-Length: {len(body)}")
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as sock:
+        sock.sendall(("\r\n".join(lines) + "\r\n\r\n" + body).encode("latin-1"))
+        reply = http.client.HTTPResponse(sock, method=method)
+        reply.begin()
+        text = reply.read().decode("utf-8", "replace")
+        return reply.status, {k.lower(): v for k, v in reply.getheaders()}, text
+
+
+def test_studies_are_listed_with_what_was_found(server: StudyServer) -> None:
+    status, headers, text = ask(server, "/")
+    assert status == 200
+    assert headers["content-type"] == "text/html; charset=utf-8"
+    assert text.count("12 of 12 done") == 2
+    assert 'href="/reports/small/small.html"' in text
+    for word in ("no practical difference", "relative RMS force error (pp)", "material, range"):
+        assert word in text
+
+
+def test_numbers_are_those_of_the_report(server: StudyServer, home: Path) -> None:
+    (small,) = [s for s in server.folders.states() if s.name == "small"]
+    with contextlib.chdir(home):
+        verdicts = {row["factor"]: row for row in api.open_study("small").verdicts}
+    assert {one.factor for one in small.conclusions} == {"material", "range"}
+    for one in small.conclusions:
+        row = verdicts[one.factor]
+        assert (one.verdict, one.effect, one.p) == (row["verdict"], row["effect"], row["p"])
+        assert [one.low, one.high] == row["ci95"]
+
+
+def test_a_factor_and_studies_are_chosen(server: StudyServer) -> None:
+    _, _, text = ask(server, "/?factor=range&study=small")
+    beside = text[text.index('id="beside"') :]
+    assert "<td>range</td>" in beside
+    assert "<td>material</td>" not in beside
+    assert ">small</th>" in beside
+    assert ">coarse</th>" not in beside
+    _, _, nothing = ask(server, "/?factor=no-such-factor")
+    assert "no study with this factor" in nothing
+
+
+def test_a_report_is_the_file_itself(server: StudyServer, home: Path) -> None:
+    status, headers, text = ask(server, "/reports/small/small.html")
+    assert status == 200
+    assert text == (home / "reports/small/small.html").read_text("utf-8")
+    assert "script-src 'sha256-" in headers["content-security-policy"]
+    status, headers, text = ask(server, "/reports/small/small-data/cases.csv")
+    assert headers["content-type"].startswith("text/csv")
+    assert text == (home / "reports/small/small-data/cases.csv").read_text("utf-8")
+
+
+def test_head_has_no_body(server: StudyServer) -> None:
+    for path in ("/", "/reports/small/small.html", "/progress.json"):
+        status, headers, text = ask(server, path, "HEAD")
+        assert (status, text) == (200, "")
+        assert int(headers["content-length"]) > 0
+
+
+OUTSIDE = [
+    "/reports/../secret.html",
+    "/reports/..%2fsecret.html",
+    "/reports/%2e%2e/secret.html",
+    "/reports/%2e%2e%2fsecret.html",
+    "/reports/small/../../secret.html",
+    "/reports/small/..\\..\\secret.html",
+    "/reports//secret.html",
+    "/reports/link.html",
+    "/reports/linked/secret.html",
+    "/reports/small/.hidden.html",
+    "/reports/small/small.html%00.csv",
+    "/reports/small/small.html/",
+    "/reports/small/",
+    "/reports/small",
+    "/reports/",
+    "/reports",
+    "/reports/%ff.html",
+    "/reports/small/notes.py",
+    "/results/small/study.json",
+    "/secret.html",
+    "/../secret.html",
+    "//etc/passwd",
+    "/etc/passwd",
+    "/reports/" + "a" * 5000,
+    "http://127.0.0.1/secret.html",
+]
+
+
+@pytest.mark.parametrize("path", OUTSIDE)
+def test_nothing_outside_the_reports_leaves(server: StudyServer, home: Path, path: str) -> None:
+    reports = home / "reports"
+    with contextlib.suppress(FileExistsError):
+        (reports / "link.html").symlink_to(home / "secret.html")
+        (reports / "linked").symlink_to(home)
+        (reports / "small" / ".hidden.html").write_text("secret")
+        (reports / "small" / "notes.py").write_text("secret")
+    status, _, text = ask(server, path)
+    assert status in (400, 404)
+    assert "secret" not in text
+
+
+@pytest.mark.parametrize(
+    "host",
+    ["evil.example", "127.0.0.1", "127.0.0.1:1", "evil.example:{port}", None, "[::1]:{port}"],
+)
+def test_other_hosts_are_not_answered(server: StudyServer, host: str | None) -> None:
+    named = None if host is None else host.format(port=server.server_port)
+    status, _, text = ask(server, "/", host=named)
+    assert status == 421
+    assert "small" not in text
+    assert ask(server, "/", host=f"localhost:{server.server_port}")[0] == 200
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE"])
+def test_nothing_can_be_changed(server: StudyServer, home: Path, method: str) -> None:
+    before = {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()}
+    status, headers, _ = ask(server, "/reports/small/small.html", method, body="x" * 10)
+    assert (status, headers["allow"]) == (405, "GET, HEAD")
+    assert {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()} == before
+
+
+def test_reading_changes_nothing(server: StudyServer, home: Path) -> None:
+    """A damaged record is not counted; a store would set it aside."""
+    record = next((home / "results" / "coarse" / "cases").glob("*/record.json"))
+    sound = record.read_bytes()
+    record.write_bytes(sound[:-20])
+    before = {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()}
+    try:
+        assert "11 of 12 done, 1 missing" in ask(server, "/")[2]
+        assert {p: p.stat().st_mtime_ns for p in home.rglob("*") if p.is_file()} == before
+    finally:
+        record.write_bytes(sound)
+    assert ask(server, "/")[2].count("12 of 12 done") == 2
+
+
+@pytest.mark.parametrize("path", ["/", "/progress.json", "/reports/small/small.html", "/nothing"])
+def test_every_answer_is_locked_down(server: StudyServer, path: str) -> None:
+    _, headers, _ = ask(server, path)
+    policy = headers["content-security-policy"]
+    assert policy.startswith("default-src 'none'")
+    assert "frame-ancestors 'none'" in policy or path in ("/progress.json", "/nothing")
+    assert headers["x-content-type-options"] == "nosniff"
+    assert headers["x-frame-options"] == "DENY"
+    assert headers["cross-origin-resource-policy"] == "same-origin"
+    assert headers["cache-control"] == "no-store"
+    assert "access-control-allow-origin" not in headers
+    assert "Python" not in headers["server"]
+
+
+def test_what_a_user_wrote_is_escaped(server: StudyServer) -> None:
+    _, _, text = ask(server, "/")
+    assert "<script>document.title" not in text
+    assert "&lt;script&gt;document.title=1&lt;/script&gt;" in text
+    hostile = urllib.parse.quote('"><script>alert(1)</script>')
+    assert "<script>alert" not in ask(server, f"/?factor={hostile}&study={hostile}")[2]
+
+
+def test_a_study_at_work_shows_how_far_it_is(server: StudyServer, home: Path) -> None:
+    assert json.loads(ask(server, "/progress.json")[2]) == {}
+    store = Store(home / "results" / "small")
+    with store.lock():
+        store.note({"done": 5, "total": 24, "counted": "2/12 cases, 3/12 calibrations"})
+        running = json.loads(ask(server, "/progress.json")[2])
+        assert running == {
+            "small": {"done": 5, "total": 24, "said": "2/12 cases, 3/12 calibrations"}
+        }
+        text = ask(server, "/")[2]
+        assert '<progress data-study="small" max="24" value="5"' in text
+        assert "2/12 cases, 3/12 calibrations" in text
+    assert "No study is running" in ask(server, "/")[2]
+
+
+def test_only_the_loopback_listens(server: StudyServer) -> None:
+    assert server.server_address[0] == "127.0.0.1"
+    other = socket.gethostbyname(socket.gethostname())
+    if other.startswith("127."):
+        pytest.skip("this machine has no other address")
+    with (
+        pytest.raises(OSError, match=r".+"),
+        socket.create_connection((other, server.server_port), 2),
+    ):
+        pass
+
+
+def test_folders_that_are_not_there_yet(tmp_path: Path) -> None:
+    assert Folders(tmp_path / "results", tmp_path / "reports").states() == []
+
+
+def test_a_port_that_is_taken_is_refused(server: StudyServer) -> None:
+    with pytest.raises(InputError, match="0 takes a free one"):
+        api.serve(port=server.server_port)
+
+
+def test_a_runner_is_not_turned_away_by_who_looks(home: Path) -> None:
+    """Looking whether a folder is locked takes the lock for a moment."""
+    import fcntl
+
+    folder = home / "results" / "small"
+    handle = os.open(folder / ".lock", os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_SH)
+    timer = threading.Timer(0.02, os.close, [handle])
+    timer.start()
+    with Store(folder).lock():
+        pass
+    timer.join()

@@ -1,0 +1,62 @@
+"""The cookbook: a valid notebook whose cells run from top to bottom."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+COOKBOOK = json.loads((DOCS / "cookbook.ipynb").read_text(encoding="utf-8"))
+
+
+def code() -> list[str]:
+    return ["".join(c["source"]) for c in COOKBOOK["cells"] if c["cell_type"] == "code"]
+
+
+def run_cell(text: str, names: dict[str, object]) -> object:
+    """Run a cell as a notebook does: the value of a last expression is what it shows."""
+    *body, last = ast.parse(text).body
+    if not isinstance(last, ast.Expr):
+        exec(compile(text, "a cell", "exec"), names)
+        return None
+    exec(compile(ast.Module(body, []), "a cell", "exec"), names)
+    return eval(compile(ast.Expression(last.value), "a cell", "eval"), names)
+
+
+def test_it_is_a_notebook_of_format_four() -> None:
+    assert (COOKBOOK["nbformat"], COOKBOOK["nbformat_minor"]) == (4, 5)
+    assert {"cells", "metadata", "nbformat", "nbformat_minor"} == set(COOKBOOK)
+    ids = [cell["id"] for cell in COOKBOOK["cells"]]
+    assert len(set(ids)) == len(ids)
+    for cell in COOKBOOK["cells"]:
+        wanted = {"cell_type", "id", "metadata", "source"}
+        if cell["cell_type"] == "code":
+            wanted |= {"execution_count", "outputs"}
+        assert set(cell) == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_every_cell_runs_and_shows_what_it_ends_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    drawn = tables = 0
+    for text in code():
+        shown = run_cell(text, names)
+        if hasattr(shown, "_repr_svg_"):
+            drawn += shown._repr_svg_().startswith("<svg")
+        elif hasattr(shown, "_repr_html_"):
+            tables += "<table" in shown._repr_html_()
+    assert (drawn, tables) == (3, 5)
+    assert (tmp_path / "reports" / "cookbook" / "cookbook.html").is_file()
+
+
+def test_a_cell_that_fails_is_seen() -> None:
+    with pytest.raises(AssertionError):
+        run_cell("x = 1\nassert x == 2", {})
+    assert run_cell("x = 1\nx + 1", {}) == 2

@@ -1,0 +1,141 @@
+"""Data that are not what they seem: unloading, offsets, units; each with an answer from outside."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.measurement.conditioning import OFFSET, UNLOADED, Rules, condition, is_caution
+from study.measurement.loading_branch import last_of_loading
+from study.measurement.measured_test import Measurements, SingleTest
+from study.measurement.plausibility import SOFT_MPA, apparent_modulus, checked
+from study.setup.setup import Setup
+
+RULES = Rules(0.5, 5.0, points=10)
+UP = np.linspace(0.0, 6.0, 61)
+
+
+def loop(cycles: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Loading along d^2, unloading along d^2 / 2, as often as asked."""
+    d = np.concatenate([np.r_[UP, UP[-2:0:-1]] for _ in range(cycles)])
+    f = np.concatenate([np.r_[UP**2, UP[-2:0:-1] ** 2 / 2] for _ in range(cycles)])
+    return d, f
+
+
+@pytest.mark.parametrize("cycles", [1, 2, 5])
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_the_first_loading_is_kept(cycles: int, jitter: float) -> None:
+    d, f = loop(cycles)
+    noisy = d + jitter * np.random.default_rng(1).standard_normal(d.size)
+    found = condition(noisy, f, RULES, "a loop")
+    # the loading branch is d^2; the mean of both branches would be 0.75 d^2
+    grid = np.linspace(0.5, 5.0, 10)
+    assert found.force_N == pytest.approx(grid**2, abs=0.006 + 12 * 3 * jitter)
+    assert abs(found.counts[UNLOADED] - (d.size - 61)) <= 3
+    assert is_caution(f"59 {UNLOADED} (in 1 of 1 tests)")
+
+
+def test_what_was_only_loaded_loses_nothing() -> None:
+    random = np.random.default_rng(2)
+    straight = UP + 0.05 * random.standard_normal(61)
+    assert last_of_loading(straight) == 60
+    for _ in range(50):  # rows in no order at all are sorted, as they always were
+        assert last_of_loading(random.permutation(UP)) == 60
+    assert last_of_loading(-UP) == 60
+    assert last_of_loading(UP[::-1]) == 60
+
+
+def test_negative_displacements_have_branches_too() -> None:
+    d, f = loop()
+    found = condition(-d, -f, Rules(0.5, 5.0, points=10, sign="negative"), "a loop")
+    assert found.force_N == pytest.approx(np.linspace(0.5, 5.0, 10) ** 2, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("force", "told"),
+    [
+        (UP, None),
+        (UP**1.5, None),  # Hertz: a line through its first tenth has an intercept of -0.6 %
+        (UP**2, None),
+        (np.sqrt(UP), None),  # steep at once, but from zero
+        (UP + 0.3, 0.05 / 1.05),
+        (UP**2 + 3.6, 0.1 / 1.1),
+        (UP - 0.3, -0.05 / 0.95),
+        (UP + 0.05, None),  # 0.8 %: less than it takes
+    ],
+)
+def test_a_load_cell_that_does_not_begin_at_zero(force: np.ndarray, told: float | None) -> None:
+    found = condition(UP, force, RULES, "a test")
+    if told is None:
+        assert found.offset is None
+    else:
+        # the smaller of the first reading (exact here) and the straight line
+        assert found.offset == pytest.approx(told, abs=0.006)
+    assert condition(UP, force, Rules(0.5, 5.0, 10, zero="first"), "a test").offset is None
+    assert is_caution(OFFSET)
+
+
+@pytest.mark.parametrize(("factor", "size"), [(1e-3, "small"), (1e3, "large")])
+def test_travel_in_another_unit_is_recognised(factor: float, size: str) -> None:
+    many = np.linspace(0.0, 6.0, 601)
+    with pytest.raises(InputError, match=f"1000 times too {size}.*measurements.units"):
+        condition(factor * many, many, Rules(0.5, 5.0, points=10), "a test")
+
+
+CYLINDER = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
+INDENTERS = {
+    # Boussinesq 2aE*d, Hertz 4/3 E* R^(1/2) d^(3/2), Love 2/pi E* tan(alpha) d^2 (Sneddon 1965)
+    "flat": ({"shape": "flat", "radius_mm": 5.0}, lambda e, d: 10 * e * d),
+    "sphere": ({"shape": "sphere", "radius_mm": 4.0}, lambda e, d: 8 / 3 * e * d**1.5),
+    "cone": ({"shape": "cone", "half_angle_deg": 45.0}, lambda e, d: 2 / math.pi * e * d**2),
+}
+
+
+def setup(indenter: str | None) -> Setup:
+    if indenter is None:
+        return Setup.of({"specimen": CYLINDER, "test": {"kind": "compression"}})
+    test = {"kind": "indentation", "indenter": INDENTERS[indenter][0]}
+    return Setup.of({"specimen": CYLINDER, "test": test})
+
+
+@pytest.mark.parametrize("indenter", [None, *INDENTERS])
+@pytest.mark.parametrize("young", [0.03, 2.0])
+def test_the_modulus_behind_a_curve(indenter: str | None, young: float) -> None:
+    d = 2.0
+    if indenter is None:
+        force = young * math.pi * 25**2 * d / 30
+    else:
+        force = INDENTERS[indenter][1](young / (1 - 0.5**2), d)
+    assert apparent_modulus(setup(indenter), d, force) == pytest.approx(young, rel=1e-12)
+
+
+@pytest.mark.parametrize("indenter", [None, *INDENTERS])
+@pytest.mark.parametrize(
+    ("factor", "hint"), [(1.0, None), (1e4, "1000 times smaller"), (1e-4, "1000 times larger")]
+)
+def test_forces_of_no_soft_material_are_told(
+    indenter: str | None, factor: float, hint: str | None
+) -> None:
+    made, d = setup(indenter), np.linspace(0.5, 2.5, 5)
+    young = 0.05  # a silicone: factors of 10^4 leave the window, and 1000 brings them back
+    unit = np.array([apparent_modulus(made, float(x), 1.0) for x in d], dtype=float)
+    test = SingleTest({}, factor * young / unit)
+    notes = checked(Measurements((test,), d, files={"a.csv": ""}), made).notes
+    if hint is None:
+        assert notes == ()
+    else:
+        (note,) = notes
+        assert hint in note
+        assert "a.csv" in note
+        assert "measurements.units" in note
+        assert is_caution(note)
+    assert SOFT_MPA[0] < young < SOFT_MPA[1]
+
+
+def test_a_bulk_modulus_is_no_fault() -> None:
+    gauge = {"shape": "homogeneous", "area_mm2": 1.0, "height_mm": 1.0}
+    pressed = Setup.of({"specimen": gauge, "test": {"kind": "volumetric"}})
+    assert apparent_modulus(pressed, 0.01, 20.0) is None

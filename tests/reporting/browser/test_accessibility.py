@@ -1,0 +1,147 @@
+"""No violation that axe-core knows, in reports and in the page that watches studies.
+
+axe-core is a package of npm, not of Python: it is used where `npm install --global axe-core` put
+it, or where AXE_CORE names its `axe.min.js`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import threading
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from study import api
+from study.api.server.request import StudyServer
+from study.api.server.states import Folders
+from study.record.store import Store
+from study.reporting.output import write
+from tests.cli.small import PROBLEM
+from tests.reporting.browser.devtools import Browser, running
+
+
+@cache
+def axe() -> Path | None:
+    """Return the file of axe-core on this machine."""
+    named = os.environ.get("AXE_CORE", "")
+    npm = shutil.which("npm")
+    if not named and npm:
+        asked = subprocess.run([npm, "root", "-g"], capture_output=True, text=True, check=False)
+        named = f"{asked.stdout.strip()}/axe-core/axe.min.js"
+    return Path(named) if named and Path(named).is_file() else None
+
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.verify,
+    pytest.mark.skipif(
+        not any(map(shutil.which, write.BROWSERS)), reason="no Chromium or Chrome is installed"
+    ),
+    pytest.mark.skipif(
+        axe() is None,
+        reason="axe-core is not installed: npm install --global axe-core, or AXE_CORE names it",
+    ),
+]
+VIEWS = [(width, scheme) for width in (1400, 390) for scheme in ("light", "dark")]
+RUN = """
+axe.run(document, {resultTypes: ["violations"]}).then((found) => found.violations.map(
+  (one) => [one.id, one.impact, one.help, one.nodes.slice(0, 5).map((node) =>
+    [node.target.join(" "), node.any.concat(node.all).map((check) => check.message).join("; ")])]))
+"""
+OVERFLOW = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
+
+
+def violations(tab: Browser) -> object:
+    """What axe-core finds in the page, run beside its policy as a developer's tools are."""
+    path = axe()
+    assert path is not None
+    tab.ask(path.read_text(encoding="utf-8") + ";0")
+    tab.ask("document.querySelectorAll('details').forEach((one) => { one.open = true; });0")
+    return tab.ask(RUN)
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with running(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder in which the demo ran."""
+    folder = tmp_path_factory.mktemp("demo")
+    made = api.demo(results=folder / "results", reports=folder / "reports")
+    assert made.report is not None
+    return folder
+
+
+@pytest.fixture(scope="module")
+def server(demo: Path) -> Iterator[StudyServer]:
+    made = StudyServer(Folders(demo / "results", demo / "reports"), 0)
+    thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    yield made
+    made.shutdown()
+    thread.join()
+    made.server_close()
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_report_of_the_demo(tab: Browser, demo: Path, width: int, scheme: str) -> None:
+    (page,) = demo.glob("reports/*/*.html")
+    tab.open(page, width, scheme)
+    assert violations(tab) == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_a_report_with_every_part(
+    tab: Browser, tmp_path: Path, html: str, width: int, scheme: str
+) -> None:
+    page = tmp_path / "report.html"
+    page.write_text(html, "utf-8")
+    tab.open(page, width, scheme)
+    assert violations(tab) == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_pages_of_a_table_and_of_a_series(
+    tab: Browser, tmp_path: Path, width: int, scheme: str
+) -> None:
+    rows = [(b, m, 1 + 0.1 * b + (m == "stiff") + 0.01 * k) for b in (1, 2, 3)
+            for k, m in enumerate(("soft", "stiff"))]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["specimen", "material", "force"])
+    found = api.analyze(table, "force", ["material"], block="specimen", practical=0.5)
+    (tmp_path / "problem.toml").write_text(PROBLEM)
+    api.converge(tmp_path / "problem.toml", results=tmp_path, reports=tmp_path / "series")
+    for page in (found.report(tmp_path / "table"), next(tmp_path.glob("series/**/*.html"))):
+        tab.open(page, width, scheme)
+        assert violations(tab) == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_page_that_watches(
+    tab: Browser, demo: Path, server: StudyServer, width: int, scheme: str
+) -> None:
+    tab.open(server.address, width, scheme)
+    assert violations(tab) == []
+    (results,) = (demo / "results").iterdir()
+    store = Store(results)
+    with store.lock():
+        store.note({"done": 5, "total": 24, "counted": "2/12 cases, 3/12 calibrations"})
+        tab.open(server.address, width, scheme)
+        assert violations(tab) == []
+
+
+def test_violations_are_found(tab: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "bad.html"
+    page.write_text("<title>x</title><p style='color:#ccc'>pale</p><img src='data:,'>")
+    tab.open(page, 1400, "light")
+    found = {one[0] for one in json.loads(json.dumps(violations(tab)))}
+    assert {"color-contrast", "image-alt", "html-has-lang"} <= found
