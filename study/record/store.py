@@ -4,6 +4,7 @@
 
     results/<study>/
         study.json                  manifest
+        index.json                  what each record says of itself, so that counting reads none
         fits/<fit_id>.json          calibrations shared by cases
         cases/<case_id>/record.json
         cases/<case_id>/fields-<hash>.npz
@@ -13,31 +14,24 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import io
-import re
-import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+import os
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from study.errors import StoreError
-from study.record import lock
-from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.errors import NewerSchemaError, StoreError
+from study.record import fields as field_files
+from study.record.atomic_files import write_atomic
 from study.record.document import ManifestDocument
-from study.record.record import Record, plain, seal, unseal
-
-#: an array as it was kept: of numbers, flags or text
-Stored = NDArray[np.generic]
-
-MAX_JSON_BYTES = 200_000_000
-MAX_FIELD_BYTES = 4_000_000_000
-_ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
-_FIELDS = re.compile(r"fields-[0-9a-f]{16}\.npz")
+from study.record.fields import MAX_FIELD_BYTES, Stored
+from study.record.folder import ID, SealedFolder
+from study.record.index import NAME as INDEX
+from study.record.index import FileStamp, RecordIndex
+from study.record.record import Record
 
 
 @dataclass(frozen=True)
@@ -54,15 +48,18 @@ class Survey:
         Case ids without a usable record.
     foreign : tuple of str
         Those of ``missing`` that have a record of another configuration, data or version.
+    statuses : mapping of str to str
+        Status of each of ``failed``.
     """
 
     done: tuple[str, ...]
     failed: tuple[str, ...]
     missing: tuple[str, ...]
     foreign: tuple[str, ...]
+    statuses: Mapping[str, str] = field(default_factory=dict)
 
 
-class Store:
+class Store(SealedFolder):
     """Records, shared fits and manifest of one study.
 
     Parameters
@@ -74,48 +71,6 @@ class Store:
     system : FileSystem, optional
         Operations that change the disk.
     """
-
-    def __init__(
-        self,
-        path: Path | str,
-        warn: Callable[[str], None] | None = None,
-        system: FileSystem | None = None,
-    ) -> None:
-        self.path = Path(path)
-        self.warnings: list[str] = []
-        self._warn = warn
-        self._system = system or FileSystem()
-        self._locked = False
-
-    @contextlib.contextmanager
-    def lock(self) -> Iterator[Store]:
-        """Hold the folder for this process and clear what an interrupted run left behind.
-
-        Raises
-        ------
-        StoreError
-            If another runner holds it (the message names it) or the folder is read-only.
-        """
-        if self._locked:  # the whole of a run holds it, and its parts as well
-            yield self
-            return
-        self._make(self.path)
-        with lock.exclusive(self.path):
-            self._locked = True
-            try:
-                self._clear_leftovers()
-                yield self
-            finally:
-                self._locked = False
-
-    def note(self, progress: Mapping[str, object]) -> None:
-        """Say to other processes how far the runner is, while this one holds the folder."""
-        if self._locked:
-            lock.sign(self.path, progress)
-
-    def running(self) -> dict[str, object] | None:
-        """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return lock.holder(self.path) if lock.is_locked(self.path) else None
 
     def write(self, record: Record, fields: Mapping[str, ArrayLike] | None = None) -> Record:
         """Store a record, whole or not at all, and after its fields.
@@ -140,17 +95,22 @@ class Store:
         folder = self._case(record.case_id)
         name = ""
         if fields:
-            data = _pack(fields)
-            name = f"fields-{hashlib.sha256(data).hexdigest()[:16]}.npz"
+            name, data = field_files.pack(fields)
             record = replace(record, extra={**record.extra, "fields": name})
             write_atomic(folder / name, data, self._system)
-        write_atomic(folder / "record.json", record.to_json().encode(), self._system)
+        path = folder / "record.json"
+        write_atomic(path, record.to_json().encode(), self._system)
         self._drop_other_fields(folder, name)
+        if self._locked:
+            self._index.note(record, FileStamp.of(path))
+            if self._index.is_due:
+                self._write_index()
         return record
 
     def read(self, case_id: str) -> Record | None:
         """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
         path = self._case(case_id) / "record.json"
+        stamp = FileStamp.of(path)  # taken first: a file that changes meanwhile is read again
         data = self._bytes(path)
         if data is None:
             return None
@@ -158,9 +118,14 @@ class Store:
             record = Record.from_json(data, str(path))
             if record.case_id != case_id:
                 raise StoreError(f"{path}: belongs to case {record.case_id!r}")
+        except NewerSchemaError:
+            raise
         except StoreError as error:
             self._set_aside(path, str(error))
+            self._distrust(case_id)
             return None
+        if self._locked:
+            self._index.note(record, stamp)
         return record
 
     def read_all(self) -> list[Record]:
@@ -178,13 +143,13 @@ class Store:
         name = record.extra.get("fields")
         if not name:
             return {}
-        if not isinstance(name, str) or not _FIELDS.fullmatch(name):
+        if not isinstance(name, str) or not field_files.is_name(name):
             raise StoreError(f"case {record.case_id}: {name!r} is no name of a field file")
         path = self._case(record.case_id) / name
         data = self._bytes(path, MAX_FIELD_BYTES)
-        if data is None or hashlib.sha256(data).hexdigest()[:16] != name[7:23]:
+        if data is None or not field_files.fits(name, data):
             raise StoreError(f"{path}: is missing or damaged; delete the case to run it again")
-        return _unpack(data, path)
+        return field_files.unpack(data, path)
 
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing.
@@ -200,23 +165,25 @@ class Store:
             A record with another input hash counts as missing, and a warning says so.
         """
         done: list[str] = []
-        failed: list[str] = []
+        statuses: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
         for case_id, wanted in input_hashes.items():
-            record = self.read(case_id)
-            if record is None or record.input_hash != wanted:
+            said = self._index.entry(case_id) or self.read(case_id)
+            if said is None or said.input_hash != wanted:
                 missing.append(case_id)
-                if record is not None:
+                if said is not None:
                     foreign.append(case_id)
+            elif said.converged:
+                done.append(case_id)
             else:
-                (done if record.converged else failed).append(case_id)
+                statuses[case_id] = said.status
         if foreign:
             self._say(
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
                 "its settings or the data; they are not used and will be computed again"
             )
-        return Survey(tuple(done), tuple(failed), tuple(missing), tuple(foreign))
+        return Survey(tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses)
 
     def done_ids(
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
@@ -231,11 +198,7 @@ class Store:
             Statuses that are to be tried again, for example ``("crashed", "timeout")``.
         """
         found = self.survey(input_hashes)
-        again = {
-            case_id
-            for case_id in (found.failed if retry else ())
-            if (record := self.read(case_id)) is None or record.status in retry
-        }
+        again = {case_id for case_id, status in found.statuses.items() if status in retry}
         return frozenset(found.done + found.failed) - again
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
@@ -243,34 +206,9 @@ class Store:
         found = (self.read(case_id) for case_id in input_hashes)
         return [r for r in found if r is not None and r.input_hash == input_hashes[r.case_id]]
 
-    def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
-        """Read the records of this very input, by the name of their case."""
-        return {record.case_id: record for record in self.records(input_hashes)}
-
-    def write_json(self, name: str, content: object) -> None:
-        """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
-        lost: dict[str, str] = {}
-        clean = plain(content, name, lost)
-        if lost and isinstance(clean, dict):
-            clean["not_finite"] = lost
-        write_atomic(self._json(name), seal(clean).encode(), self._system)
-
-    def read_json(self, name: str) -> object:
-        """Content stored under a name; None if there is none or it is damaged (set aside)."""
-        path = self._json(name)
-        data = self._bytes(path)
-        if data is None:
-            return None
-        try:
-            return unseal(data, str(path))
-        except StoreError as error:
-            self._set_aside(path, str(error))
-            return None
-
-    def read_rows(self, name: str) -> list[dict[str, Any]]:
-        """Rows of a table stored under a name, to be read by who wrote them; empty if none is."""
-        found = self.read_json(name)
-        return found if isinstance(found, list) else []
+    def by_case(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
+        """Map cases to their records of this very input, each read when it is asked for."""
+        return StoredRecords(self, input_hashes)
 
     def write_manifest(self, meta: ManifestDocument) -> None:
         """Store what the study is: name, question, seed, design text, versions."""
@@ -290,111 +228,83 @@ class Store:
         found = self.read_json(f"fits/{fit_id}")
         return found if isinstance(found, dict) else None
 
+    @cached_property
+    def _index(self) -> RecordIndex:
+        return RecordIndex(self.path)
+
+    def _begin(self) -> None:
+        self.__dict__.pop("_index", None)  # another runner may have written since
+        names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
+        self._clear_leftovers([str(self.path), str(self.path / "fits"), *names])
+
+    def _end(self) -> None:
+        self._write_index()
+
+    def _write_index(self) -> None:
+        """Write the index where it would say something new."""
+        index = self._index
+        if index.is_stale:
+            write_atomic(self._json(INDEX), index.text().encode(), self._system)
+            index.written()
+
+    def _distrust(self, case_id: str) -> None:
+        """Forget a damaged record; an index that vouched for it is worth nothing."""
+        vouched = self._index.entry(case_id) is not None
+        self._index.forget(case_id)
+        if vouched:
+            with contextlib.suppress(OSError):  # who may not delete it may not run here either
+                self._system.unlink(self._json(INDEX))
+
     def _case(self, case_id: str) -> Path:
-        if not _ID.fullmatch(case_id):
+        if not ID.fullmatch(case_id):
             raise StoreError(f"{case_id!r} is no case id (small letters, digits and hyphens)")
         return self._inside(self.path / "cases" / case_id)
-
-    def _json(self, name: str) -> Path:
-        if not all(_ID.fullmatch(part) for part in name.split("/")):
-            raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
-        return self._inside(self.path / f"{name}.json")
-
-    def _inside(self, path: Path) -> Path:
-        """Refuse a place that a link leads out of the results folder."""
-        try:
-            inside = path.resolve().is_relative_to(self.path.resolve())
-        except (OSError, RuntimeError, ValueError) as error:
-            raise StoreError(f"{path}: cannot be used ({error})") from error
-        if not inside:
-            raise StoreError(f"{path}: a link leads outside the results folder; remove it")
-        return path
 
     def _case_ids(self) -> list[str]:
         folder = self.path / "cases"
         try:
-            return sorted(entry.name for entry in folder.iterdir() if _ID.fullmatch(entry.name))
+            return sorted(entry.name for entry in folder.iterdir() if ID.fullmatch(entry.name))
         except FileNotFoundError:
             return []
         except OSError as error:
             raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
 
-    def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
-        try:
-            if path.stat().st_size > limit:
-                self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
-                return None
-            return path.read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
-
-    def _make(self, folder: Path) -> None:
-        try:
-            self._system.make_folder(folder)
-        except OSError as error:
-            raise StoreError(f"{folder}: cannot be made ({error.strerror or error})") from error
-
-    def _set_aside(self, path: Path, why: str) -> None:
-        """Rename a damaged file; a reader without the lock leaves it to the next runner.
-
-        Without the lock, a runner could replace the file by a good one between our reading
-        and our renaming.
-        """
-        if not self._locked:
-            self._say(f"{why}; it is not used, and the next run replaces it")
-            return
-        number = 1
-        while (target := path.with_name(f"{path.name}.corrupt-{number}")).exists():
-            number += 1
-        try:
-            self._system.replace(path, target)
-        except OSError as error:
-            self._say(f"{why}; it is not used, but could not be renamed ({error})")
-            return
-        self._say(f"{why}; it was renamed to {target.name} and will be computed again")
-
     def _drop_other_fields(self, folder: Path, keep: str) -> None:
-        for path in folder.glob("fields-*.npz"):
-            if path.name != keep:
+        for name in os.listdir(folder):
+            if field_files.is_name(name) and name != keep:
                 with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(path)
-
-    def _clear_leftovers(self) -> None:
-        folders = [self.path, self.path / "fits"]
-        folders += [self.path / "cases" / name for name in self._case_ids()]
-        for folder in folders:
-            for path in folder.glob(".*"):
-                if is_leftover(path):
-                    with contextlib.suppress(OSError):  # ignored by every reader anyway
-                        self._system.unlink(path)
-
-    def _say(self, message: str) -> None:
-        if message in self.warnings:
-            return
-        self.warnings.append(message)
-        if self._warn is not None:
-            self._warn(message)
+                    self._system.unlink(folder / name)
 
 
-def _pack(fields: Mapping[str, ArrayLike]) -> bytes:
-    arrays = {name: np.asarray(value) for name, value in fields.items()}
-    bad = [name for name, value in arrays.items() if value.dtype.hasobject]
-    if bad:
-        raise TypeError(f"field {bad[0]!r} holds Python objects, which are never stored")
-    stream = io.BytesIO()
-    np.savez_compressed(stream, allow_pickle=False, **arrays)
-    return stream.getvalue()
+class StoredRecords(Mapping[str, Record]):
+    """Records of a store by the name of their case, each read when it is first asked for.
 
+    Parameters
+    ----------
+    store : Store
+        Where they are.
+    input_hashes : mapping of str to str
+        Wanted cases and the input hash that their records must have.
+    """
 
-def _unpack(data: bytes, path: Path) -> dict[str, Stored]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-        if size > MAX_FIELD_BYTES:
-            raise StoreError(f"{path}: unpacks to {size} bytes, which no field file does")
-        with np.load(io.BytesIO(data), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise StoreError(f"{path}: is no field file ({error})") from error
+    def __init__(self, store: Store, input_hashes: Mapping[str, str]) -> None:
+        self._store, self._wanted = store, input_hashes
+        self._read: dict[str, Record | None] = {}
+
+    def __getitem__(self, case_id: str) -> Record:
+        """Record of a case; there is none where another input made it."""
+        if case_id not in self._read:
+            wanted = {case_id: self._wanted[case_id]}
+            self._read[case_id] = next(iter(self._store.records(wanted)), None)
+        found = self._read[case_id]
+        if found is None:
+            raise KeyError(case_id)
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the cases that have one, in the order that they were asked for in."""
+        return (case_id for case_id in self._wanted if case_id in self)
+
+    def __len__(self) -> int:
+        """Count the cases that have one."""
+        return sum(1 for _ in self)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -193,10 +194,6 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
     if manifest is None:
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
     found = store.survey(manifest["cases"])
-    failures = [record for case in found.failed if (record := store.read(case)) is not None]
-    counts: dict[str, int] = {}
-    for record in failures:
-        counts[record.status] = counts.get(record.status, 0) + 1
     running = store.running()
     return {
         "study": manifest["name"],
@@ -210,7 +207,7 @@ def status(path: str | Path, *, results: Path = RESULTS) -> dict[str, Any]:
         "report": None,
         "verdicts": [],
         "warnings": warnings,
-        "failures": counts,
+        "failures": dict(Counter(found.statuses.values())),
         "running": running,
         "timings": manifest.get("timings", {}),
     }
