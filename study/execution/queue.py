@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 from study.execution.task import Document, Results, Task
@@ -13,12 +13,15 @@ class ReadyQueue:
     """Tasks in their order, each handed out once all that it needs is finished.
 
     A worker gets the next task of its own group, else the first of those that belong to no
-    other worker's group.
+    other worker's group. A result is kept for as long as an unfinished task needs it, so that
+    memory does not grow with what is done.
     """
 
     def __init__(self, tasks: Sequence[Task], finished: Results) -> None:
-        self.results: dict[str, Document] = dict(finished)
+        self._users = Counter(need for task in tasks for need in set(task.needs))
+        self.results: dict[str, Document] = {k: v for k, v in finished.items() if k in self._users}
         self._tasks = list(tasks)
+        self._needs = {task.key: frozenset(task.needs) for task in tasks}
         self._open: dict[int, int] = {}
         self._dependents: dict[str, list[int]] = defaultdict(list)
         self._ready: dict[str, list[int]] = defaultdict(list)
@@ -42,7 +45,12 @@ class ReadyQueue:
 
     def finish(self, key: str, result: Document) -> None:
         """Note a result; tasks that waited for it become ready."""
-        self.results[key] = result
+        for need in self._needs.pop(key, ()):
+            self._users[need] -= 1
+            if not self._users[need]:
+                self.results.pop(need, None)
+        if self._users[key]:
+            self.results[key] = result
         for number in self._dependents.pop(key, ()):
             self._open[number] -= 1
             if self._open[number] == 0:

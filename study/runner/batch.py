@@ -7,6 +7,7 @@ parent, finished results stay, and running again does the rest.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import threading
@@ -32,6 +33,9 @@ from study.runner.tasks import processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
+#: seconds for which a prediction of the time left is good: it looks at all that is left
+FORETOLD_S = 0.2
 
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
@@ -194,11 +198,14 @@ class _Batch:
         prices = {task.key: self._price(costs, task.key) for task in tasks}
         pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
         outcomes = executor.run(tasks, self.known)
+        left, foretold = 0.0, -math.inf
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
                 pace.finished(outcome.key, outcome.seconds)
-                seconds, left = time.monotonic() - began, pace.seconds_left()
+                seconds = time.monotonic() - began
+                if seconds - foretold > FORETOLD_S or count == len(tasks):
+                    left, foretold = pace.seconds_left(), seconds
                 label = self._label(outcome.key)
                 state = Progress(count, len(tasks), self.failed, seconds, left, label)
                 self.progress(state)

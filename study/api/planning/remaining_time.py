@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -17,6 +19,9 @@ from study.runner.numerical.study_refinement import own_series, refinement_work
 if TYPE_CHECKING:
     from study.runner.batch import Progress
     from study.runner.job import CaseJob, Work
+
+#: seconds between two notes for other shells: nobody reads them faster
+NOTED_S = 0.2
 
 
 def controls_of(work: Work, store: Store) -> list[CaseJob]:
@@ -47,17 +52,23 @@ def with_time_left(
     store: Store, progress: Callable[[Progress], None] | None, later: float
 ) -> Callable[[Progress], None]:
     """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    noted = -math.inf
 
     def note(state: Progress) -> None:
-        whole = replace(state, seconds_left=state.seconds_left + later)
-        store.note(
-            {
-                "done": whole.done,
-                "total": whole.total,
-                "seconds_left": round(whole.seconds_left, 1),
-                "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            }
-        )
+        nonlocal noted
+        whole, now = replace(state, seconds_left=state.seconds_left + later), time.monotonic()
+        if now - noted > NOTED_S or whole.done == whole.total:
+            noted = now
+            store.note(
+                {
+                    "done": whole.done,
+                    "total": whole.total,
+                    "failed": whole.failed,
+                    "label": whole.label[:80],
+                    "seconds_left": round(whole.seconds_left, 1),
+                    "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                }
+            )
         if progress is not None:
             progress(whole)
 
