@@ -18,6 +18,7 @@ from study.design.load import loads
 from study.design.spec import Design
 from study.errors import InputError, StudyError
 from study.measurement.conditioning import SORTED
+from study.record.document import ManifestDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.study_result.report_data import ResponseAnalysis
@@ -28,8 +29,19 @@ if TYPE_CHECKING:
     from study.study_result.report_data import ResponseAnalysis
 
 
-def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
-    """Open the stored records of a study and analyze them.
+def open_study(
+    path: str | Path, results: Path = RESULTS, *, tell_unfinished: bool = True
+) -> StudyResult:
+    """Open the stored records of a study and analyze them: those of its last finished run.
+
+    Parameters
+    ----------
+    path : str or Path
+        Results folder, design file or name of the study.
+    results : Path
+        Folder of the results, where ``path`` is a name.
+    tell_unfinished : bool
+        Whether a later run that is not finished is a warning.
 
     Raises
     ------
@@ -46,6 +58,9 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
     records = tuple(store.records(manifest["cases"]))
     numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
+    later = store.read_unfinished() if tell_unfinished else None
+    if later is not None:
+        warnings.append(unfinished_note(store, later))
     warnings += [note for note in manifest["notes"] if SORTED in note]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
@@ -59,6 +74,16 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
     )  # fmt: skip
+
+
+def unfinished_note(store: Store, later: ManifestDocument) -> str:
+    """Say that what is shown is the last finished run, and how far the later one is."""
+    counted = Store(store.path).survey(later["cases"])
+    done, total = len(counted.done) + len(counted.failed), len(later["cases"])
+    return (
+        f"this is the last finished run; one of an edited design has computed {done} of its "
+        f"{total} cases: run {later['source']} again to finish it"
+    )
 
 
 def _analyses(

@@ -10,29 +10,30 @@ from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
-from study.api.comparison.design_changes import read_truths
 from study.api.folders import REPORTS, RESULTS, data_root
 from study.api.opened_study import open_study
+from study.api.planning.manifest import manifest_of
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
     refinement_seconds,
     with_time_left,
 )
+from study.api.planning.stale import WARN, check_choice, check_stale, mixed_meshes
 from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
-from study.design.load import dump, load, loads
+from study.design.load import load, loads
 from study.design.spec import Design
 from study.errors import InputError, RefusedError
 from study.execution.task import check_limit
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
+from study.record.manifests import is_same
 from study.record.store import Store
 from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
-from study.runner.provenance import versions
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 
@@ -69,6 +70,7 @@ def run(
     allow_commands: bool | str = False,
     forward: Function | None = None,
     version: str = "",
+    stale: str = WARN,
 ) -> StudyResult:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -103,6 +105,10 @@ def run(
         What ``forward.model = "python"`` stands for; to give it is to allow it.
     version : str
         Identity of that function, part of the key of every result.
+    stale : {"warn", "refuse", "rerun"}
+        What becomes of results that other versions of the libraries made: they are used and it is
+        said, nothing is computed, or they are computed again. ``"refuse"`` also stops for results
+        of another design, other data or other code, which are computed again otherwise.
 
     Returns
     -------
@@ -114,10 +120,12 @@ def run(
     InputError
         For a faulty design or faulty data; nothing is written then.
     RefusedError
-        If the design runs programs that nobody allowed, or that are not there.
+        If the design runs programs that nobody allowed, or that are not there; if results are
+        stale and that is to be refused.
     """
     clock = _Clock()
     check_limit(timeout_s)
+    check_choice(stale)
     loaded = design if isinstance(design, Design) else load(design, overrides)
     function = None if forward is None else PythonFunction.of(forward, version)
     allowed = Allowed(allow_commands, function)
@@ -129,9 +137,11 @@ def run(
     warnings: list[str] = []
     store = Store(results / loaded.name, warn=warnings.append)
     with store.lock():
-        _write_manifest(store, work, {}, None)
+        warnings += check_stale(work, store, stale)
+        store.begin_run(manifest_of(work))
         summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
-        _write_manifest(store, work, clock.parts, summary)
+        _finish(store, work, clock.parts, summary)
+        warnings += mixed_meshes(work, store)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
@@ -165,31 +175,18 @@ def _compute(
     return summary
 
 
-def _write_manifest(
-    store: Store, work: Work, timings: Mapping[str, float], summary: Summary | None
-) -> None:
-    known = store.read_manifest()
-    spent = dict(known.get("timings", {})) if known is not None else {}
-    if summary is not None and summary.computed:
+def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:
+    """Make the run the one that is read from; one that computed nothing leaves what is known."""
+    meta, known = manifest_of(work), store.read_manifest()
+    if known is not None and is_same(known, meta):
+        spent = dict(known.get("timings", {}))
+        if not summary.computed:
+            meta |= {"timings": spent, "versions": known.get("versions", meta["versions"])}
+            store.finish_run(meta)
+            return
         # a resumed run adds to what the interrupted one took
-        spent = {k: spent.get(k, 0.0) + v for k, v in timings.items()}
-    with store.lock():
-        store.write_manifest(
-            {
-                "name": work.design.name,
-                "design": dump(work.design),
-                "text": work.design.text,
-                "source": Path(work.design.source).name,
-                "cases": work.input_hashes,
-                "blocks": list(work.blocks),
-                "notes": list(work.notes),
-                "files": dict(work.files),
-                "virtual": work.virtual,
-                "truths": read_truths(work.data.root, work.files),
-                "versions": versions(),
-                "timings": spent,
-            }
-        )
+        timings = {k: spent.get(k, 0.0) + v for k, v in timings.items()}
+    store.finish_run(meta | {"timings": dict(timings)})
 
 
 def report(

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from study.errors import NewerSchemaError, StoreError
 from study.record import lock
@@ -100,11 +100,6 @@ class SealedFolder:
         except StoreError as error:
             self._set_aside(path, str(error))
             return None
-
-    def read_rows(self, name: str) -> list[dict[str, Any]]:
-        """Rows of a table stored under a name, to be read by who wrote them; empty if none is."""
-        found = self.read_json(name)
-        return found if isinstance(found, list) else []
 
     def _begin(self) -> None:
         """Do what the owner of the folder does first."""

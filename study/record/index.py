@@ -15,10 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from study.errors import StoreError
+from study.record.libraries import name_of
 from study.record.record import CONVERGED, Record, seal, unseal
 
 #: name of the stored file, of which a study's own files must not be
 NAME = "index"
+
+#: name of the file of a case's record
+CURRENT = "record.json"
 
 #: entries that are noted before the index is written, at least; then a share of those it has,
 #: so that all writing together grows no faster than the number of records
@@ -44,6 +48,10 @@ class FileStamp:
         return cls(found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
+#: stamp of no file
+NOWHERE = FileStamp(0, 0, 0)
+
+
 @dataclass(frozen=True)
 class Entry:
     """What a record said when it was read.
@@ -54,11 +62,17 @@ class Entry:
         The file that was read.
     status, input_hash : str
         As in the record.
+    libraries : str
+        Name of the libraries that made it, by :func:`study.record.libraries.name_of`.
+    mesh : str
+        Hash of its mesh; empty without one.
     """
 
     stamp: FileStamp
     status: str
     input_hash: str
+    libraries: str = ""
+    mesh: str = ""
 
     @property
     def converged(self) -> bool:
@@ -69,7 +83,14 @@ class Entry:
     def row(self) -> list[object]:
         """Plain data for the file."""
         stamp = self.stamp
-        return [stamp.size, stamp.modified_ns, stamp.changed_ns, self.status, self.input_hash]
+        times = stamp.size, stamp.modified_ns, stamp.changed_ns
+        return [*times, self.status, self.input_hash, self.libraries, self.mesh]
+
+    @classmethod
+    def of(cls, record: Record, stamp: FileStamp = NOWHERE) -> Entry:
+        """Entry of a record, from the file of that stamp."""
+        made_with, mesh = name_of(record.versions), record.mesh.get("hash", "")
+        return cls(stamp, record.status, record.input_hash, made_with, mesh)
 
 
 class RecordIndex:
@@ -95,14 +116,14 @@ class RecordIndex:
         found = self._known.get(case_id)
         if found is None or found.stamp.changed_ns >= self._written_ns:
             return None
-        stamp = FileStamp.of(f"{self._cases}{case_id}{os.sep}record.json")
+        stamp = FileStamp.of(f"{self._cases}{case_id}{os.sep}{CURRENT}")
         return found if stamp == found.stamp else None
 
     def note(self, record: Record, stamp: FileStamp | None) -> None:
         """Keep what a record says that was read or written whole, from the file of that stamp."""
         if stamp is None:
             return
-        entry = Entry(stamp, record.status, record.input_hash)
+        entry = Entry.of(record, stamp)
         if self._known.get(record.case_id) != entry or stamp.changed_ns >= self._written_ns:
             self._fresh[record.case_id] = entry
 
@@ -130,18 +151,7 @@ class RecordIndex:
     def text(self) -> str:
         """Everything that is known, sealed."""
         whole = {**self._known, **self._fresh}
-        return seal(
-            {
-                name: [
-                    e.stamp.size,
-                    e.stamp.modified_ns,
-                    e.stamp.changed_ns,
-                    e.status,
-                    e.input_hash,
-                ]
-                for name, e in whole.items()
-            }
-        )
+        return seal({name: entry.row for name, entry in whole.items()})
 
     def written(self) -> None:
         """Take over what was noted, once :meth:`text` lies on the disk."""
@@ -177,7 +187,8 @@ def _entry(row: object) -> Entry:
     """
     if not isinstance(row, list):
         raise TypeError("an entry is a list")
-    size, modified, changed, status, name = row
+    size, modified, changed, *said = row
     if not all(isinstance(n, int) for n in (size, modified, changed)):
         raise TypeError("a stamp has whole numbers")
-    return Entry(FileStamp(size, modified, changed), str(status), str(name))
+    status, input_hash, libraries, mesh = map(str, said)
+    return Entry(FileStamp(size, modified, changed), status, input_hash, libraries, mesh)

@@ -14,12 +14,13 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import cast
 
 from numpy.typing import ArrayLike
 
@@ -28,39 +29,25 @@ from study.record import fields as field_files
 from study.record.atomic_files import write_atomic
 from study.record.document import ManifestDocument
 from study.record.fields import MAX_FIELD_BYTES, Stored
-from study.record.folder import ID, SealedFolder
+from study.record.folder import ID
+from study.record.index import CURRENT, Entry, FileStamp, RecordIndex
 from study.record.index import NAME as INDEX
-from study.record.index import FileStamp, RecordIndex
+from study.record.libraries import OtherLibraries, differences, name_of
+from study.record.manifests import ManifestFolder
 from study.record.record import Record
+from study.record.survey import StoredRecords, Survey
+
+#: key of a stored result: name of the libraries that made it
+_MADE_WITH = "made_with"
 
 
-@dataclass(frozen=True)
-class Survey:
-    """What a results folder holds of the cases that a study wants.
-
-    Parameters
-    ----------
-    done : tuple of str
-        Case ids whose record is valid and converged.
-    failed : tuple of str
-        Case ids whose record is valid and says why there is no answer.
-    missing : tuple of str
-        Case ids without a usable record.
-    foreign : tuple of str
-        Those of ``missing`` that have a record of another configuration, data or version.
-    statuses : mapping of str to str
-        Status of each of ``failed``.
-    """
-
-    done: tuple[str, ...]
-    failed: tuple[str, ...]
-    missing: tuple[str, ...]
-    foreign: tuple[str, ...]
-    statuses: Mapping[str, str] = field(default_factory=dict)
+def laid_by(input_hash: str) -> str:
+    """Name of the file of a record that another one took the place of."""
+    return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
 
 
-class Store(SealedFolder):
-    """Records, shared fits and manifest of one study.
+class Store(ManifestFolder):
+    """Records, shared fits and manifests of one study.
 
     Parameters
     ----------
@@ -71,6 +58,22 @@ class Store(SealedFolder):
     system : FileSystem, optional
         Operations that change the disk.
     """
+
+    #: name of the libraries that make what is written now, and whether nothing else counts
+    _libraries = ""
+    _strict = False
+
+    def made_with(self, versions: Mapping[str, str], *, strict: bool = False) -> None:
+        """Say which libraries compute from now on.
+
+        Parameters
+        ----------
+        versions : mapping of str to str
+            Version of each.
+        strict : bool
+            Whether results that were made with others are as missing.
+        """
+        self._libraries, self._strict = name_of(versions), strict
 
     def write(self, record: Record, fields: Mapping[str, ArrayLike] | None = None) -> Record:
         """Store a record, whole or not at all, and after its fields.
@@ -98,7 +101,8 @@ class Store(SealedFolder):
             name, data = field_files.pack(fields)
             record = replace(record, extra={**record.extra, "fields": name})
             write_atomic(folder / name, data, self._system)
-        path = folder / "record.json"
+        path = folder / CURRENT
+        self._lay_by(record)
         write_atomic(path, record.to_json().encode(), self._system)
         self._drop_other_fields(folder, name)
         if self._locked:
@@ -107,10 +111,25 @@ class Store(SealedFolder):
                 self._write_index()
         return record
 
-    def read(self, case_id: str) -> Record | None:
-        """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
-        path = self._case(case_id) / "record.json"
-        stamp = FileStamp.of(path)  # taken first: a file that changes meanwhile is read again
+    def read(self, case_id: str, input_hash: str | None = None) -> Record | None:
+        """Record of a case; None if there is none or it is damaged (set aside, and warned).
+
+        Parameters
+        ----------
+        input_hash : str, optional
+            Input that it should have: a record that was laid by for its sake is found as well.
+        """
+        folder = self._case(case_id)
+        stamp = FileStamp.of(folder / CURRENT)  # taken first: what changes meanwhile is read again
+        record = self._read_file(case_id, folder / CURRENT)
+        if record is not None and self._locked:
+            self._index.note(record, stamp)
+        if input_hash is None or (record is not None and record.input_hash == input_hash):
+            return record
+        beside = self._read_file(case_id, folder / laid_by(input_hash))
+        return beside if beside is not None and beside.input_hash == input_hash else record
+
+    def _read_file(self, case_id: str, path: Path) -> Record | None:
         data = self._bytes(path)
         if data is None:
             return None
@@ -124,8 +143,6 @@ class Store(SealedFolder):
             self._set_aside(path, str(error))
             self._distrust(case_id)
             return None
-        if self._locked:
-            self._index.note(record, stamp)
         return record
 
     def read_all(self) -> list[Record]:
@@ -166,15 +183,18 @@ class Store(SealedFolder):
         """
         done: list[str] = []
         statuses: dict[str, str] = {}
+        made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
         for case_id, wanted in input_hashes.items():
-            said = self._index.entry(case_id) or self.read(case_id)
-            if said is None or said.input_hash != wanted:
+            said = self._said(case_id, wanted)
+            if said is None or not self._counts(said, wanted):
                 missing.append(case_id)
                 if said is not None:
                     foreign.append(case_id)
-            elif said.converged:
+                continue
+            made_with[case_id] = said.libraries
+            if said.converged:
                 done.append(case_id)
             else:
                 statuses[case_id] = said.status
@@ -183,7 +203,9 @@ class Store(SealedFolder):
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
                 "its settings or the data; they are not used and will be computed again"
             )
-        return Survey(tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses)
+        return Survey(
+            tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses, made_with
+        )
 
     def done_ids(
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
@@ -203,39 +225,78 @@ class Store(SealedFolder):
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
-        found = (self.read(case_id) for case_id in input_hashes)
-        return [r for r in found if r is not None and r.input_hash == input_hashes[r.case_id]]
+        found = (self.read(case_id, wanted) for case_id, wanted in input_hashes.items())
+        return [
+            r for r in found if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+        ]
 
-    def by_case(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
-        """Map cases to their records of this very input, each read when it is asked for."""
-        return StoredRecords(self, input_hashes)
+    def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
+        """Hash of the mesh of each case that has one."""
+        said = {case: self._said(case, wanted) for case, wanted in input_hashes.items()}
+        return {case: one.mesh for case, one in said.items() if one is not None and one.mesh}
 
-    def write_manifest(self, meta: ManifestDocument) -> None:
-        """Store what the study is: name, question, seed, design text, versions."""
-        self.write_json("study", dict(meta))
+    def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
+        """Read the records of this very input, by the name of their case."""
+        return {record.case_id: record for record in self.records(input_hashes)}
 
-    def read_manifest(self) -> ManifestDocument | None:
-        """Read what :meth:`write_manifest` stored; None if it is missing or was damaged."""
-        found = self.read_json("study")
-        return cast(ManifestDocument, found) if isinstance(found, dict) else None
+    def on_demand(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
+        """Give the records of this very input by their case, each read when it is asked for."""
+        return StoredRecords(
+            input_hashes,
+            lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
+        )
 
     def write_fit(self, fit_id: str, content: Mapping[str, object]) -> None:
         """Store a calibration that several cases share."""
-        self.write_json(f"fits/{fit_id}", dict(content))
+        self.write_result(f"fits/{fit_id}", content)
 
     def read_fit(self, fit_id: str) -> dict[str, object] | None:
-        """Read a shared calibration; None if it is missing or was damaged."""
-        found = self.read_json(f"fits/{fit_id}")
-        return found if isinstance(found, dict) else None
+        """Read a shared calibration; None if it is missing, was damaged, or does not count."""
+        return self.read_result(f"fits/{fit_id}")
+
+    def write_result(self, name: str, content: Mapping[str, object]) -> None:
+        """Store a result that is no record, with the name of the libraries that made it."""
+        self.write_json(name, {**content, _MADE_WITH: self._libraries})
+
+    def read_result(self, name: str) -> dict[str, object] | None:
+        """Read what :meth:`write_result` stored; None also where other libraries made it."""
+        found = self.read_json(name)
+        if not isinstance(found, dict):
+            return None
+        made_with = found.pop(_MADE_WITH, "")
+        return None if self._strict and made_with != self._libraries else found
+
+    def other_libraries(
+        self, input_hashes: Mapping[str, str], versions: Mapping[str, str]
+    ) -> list[OtherLibraries]:
+        """Results that other libraries made than those of today, by what differs.
+
+        Parameters
+        ----------
+        versions : mapping of str to str
+            Version of each library of today.
+        """
+        cases: dict[str, list[str]] = defaultdict(list)
+        for case_id, made_with in self.survey(input_hashes).made_with.items():
+            if made_with not in ("", name_of(versions)):
+                cases[made_with].append(case_id)
+        found = []
+        for ids in cases.values():
+            record = self.read(ids[0], input_hashes[ids[0]])
+            if record is not None:
+                found.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
+        return found
 
     @cached_property
     def _index(self) -> RecordIndex:
         return RecordIndex(self.path)
 
     def _begin(self) -> None:
-        self.__dict__.pop("_index", None)  # another runner may have written since
+        for known in ("_index", "_finished"):  # another runner may have written since
+            self.__dict__.pop(known, None)
         names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
-        self._clear_leftovers([str(self.path), str(self.path / "fits"), *names])
+        own = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
+        self._clear_leftovers([*own, *names])
 
     def _end(self) -> None:
         self._write_index()
@@ -246,6 +307,52 @@ class Store(SealedFolder):
         if index.is_stale:
             write_atomic(self._json(INDEX), index.text().encode(), self._system)
             index.written()
+
+    def _said(self, case_id: str, wanted: str) -> Entry | None:
+        """Say what a record says: the one that is wanted, by the index where that knows it."""
+        said = self._index.entry(case_id)
+        if said is not None and said.input_hash == wanted:
+            return said
+        record = self.read(case_id, wanted)
+        return None if record is None else Entry.of(record)
+
+    def _counts(self, said: Entry, wanted: str) -> bool:
+        """Whether a result is one of the input that is wanted."""
+        made_now = not self._strict or said.libraries == self._libraries
+        return said.input_hash == wanted and made_now
+
+    def _lay_by(self, record: Record) -> None:
+        """Keep the record of a finished study that one of an edited design takes the place of."""
+        kept = self._finished.get(record.case_id)
+        if kept is None or kept == record.input_hash:
+            return
+        path = self._case(record.case_id) / CURRENT
+        before = self._read_file(record.case_id, path)
+        if before is not None and before.input_hash == kept:
+            write_atomic(path.with_name(laid_by(kept)), before.to_json().encode(), self._system)
+
+    @cached_property
+    def _finished(self) -> Mapping[str, str]:
+        """Cases of the finished study that is to stay readable."""
+        known = self.read_manifest() if self._locked else None
+        if known is None or not known.get("finished", True):
+            return {}
+        return known.get("cases", {})
+
+    def begin_run(self, meta: ManifestDocument) -> None:
+        """Note what is going to be computed; a finished study of another design stays as it is."""
+        super().begin_run(meta)
+        self.__dict__.pop("_finished", None)
+
+    def finish_run(self, meta: ManifestDocument) -> None:
+        """Make a run the one that is read from; what was laid by for the one before it may go."""
+        before = dict(self._finished)
+        super().finish_run(meta)
+        self.__dict__.pop("_finished", None)
+        for case_id, kept in before.items():
+            if meta["cases"].get(case_id) != kept:
+                with contextlib.suppress(OSError):  # only space is lost
+                    self._system.unlink(self._case(case_id) / laid_by(kept))
 
     def _distrust(self, case_id: str) -> None:
         """Forget a damaged record; an index that vouched for it is worth nothing."""
@@ -274,37 +381,3 @@ class Store(SealedFolder):
             if field_files.is_name(name) and name != keep:
                 with contextlib.suppress(OSError):  # only space is lost
                     self._system.unlink(folder / name)
-
-
-class StoredRecords(Mapping[str, Record]):
-    """Records of a store by the name of their case, each read when it is first asked for.
-
-    Parameters
-    ----------
-    store : Store
-        Where they are.
-    input_hashes : mapping of str to str
-        Wanted cases and the input hash that their records must have.
-    """
-
-    def __init__(self, store: Store, input_hashes: Mapping[str, str]) -> None:
-        self._store, self._wanted = store, input_hashes
-        self._read: dict[str, Record | None] = {}
-
-    def __getitem__(self, case_id: str) -> Record:
-        """Record of a case; there is none where another input made it."""
-        if case_id not in self._read:
-            wanted = {case_id: self._wanted[case_id]}
-            self._read[case_id] = next(iter(self._store.records(wanted)), None)
-        found = self._read[case_id]
-        if found is None:
-            raise KeyError(case_id)
-        return found
-
-    def __iter__(self) -> Iterator[str]:
-        """Names of the cases that have one, in the order that they were asked for in."""
-        return (case_id for case_id in self._wanted if case_id in self)
-
-    def __len__(self) -> int:
-        """Count the cases that have one."""
-        return sum(1 for _ in self)

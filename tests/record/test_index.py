@@ -23,9 +23,9 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     before = Store.read
 
-    def noted(self: Store, case_id: str) -> Record | None:
+    def noted(self: Store, case_id: str, input_hash: str | None = None) -> Record | None:
         found.append(case_id)
-        return before(self, case_id)
+        return before(self, case_id, input_hash)
 
     monkeypatch.setattr(Store, "read", noted)
     return found

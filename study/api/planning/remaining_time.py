@@ -28,7 +28,7 @@ def controls_of(work: Work, store: Store) -> list[CaseJob]:
     """Cells of the spaces' control that have no solution yet."""
     plain = work.plain()
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    return upcoming(plain, store.by_case(hashes), lambda task: is_kept(task, store))
+    return upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
 
 
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
