@@ -78,7 +78,7 @@ class Loky:
             for slot in slots:
                 slot.open()
             ready = ReadyQueue(tasks, finished or {})
-            yield from Supervisor(ready, list(slots), limit, self.memory_MB).outcomes()
+            yield from Supervisor(ready, list(slots), limit, memory_MB=self.memory_MB).outcomes()
         finally:
             for slot in slots:
                 slot.kill()
@@ -115,19 +115,21 @@ class Process:
 
     def start(
         self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
-    ) -> None:
+    ) -> bool:
         """Begin a task given as JSON; a process that is not up yet is waited for by a thread."""
         pool = self._executor or self.open()
         up = self._up
         if up is None or up.done():
             self._hand_over(pool, text, done, ticket)
-            return
+            return False
 
         def wait() -> None:
             wait_for([up])  # whatever became of it is said when the task is handed over
+            done.put((ticket, Answer(began=True)))
             self._hand_over(pool, text, done, ticket)
 
         threading.Thread(target=wait, daemon=True).start()
+        return True
 
     def _hand_over(
         self,
@@ -139,7 +141,6 @@ class Process:
         def ended(future: Future[str]) -> None:
             done.put((ticket, _judged(future)))
 
-        done.put((ticket, Answer(began=True)))
         try:
             future = pool.submit(answer, self._perform, text)
         except (BrokenExecutor, OSError, RuntimeError) as error:  # it died while it was idle

@@ -37,10 +37,11 @@ class Slot(Protocol):
 
     def start(
         self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
-    ) -> None:
+    ) -> bool | None:
         """Begin a task given as JSON, at once: whatever blocks does so elsewhere.
 
-        Puts ``(ticket, answer)`` on the queue when the task begins, and when it ends.
+        Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
+        it begins, for a worker that is still to come up.
         """
         ...
 
@@ -117,8 +118,8 @@ class Supervisor:
                 desk.group = task.group  # kept while the worker does tasks of no group
             text = json.dumps(task.payload(self.ready.results), allow_nan=False)
             desk.task, desk.ticket = task, object()
-            desk.started, desk.began = time.monotonic(), False
-            desk.slot.start(text, done, desk.ticket)
+            desk.started = time.monotonic()
+            desk.began = not desk.slot.start(text, done, desk.ticket)
 
     def _has_room(self, task: Task, desks: list[Desk]) -> bool:
         """Whether a task fits beside those that run; one always does."""
