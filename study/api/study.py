@@ -24,7 +24,7 @@ from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
 from study.design.load import load, loads
 from study.design.spec import Design
-from study.errors import InputError, RefusedError
+from study.errors import Fault, InputError, RefusedError, UnitError
 from study.execution.task import check_limit
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
@@ -36,6 +36,7 @@ from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
+from study.units import parse
 
 if TYPE_CHECKING:
     from study.runner.batch import Progress, Summary
@@ -71,6 +72,7 @@ def run(
     forward: Function | None = None,
     version: str = "",
     stale: str = WARN,
+    memory: str | None = None,
 ) -> StudyResult:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -109,6 +111,9 @@ def run(
         What becomes of results that other versions of the libraries made: they are used and it is
         said, nothing is computed, or they are computed again. ``"refuse"`` also stops for results
         of another design, other data or other code, which are computed again otherwise.
+    memory : str, optional
+        Memory that computations may take together, such as ``"20 GB"``, by their prediction; by
+        default what the machine has free. One that needs more runs alone.
 
     Returns
     -------
@@ -126,6 +131,7 @@ def run(
     clock = _Clock()
     check_limit(timeout_s)
     check_choice(stale)
+    room = None if memory is None else memory_of(memory)
     loaded = design if isinstance(design, Design) else load(design, overrides)
     function = None if forward is None else PythonFunction.of(forward, version)
     allowed = Allowed(allow_commands, function)
@@ -139,12 +145,34 @@ def run(
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
+        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, room)
         _finish(store, work, clock.parts, summary)
         warnings += mixed_meshes(work, store)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
+
+
+def memory_of(text: str) -> float:
+    """Read an amount of memory in MB.
+
+    Raises
+    ------
+    InputError
+        If it is none, or not more than zero.
+
+    Examples
+    --------
+    >>> memory_of("20 GB")
+    20000.0
+    """
+    try:
+        found = parse(text, "memory")
+    except UnitError as error:
+        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
+    if found <= 0:
+        raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
+    return found
 
 
 def _compute(
@@ -155,13 +183,16 @@ def _compute(
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
     refine: bool,
+    memory_MB: float | None,  # noqa: N803
 ) -> Summary:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
     workers, plain = jobs or default_jobs(), work.plain()
     finer = refinement_seconds(work, store, workers) if refine else 0.0
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
-    summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
+    summary = run_batch(
+        work, store, jobs=jobs, progress=noted, timeout_s=timeout_s, memory_MB=memory_MB
+    )
     clock.mark("calibration and simulation")
     if not refine:
         return summary

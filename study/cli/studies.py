@@ -111,6 +111,9 @@ def run(
     stale: Annotated[
         str, typer.Option(help="Results of other libraries: warn, refuse, or rerun them.")
     ] = "warn",
+    memory: Annotated[
+        str | None, typer.Option(help="Memory that may be in use at once: '20 GB'.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -120,7 +123,7 @@ def run(
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
-            allow_commands=allow_commands or allow_digest, stale=stale,
+            allow_commands=allow_commands or allow_digest, stale=stale, memory=memory,
         )  # fmt: skip
     _finish(study, as_json)
 

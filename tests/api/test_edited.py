@@ -180,3 +180,17 @@ def test_a_newer_manifest_is_refused_politely(home: Path) -> None:
         assert "written by a newer study (schema 3, this version reads 1)" in answer.err
         assert "Traceback" not in answer.err
     assert path.read_text() == text
+
+
+def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
+    """A run in room for nothing does one thing after the other, and comes to the same digits."""
+    before = api.open_study("results/small").table
+    found = api.run(
+        "small.toml", data="data", jobs=2, reports=None, memory="1 MB", results=home / "again"
+    )
+    columns = ["case_id", "relative_rms_force_error"]
+    assert found.table[columns].equals(before[columns])
+    for text in ("20", "20 mm", "-1 GB", "0 MB"):
+        answer = study("run", "small.toml", "--data", "data", f"--memory={text}")
+        assert answer.code == 2
+        assert "memory" in answer.err
