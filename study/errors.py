@@ -9,6 +9,7 @@
     |-- MeshError            no usable mesh; a status of its case
     |-- RefusedError           the answer would be meaningless (exit 3)
     `-- StoreError             records that cannot be read, written or locked (exit 2)
+        `-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
 
 Expected failure of a computation (a case that did not converge) is a status in a
 record, never an exception that leaves ``runner``.
@@ -79,6 +80,10 @@ class RefusedError(StudyError):
 
 class StoreError(StudyError):
     """Records on disk that cannot be read, written or locked."""
+
+
+class NewerSchemaError(StoreError):
+    """What a newer version wrote: it is whole, and this one must not touch it."""
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -28,6 +28,7 @@ INTERNAL: Mapping[str, str] = {
     "work": "N mm",
     "area": "mm^2",
     "ratio": "1",
+    "memory": "MB",
 }
 _D = Decimal
 _TABLE: Mapping[str, Mapping[str, Decimal]] = {
@@ -56,6 +57,7 @@ _TABLE: Mapping[str, Mapping[str, Decimal]] = {
     "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6"), "mm2": _D(1)},
     # as an angle, a plain number is no business of pint's
     "ratio": {"1": _D(1), "%": _D("0.01")},
+    "memory": {"MB": _D(1), "GB": _D(1000), "MiB": _D("1.048576"), "GiB": _D("1073.741824")},
 }
 _EXAMPLE: Mapping[str, str] = {
     "length": "50 mm",
@@ -67,6 +69,7 @@ _EXAMPLE: Mapping[str, str] = {
     "work": "3 N mm",
     "area": "25 mm^2",
     "ratio": "20 %",
+    "memory": "20 GB",
 }
 
 #: unit inside -> (unit shown to people, factor); constants are reported in kPa

@@ -20,6 +20,7 @@ from study.design.overview import implausible
 from study.design.spec import Design
 from study.errors import InputError, StudyError
 from study.measurement.conditioning import is_caution
+from study.record.document import ManifestDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.study_result.report_data import ResponseAnalysis
@@ -29,8 +30,19 @@ if TYPE_CHECKING:
     from study.study_result.report_data import ResponseAnalysis
 
 
-def open_study(path: str | Path, results: str | Path = RESULTS) -> Study:
-    """Open the stored records of a study and analyze them.
+def open_study(
+    path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bool = True
+) -> Study:
+    """Open the stored records of a study and analyze them: those of its last finished run.
+
+    Parameters
+    ----------
+    path : str or Path
+        Results folder, design file or name of the study.
+    results : str or Path
+        Folder of the results, where ``path`` is a name.
+    tell_unfinished : bool
+        Whether a later run that is not finished is a warning.
 
     Raises
     ------
@@ -47,6 +59,9 @@ def open_study(path: str | Path, results: str | Path = RESULTS) -> Study:
     records = tuple(store.records(manifest["cases"]))
     numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
+    later = store.read_unfinished() if tell_unfinished else None
+    if later is not None:
+        warnings.append(unfinished_note(store, later))
     problems = [one.cell.problem for one in design.treatments]
     warnings += dict.fromkeys(said for problem in problems for said in implausible(problem))
     warnings += [note for note in manifest["notes"] if is_caution(note)]
@@ -62,6 +77,16 @@ def open_study(path: str | Path, results: str | Path = RESULTS) -> Study:
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
     )  # fmt: skip
+
+
+def unfinished_note(store: Store, later: ManifestDocument) -> str:
+    """Say that what is shown is the last finished run, and how far the later one is."""
+    counted = Store(store.path).survey(later["cases"])
+    done, total = len(counted.done) + len(counted.failed), len(later["cases"])
+    return (
+        f"this is the last finished run; one of an edited design has computed {done} of its "
+        f"{total} cases: run {later['source']} again to finish it"
+    )
 
 
 def _analyses(

@@ -10,32 +10,34 @@ from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
-from study.api.comparison.design_changes import read_truths
 from study.api.folders import REPORTS, RESULTS, design_root
 from study.api.opened_study import open_study
+from study.api.planning.manifest import manifest_of
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
     refinement_seconds,
     with_time_left,
 )
+from study.api.planning.stale import WARN, check_choice, check_stale, mixed_meshes
 from study.api.study_notebook import Study
 from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
-from study.design.load import dump, from_tables, load, loads
+from study.design.load import from_tables, load, loads
 from study.design.spec import Design
-from study.errors import InputError, RefusedError
+from study.errors import Fault, InputError, RefusedError, UnitError
 from study.execution.task import check_limit
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
+from study.record.manifests import is_same
 from study.record.store import Store
 from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
-from study.runner.provenance import versions
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
+from study.units import parse
 
 if TYPE_CHECKING:
     from study.runner.batch import Progress, Summary
@@ -97,6 +99,8 @@ def run(
     allow_commands: bool | str = False,
     forward: Function | None = None,
     version: str = "",
+    stale: str = WARN,
+    memory: str | None = None,
 ) -> Study:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -132,6 +136,13 @@ def run(
         What ``forward.model = "python"`` stands for; to give it is to allow it.
     version : str
         Identity of that function, part of the key of every result.
+    stale : {"warn", "refuse", "rerun"}
+        What becomes of results that other versions of the libraries made: they are used and it is
+        said, nothing is computed, or they are computed again. ``"refuse"`` also stops for results
+        of another design, other data or other code, which are computed again otherwise.
+    memory : str, optional
+        Memory that computations may take together, such as ``"20 GB"``, by their prediction; by
+        default what the machine has free. One that needs more runs alone.
 
     Returns
     -------
@@ -144,10 +155,13 @@ def run(
     InputError
         For a faulty design or faulty data; nothing is written then.
     RefusedError
-        If the design runs programs that nobody allowed, or that are not there.
+        If the design runs programs that nobody allowed, or that are not there; if results are
+        stale and that is to be refused.
     """
     clock = _Clock()
     check_limit(timeout_s)
+    check_choice(stale)
+    room = None if memory is None else memory_of(memory)
     loaded = load_design(design, overrides)
     function = None if forward is None else PythonFunction.of(forward, version)
     allowed = Allowed(allow_commands, function)
@@ -159,12 +173,36 @@ def run(
     warnings: list[str] = []
     store = Store(Path(results) / loaded.name, warn=warnings.append)
     with store.lock():
-        _write_manifest(store, work, {}, None)
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
-        _write_manifest(store, work, clock.parts, summary)
+        warnings += check_stale(work, store, stale)
+        store.begin_run(manifest_of(work))
+        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, room)
+        _finish(store, work, clock.parts, summary)
+        warnings += mixed_meshes(work, store)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
+
+
+def memory_of(text: str) -> float:
+    """Read an amount of memory in MB.
+
+    Raises
+    ------
+    InputError
+        If it is none, or not more than zero.
+
+    Examples
+    --------
+    >>> memory_of("20 GB")
+    20000.0
+    """
+    try:
+        found = parse(text, "memory")
+    except UnitError as error:
+        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
+    if found <= 0:
+        raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
+    return found
 
 
 def _compute(
@@ -175,13 +213,16 @@ def _compute(
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
     refine: bool,
+    memory_MB: float | None,  # noqa: N803
 ) -> Summary:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
     workers, plain = jobs or default_jobs(), work.plain()
     finer = refinement_seconds(work, store, workers) if refine else 0.0
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
-    summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
+    summary = run_batch(
+        work, store, jobs=jobs, progress=noted, timeout_s=timeout_s, memory_MB=memory_MB
+    )
     clock.mark("calibration and simulation")
     if not refine:
         return summary
@@ -195,31 +236,18 @@ def _compute(
     return summary
 
 
-def _write_manifest(
-    store: Store, work: Work, timings: Mapping[str, float], summary: Summary | None
-) -> None:
-    known = store.read_manifest()
-    spent = dict(known.get("timings", {})) if known is not None else {}
-    if summary is not None and summary.computed:
+def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:
+    """Make the run the one that is read from; one that computed nothing leaves what is known."""
+    meta, known = manifest_of(work), store.read_manifest()
+    if known is not None and is_same(known, meta):
+        spent = dict(known.get("timings", {}))
+        if not summary.computed:
+            meta |= {"timings": spent, "versions": known.get("versions", meta["versions"])}
+            store.finish_run(meta)
+            return
         # a resumed run adds to what the interrupted one took
-        spent = {k: spent.get(k, 0.0) + v for k, v in timings.items()}
-    with store.lock():
-        store.write_manifest(
-            {
-                "name": work.design.name,
-                "design": dump(work.design),
-                "text": work.design.text,
-                "source": Path(work.design.source).name,
-                "cases": work.input_hashes,
-                "blocks": list(work.blocks),
-                "notes": list(work.notes),
-                "files": dict(work.files),
-                "virtual": work.virtual,
-                "truths": read_truths(work.data.root, work.files),
-                "versions": versions(),
-                "timings": spent,
-            }
-        )
+        timings = {k: spent.get(k, 0.0) + v for k, v in timings.items()}
+    store.finish_run(meta | {"timings": dict(timings)})
 
 
 def report(

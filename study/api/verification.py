@@ -181,7 +181,9 @@ def _check_records(folder: Path, found: Verification) -> None:
 def _compare_report(home: Path, folder: Path, found: Verification, tolerance: float) -> None:
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
-        again = report(open_study(folder), reports=Path(place), formats=formats)
+        again = report(
+            open_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
+        )
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
         fresh = again.report.parent

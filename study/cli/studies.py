@@ -111,6 +111,12 @@ def run(
     allow_digest: Annotated[
         str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
     ] = "",
+    stale: Annotated[
+        str, typer.Option(help="Results of other libraries: warn, refuse, or rerun them.")
+    ] = "warn",
+    memory: Annotated[
+        str | None, typer.Option(help="Memory that may be in use at once: '20 GB'.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -120,7 +126,7 @@ def run(
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
-            allow_commands=allow_commands or allow_digest,
+            allow_commands=allow_commands or allow_digest, stale=stale, memory=memory,
         )  # fmt: skip
     _finish(study, as_json, _folders(results, reports))
 
@@ -141,6 +147,11 @@ def status(
     print(f"{found['study']}: {output.counts(found['cases'])}")
     for name, count in sorted(found["failures"].items()):
         print(f"  {count} {name}")
+    later = found["unfinished"]
+    if later is not None:
+        print(f"  that is its last finished run; a later one has {output.counts(later['cases'])}")
+        for change in later["changed"]:
+            print(f"    {change}")
     print(_running(found["running"], found["predicted_seconds"]))
 
 
@@ -183,20 +194,28 @@ def diff(
 
 def why(
     case: Annotated[str, typer.Argument(help="Case id, or its beginning.")],
-    study: Annotated[Path | None, typer.Option(help="Study to look in; all by default.")] = None,
+    study: Annotated[
+        Path | None,
+        typer.Option(help="Study to look in; all by default. A design file counts as it is now."),
+    ] = None,
+    data: Data = None,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
-    """Explain the state of a case."""
+    """Explain the state of a case, and what changed since it was computed."""
     import json
 
     from study import api
 
-    record = api.why(case, study=study, results=results)
+    state = api.explain(case, study=study, results=results, data=data)
+    record = state.record
     if as_json:
-        output.print_json(json.loads(record.to_json())["content"])
+        output.print_json(json.loads(record.to_json())["content"] | {"state": state.to_json()})
         return
     print(f"case {record.case_id} of {record.study}: {record.status}")
+    print(f"  {state.use}")
+    for change in (*state.changes, *state.libraries):
+        print(f"    {change.sentence}")
     if record.message:
         print(f"  {record.message}")
     for name, level in record.levels.items():

@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
+from concurrent.futures import wait as wait_for
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -52,11 +53,14 @@ class Loky:
         Tasks at once.
     limit_s : float, optional
         Wall-clock limit of one task in seconds.
+    memory_MB : float, optional
+        Room for the predicted memory of all tasks that run at once.
     """
 
     perform: Perform
     jobs: int
     limit_s: float | None = None
+    memory_MB: float | None = None  # noqa: N815
 
     def run(
         self, tasks: Sequence[Task], finished: Results | None = None
@@ -73,7 +77,8 @@ class Loky:
         try:
             for slot in slots:
                 slot.open()
-            yield from Supervisor(ReadyQueue(tasks, finished or {}), list(slots), limit).outcomes()
+            ready = ReadyQueue(tasks, finished or {})
+            yield from Supervisor(ready, list(slots), limit, memory_MB=self.memory_MB).outcomes()
         finally:
             for slot in slots:
                 slot.kill()
@@ -110,14 +115,34 @@ class Process:
 
     def start(
         self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
-    ) -> None:
-        """Begin a task given as JSON."""
+    ) -> bool:
+        """Begin a task given as JSON; a process that is not up yet is waited for by a thread."""
+        pool = self._executor or self.open()
+        up = self._up
+        if up is None or up.done():
+            self._hand_over(pool, text, done, ticket)
+            return False
 
+        def wait() -> None:
+            wait_for([up])  # whatever became of it is said when the task is handed over
+            done.put((ticket, Answer(began=True)))
+            self._hand_over(pool, text, done, ticket)
+
+        threading.Thread(target=wait, daemon=True).start()
+        return True
+
+    def _hand_over(
+        self,
+        pool: ProcessPool,
+        text: str,
+        done: queue.SimpleQueue[tuple[object, Answer]],
+        ticket: object,
+    ) -> None:
         def ended(future: Future[str]) -> None:
             done.put((ticket, _judged(future)))
 
         try:
-            future = self._warm().submit(answer, self._perform, text)
+            future = pool.submit(answer, self._perform, text)
         except (BrokenExecutor, OSError, RuntimeError) as error:  # it died while it was idle
             done.put((ticket, Answer(death=cause_of_death(str(error)))))
             return
@@ -137,13 +162,6 @@ class Process:
             executor.shutdown(wait=True)
         else:
             executor.shutdown(wait=True, kill_workers=True)
-
-    def _warm(self) -> ProcessPool:
-        """Executor with a process that is up, so that its start is in nobody's limit."""
-        pool = self._executor or self.open()
-        if self._up is not None:
-            self._up.result()
-        return pool
 
 
 def serve_quietly() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import queue
 import time
 from collections.abc import Generator
@@ -18,12 +19,17 @@ MAX_DEATHS = 2
 LONGEST_WAIT_S = 0.5
 
 
+#: seconds within which a worker is up, or never will be: it imports nothing until then
+START_LIMIT_S = 60.0
+
+
 @dataclass(frozen=True)
 class Answer:
-    """What a slot says of its task: JSON of the result, or how its worker died."""
+    """What a slot says of its task: JSON of the result, how its worker died, or that it began."""
 
     text: str = ""
     death: str = ""
+    began: bool = False
 
 
 class Slot(Protocol):
@@ -31,8 +37,12 @@ class Slot(Protocol):
 
     def start(
         self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
-    ) -> None:
-        """Begin a task given as JSON; puts ``(ticket, answer)`` on the queue when it ends."""
+    ) -> bool | None:
+        """Begin a task given as JSON, at once: whatever blocks does so elsewhere.
+
+        Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
+        it begins, for a worker that is still to come up.
+        """
         ...
 
     def kill(self) -> None:
@@ -48,6 +58,7 @@ class Desk:
     task: Task | None = None
     ticket: object = None
     started: float = 0.0
+    began: bool = False
     group: str = ""
 
 
@@ -64,11 +75,15 @@ class Supervisor:
     limit_s : float, optional
         Wall-clock limit of one task in seconds, enforced from outside: a task that holds the
         interpreter, or whose answer never leaves its pipe, is stopped all the same.
+    memory_MB : float, optional
+        Room for the predicted memory of all that run at once. A task that is too large for it
+        runs alone, and what comes after one that has to wait waits too: else it waited for ever.
     """
 
     ready: ReadyQueue
     slots: list[Slot]
     limit_s: float | None = None
+    memory_MB: float | None = None  # noqa: N815
     deaths: dict[str, int] = field(default_factory=dict)
 
     def outcomes(self) -> Generator[Outcome, None, None]:
@@ -94,13 +109,26 @@ class Supervisor:
             task = self.ready.take(desk.group) if desk.task is None else None
             if task is None:
                 continue
+            if not self._has_room(task, desks):
+                self.ready.put_back(task)
+                continue
             if task.group and task.group != desk.group:
                 self.ready.release(desk.group)
                 self.ready.hold(task.group)
                 desk.group = task.group  # kept while the worker does tasks of no group
             text = json.dumps(task.payload(self.ready.results), allow_nan=False)
-            desk.task, desk.ticket, desk.started = task, object(), time.monotonic()
-            desk.slot.start(text, done, desk.ticket)
+            desk.task, desk.ticket = task, object()
+            desk.started = time.monotonic()
+            desk.began = not desk.slot.start(text, done, desk.ticket)
+
+    def _has_room(self, task: Task, desks: list[Desk]) -> bool:
+        """Whether a task fits beside those that run; one always does."""
+        running = [desk.task.memory_MB for desk in desks if desk.task]
+        return (
+            self.memory_MB is None
+            or not running
+            or (sum(running) + task.memory_MB <= self.memory_MB)
+        )
 
     def _answered(
         self, busy: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]
@@ -113,6 +141,9 @@ class Supervisor:
         desk = next((d for d in busy if d.ticket is ticket), None)
         if desk is None or desk.task is None:
             return []  # of a task that was stopped: its limit has been told already
+        if answer.began:
+            desk.started, desk.began = time.monotonic(), True
+            return []
         task, seconds = desk.task, time.monotonic() - desk.started
         desk.task = None
         if answer.death:
@@ -129,20 +160,27 @@ class Supervisor:
 
     def _patience(self, busy: list[Desk]) -> float:
         """Seconds until somebody may be late."""
-        if self.limit_s is None:
-            return LONGEST_WAIT_S
-        longest = max(time.monotonic() - desk.started for desk in busy)
-        return min(max(self.limit_s - longest, 0.0), LONGEST_WAIT_S)
+        now = time.monotonic()
+        ends = [desk.started + limit for desk in busy if (limit := self._limit(desk)) is not None]
+        return min(max(min(ends, default=math.inf) - now, 0.0), LONGEST_WAIT_S)
+
+    def _limit(self, desk: Desk) -> float | None:
+        """Seconds that a slot may take for what it does: to be up, then its task."""
+        return self.limit_s if desk.began else START_LIMIT_S
 
     def _late(self, busy: list[Desk]) -> list[Outcome]:
         """Stop every task that has run for longer than its limit."""
         found = []
         for desk in busy:
-            seconds = time.monotonic() - desk.started
-            if desk.task is None or self.limit_s is None or seconds <= self.limit_s:
+            seconds, limit = time.monotonic() - desk.started, self._limit(desk)
+            task = desk.task
+            if task is None or limit is None or seconds <= limit:
+                continue
+            desk.task = None
+            if not desk.began:
+                found += self._died(desk, task, seconds, f"no worker was up within {limit:g} s")
                 continue
             desk.slot.kill()
-            message = f"stopped after {self.limit_s:g} s, the limit of one computation"
-            found.append(Outcome(desk.task.key, {"status": "timeout", "message": message}, seconds))
-            desk.task = None
+            message = f"stopped after {limit:g} s, the limit of one computation"
+            found.append(Outcome(task.key, {"status": "timeout", "message": message}, seconds))
         return found

@@ -36,12 +36,18 @@ class Task:
         Keys of tasks that must be finished first.
     group : str
         Tasks of one group share something that a worker keeps: one worker does them all.
+    seconds : float
+        How long it is predicted to take: what keeps the others waiting longest comes first.
+    memory_MB : float
+        Memory that it is predicted to take: no more run at once than there is room for.
     """
 
     key: str
     payload: Callable[[Results], Document]
     needs: tuple[str, ...] = ()
     group: str = ""
+    seconds: float = 0.0
+    memory_MB: float = 0.0  # noqa: N815
 
 
 @dataclass(frozen=True)

@@ -88,9 +88,9 @@ def _make_folder(folder: Path, system: FileSystem) -> None:
         system.sync_folder(path.parent)
 
 
-def is_leftover(path: Path) -> bool:
-    """Whether a file is what an interrupted write left behind."""
-    return path.name.startswith(".") and path.name.endswith(TEMPORARY)
+def is_leftover(name: str) -> bool:
+    """Whether the name of a file is of those that an interrupted write leaves behind."""
+    return name.startswith(".") and name.endswith(TEMPORARY)
 
 
 def _discard(part: Path, system: FileSystem) -> None:

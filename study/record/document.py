@@ -121,7 +121,8 @@ class ManifestDocument(TypedDict, total=False):
     """What a study is: its design as text, its cases, its data, and how long it took.
 
     ``cases`` maps case ids to input hashes, ``files`` names of measured files to their sha256,
-    ``truths`` those of virtual specimens to how they were made.
+    ``truths`` those of virtual specimens to how they were made; ``finished`` is False until a run
+    came to its end.
     """
 
     name: Required[str]
@@ -136,6 +137,7 @@ class ManifestDocument(TypedDict, total=False):
     truths: dict[str, object]
     versions: dict[str, str]
     timings: dict[str, float]
+    finished: bool
 
 
 class CurveKey(NamedTuple):

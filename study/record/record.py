@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import cast
@@ -17,7 +18,7 @@ from typing import cast
 import numpy as np
 
 from study.curve import Curve
-from study.errors import StoreError, nearest
+from study.errors import NewerSchemaError, StoreError, nearest
 from study.record.document import (
     CurveKey,
     FitDocument,
@@ -29,8 +30,10 @@ from study.record.document import (
 )
 
 SCHEMA = 1
+#: status of a case that has an answer
+CONVERGED = "converged"
 STATUSES = (
-    "converged",
+    CONVERGED,
     "not-converged",
     "mesh-failed",
     "unstable",
@@ -113,7 +116,7 @@ class Record:
     @property
     def converged(self) -> bool:
         """Whether the case has an answer."""
-        return self.status == "converged"
+        return self.status == CONVERGED
 
     def response(self, name: str) -> float:
         """Value of a response; NaN where it is missing or the case has no answer."""
@@ -274,6 +277,14 @@ def canonical(content: object) -> str:
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
+#: a file as :func:`seal` writes it
+_SEALED = re.compile(
+    rb'\{"schema":%d,"checksum":"(?P<checksum>[0-9a-f]{64})","content":(?P<content>.*)\}\s*'
+    % SCHEMA,
+    re.DOTALL,
+)
+
+
 def seal(content: object) -> str:
     """JSON text of ``content`` with schema and checksum."""
     text = canonical(content)
@@ -286,13 +297,19 @@ def unseal(text: str | bytes, source: str) -> object:
 
     Raises
     ------
+    NewerSchemaError
+        If a newer version wrote it.
     StoreError
         If it is not JSON, its checksum does not fit, or its schema is unknown.
     """
-    try:
-        whole = json.loads(text, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise StoreError(f"{source}: is not valid JSON ({error})") from error
+    data = text.encode() if isinstance(text, str) else text
+    as_written = _SEALED.fullmatch(data)
+    if as_written is not None:
+        content = as_written["content"]
+        if hashlib.sha256(content).hexdigest() == as_written["checksum"].decode():
+            return _parsed(content, source)  # byte for byte what was sealed
+    whole = _parsed(data, source)
+    _check_schema(whole, source)
     if not isinstance(whole, dict) or set(whole) != {"schema", "checksum", "content"}:
         raise StoreError(f"{source}: is not a sealed file of this program")
     if whole["schema"] != SCHEMA:
@@ -304,6 +321,24 @@ def unseal(text: str | bytes, source: str) -> object:
     if found != whole["checksum"]:
         raise StoreError(f"{source}: is damaged, its checksum does not fit its content")
     return whole["content"]
+
+
+def _parsed(data: bytes, source: str) -> object:
+    try:
+        return json.loads(data, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise StoreError(f"{source}: is not valid JSON ({error})") from error
+
+
+def _check_schema(whole: object, source: str) -> None:
+    """Tell what a newer version wrote from what is damaged."""
+    schema = whole.get("schema") if isinstance(whole, dict) else None
+    if isinstance(schema, int) and schema > SCHEMA:
+        raise NewerSchemaError(
+            f"{source}: was written by a newer study (schema {schema}, this version reads "
+            f"{SCHEMA}); it is left as it is. Update this one with pip install --upgrade, or "
+            "name another folder with --results"
+        )
 
 
 def _no_constant(name: str) -> None:

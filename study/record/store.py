@@ -4,6 +4,7 @@
 
     results/<study>/
         study.json                  manifest
+        index.json                  what each record says of itself, so that counting reads none
         fits/<fit_id>.json          calibrations shared by cases
         cases/<case_id>/record.json
         cases/<case_id>/fields-<hash>.npz
@@ -14,56 +15,39 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
-import re
-import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+import os
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from study.errors import StoreError
-from study.record import lock
-from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.errors import NewerSchemaError, StoreError
+from study.record import fields as field_files
+from study.record.atomic_files import write_atomic
 from study.record.document import ManifestDocument
-from study.record.record import Record, plain, seal, unseal
+from study.record.fields import MAX_FIELD_BYTES, Stored
+from study.record.folder import ID
+from study.record.index import CURRENT, Entry, FileStamp, RecordIndex
+from study.record.index import NAME as INDEX
+from study.record.libraries import OtherLibraries, differences, name_of
+from study.record.manifests import ManifestFolder
+from study.record.record import Record
+from study.record.survey import StoredRecords, Survey
 
-#: an array as it was kept: of numbers, flags or text
-Stored = NDArray[np.generic]
-
-MAX_JSON_BYTES = 200_000_000
-MAX_FIELD_BYTES = 4_000_000_000
-_ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
-_FIELDS = re.compile(r"fields-[0-9a-f]{16}\.npz")
-
-
-@dataclass(frozen=True)
-class Survey:
-    """What a results folder holds of the cases that a study wants.
-
-    Parameters
-    ----------
-    done : tuple of str
-        Case ids whose record is valid and converged.
-    failed : tuple of str
-        Case ids whose record is valid and says why there is no answer.
-    missing : tuple of str
-        Case ids without a usable record.
-    foreign : tuple of str
-        Those of ``missing`` that have a record of another configuration, data or version.
-    """
-
-    done: tuple[str, ...]
-    failed: tuple[str, ...]
-    missing: tuple[str, ...]
-    foreign: tuple[str, ...]
+#: key of a stored result: name of the libraries that made it
+_MADE_WITH = "made_with"
 
 
-class Store:
-    """Records, shared fits and manifest of one study.
+def laid_by(input_hash: str) -> str:
+    """Name of the file of a record that another one took the place of."""
+    return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
+
+
+class Store(ManifestFolder):
+    """Records, shared fits and manifests of one study.
 
     Parameters
     ----------
@@ -75,47 +59,21 @@ class Store:
         Operations that change the disk.
     """
 
-    def __init__(
-        self,
-        path: Path | str,
-        warn: Callable[[str], None] | None = None,
-        system: FileSystem | None = None,
-    ) -> None:
-        self.path = Path(path)
-        self.warnings: list[str] = []
-        self._warn = warn
-        self._system = system or FileSystem()
-        self._locked = False
+    #: name of the libraries that make what is written now, and whether nothing else counts
+    _libraries = ""
+    _strict = False
 
-    @contextlib.contextmanager
-    def lock(self) -> Iterator[Store]:
-        """Hold the folder for this process and clear what an interrupted run left behind.
+    def made_with(self, versions: Mapping[str, str], *, strict: bool = False) -> None:
+        """Say which libraries compute from now on.
 
-        Raises
-        ------
-        StoreError
-            If another runner holds it (the message names it) or the folder is read-only.
+        Parameters
+        ----------
+        versions : mapping of str to str
+            Version of each.
+        strict : bool
+            Whether results that were made with others are as missing.
         """
-        if self._locked:  # the whole of a run holds it, and its parts as well
-            yield self
-            return
-        self._make(self.path)
-        with lock.exclusive(self.path):
-            self._locked = True
-            try:
-                self._clear_leftovers()
-                yield self
-            finally:
-                self._locked = False
-
-    def note(self, progress: Mapping[str, object]) -> None:
-        """Say to other processes how far the runner is, while this one holds the folder."""
-        if self._locked:
-            lock.sign(self.path, progress)
-
-    def running(self) -> dict[str, object] | None:
-        """Pid, host, start and progress of the runner in this folder; None if there is none."""
-        return lock.holder(self.path) if lock.is_locked(self.path) else None
+        self._libraries, self._strict = name_of(versions), strict
 
     def write(self, record: Record, fields: Mapping[str, ArrayLike] | None = None) -> Record:
         """Store a record, whole or not at all, and after its fields.
@@ -140,17 +98,38 @@ class Store:
         folder = self._case(record.case_id)
         name = ""
         if fields:
-            data = _pack(fields)
-            name = f"fields-{hashlib.sha256(data).hexdigest()[:16]}.npz"
+            name, data = field_files.pack(fields)
             record = replace(record, extra={**record.extra, "fields": name})
             write_atomic(folder / name, data, self._system)
-        write_atomic(folder / "record.json", record.to_json().encode(), self._system)
+        path = folder / CURRENT
+        self._lay_by(record)
+        write_atomic(path, record.to_json().encode(), self._system)
         self._drop_other_fields(folder, name)
+        if self._locked:
+            self._index.note(record, FileStamp.of(path))
+            if self._index.is_due:
+                self._write_index()
         return record
 
-    def read(self, case_id: str) -> Record | None:
-        """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
-        path = self._case(case_id) / "record.json"
+    def read(self, case_id: str, input_hash: str | None = None) -> Record | None:
+        """Record of a case; None if there is none or it is damaged (set aside, and warned).
+
+        Parameters
+        ----------
+        input_hash : str, optional
+            Input that it should have: a record that was laid by for its sake is found as well.
+        """
+        folder = self._case(case_id)
+        stamp = FileStamp.of(folder / CURRENT)  # taken first: what changes meanwhile is read again
+        record = self._read_file(case_id, folder / CURRENT)
+        if record is not None and self._locked:
+            self._index.note(record, stamp)
+        if input_hash is None or (record is not None and record.input_hash == input_hash):
+            return record
+        beside = self._read_file(case_id, folder / laid_by(input_hash))
+        return beside if beside is not None and beside.input_hash == input_hash else record
+
+    def _read_file(self, case_id: str, path: Path) -> Record | None:
         data = self._bytes(path)
         if data is None:
             return None
@@ -158,8 +137,11 @@ class Store:
             record = Record.from_json(data, str(path))
             if record.case_id != case_id:
                 raise StoreError(f"{path}: belongs to case {record.case_id!r}")
+        except NewerSchemaError:
+            raise
         except StoreError as error:
             self._set_aside(path, str(error))
+            self._distrust(case_id)
             return None
         return record
 
@@ -178,13 +160,13 @@ class Store:
         name = record.extra.get("fields")
         if not name:
             return {}
-        if not isinstance(name, str) or not _FIELDS.fullmatch(name):
+        if not isinstance(name, str) or not field_files.is_name(name):
             raise StoreError(f"case {record.case_id}: {name!r} is no name of a field file")
         path = self._case(record.case_id) / name
         data = self._bytes(path, MAX_FIELD_BYTES)
-        if data is None or hashlib.sha256(data).hexdigest()[:16] != name[7:23]:
+        if data is None or not field_files.fits(name, data):
             raise StoreError(f"{path}: is missing or damaged; delete the case to run it again")
-        return _unpack(data, path)
+        return field_files.unpack(data, path)
 
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing.
@@ -200,23 +182,30 @@ class Store:
             A record with another input hash counts as missing, and a warning says so.
         """
         done: list[str] = []
-        failed: list[str] = []
+        statuses: dict[str, str] = {}
+        made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
         for case_id, wanted in input_hashes.items():
-            record = self.read(case_id)
-            if record is None or record.input_hash != wanted:
+            said = self._said(case_id, wanted)
+            if said is None or not self._counts(said, wanted):
                 missing.append(case_id)
-                if record is not None:
+                if said is not None:
                     foreign.append(case_id)
+                continue
+            made_with[case_id] = said.libraries
+            if said.converged:
+                done.append(case_id)
             else:
-                (done if record.converged else failed).append(case_id)
+                statuses[case_id] = said.status
         if foreign:
             self._say(
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
                 "its settings or the data; they are not used and will be computed again"
             )
-        return Survey(tuple(done), tuple(failed), tuple(missing), tuple(foreign))
+        return Survey(
+            tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses, made_with
+        )
 
     def done_ids(
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
@@ -231,170 +220,164 @@ class Store:
             Statuses that are to be tried again, for example ``("crashed", "timeout")``.
         """
         found = self.survey(input_hashes)
-        again = {
-            case_id
-            for case_id in (found.failed if retry else ())
-            if (record := self.read(case_id)) is None or record.status in retry
-        }
+        again = {case_id for case_id, status in found.statuses.items() if status in retry}
         return frozenset(found.done + found.failed) - again
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
-        found = (self.read(case_id) for case_id in input_hashes)
-        return [r for r in found if r is not None and r.input_hash == input_hashes[r.case_id]]
+        found = (self.read(case_id, wanted) for case_id, wanted in input_hashes.items())
+        return [
+            r for r in found if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+        ]
+
+    def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
+        """Hash of the mesh of each case that has one."""
+        said = {case: self._said(case, wanted) for case, wanted in input_hashes.items()}
+        return {case: one.mesh for case, one in said.items() if one is not None and one.mesh}
 
     def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
         """Read the records of this very input, by the name of their case."""
         return {record.case_id: record for record in self.records(input_hashes)}
 
-    def write_json(self, name: str, content: object) -> None:
-        """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
-        lost: dict[str, str] = {}
-        clean = plain(content, name, lost)
-        if lost and isinstance(clean, dict):
-            clean["not_finite"] = lost
-        write_atomic(self._json(name), seal(clean).encode(), self._system)
-
-    def read_json(self, name: str) -> object:
-        """Content stored under a name; None if there is none or it is damaged (set aside)."""
-        path = self._json(name)
-        data = self._bytes(path)
-        if data is None:
-            return None
-        try:
-            return unseal(data, str(path))
-        except StoreError as error:
-            self._set_aside(path, str(error))
-            return None
-
-    def read_rows(self, name: str) -> list[dict[str, Any]]:
-        """Rows of a table stored under a name, to be read by who wrote them; empty if none is."""
-        found = self.read_json(name)
-        return found if isinstance(found, list) else []
-
-    def write_manifest(self, meta: ManifestDocument) -> None:
-        """Store what the study is: name, question, seed, design text, versions."""
-        self.write_json("study", dict(meta))
-
-    def read_manifest(self) -> ManifestDocument | None:
-        """Read what :meth:`write_manifest` stored; None if it is missing or was damaged."""
-        found = self.read_json("study")
-        return cast(ManifestDocument, found) if isinstance(found, dict) else None
+    def on_demand(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
+        """Give the records of this very input by their case, each read when it is asked for."""
+        return StoredRecords(
+            input_hashes,
+            lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
+        )
 
     def write_fit(self, fit_id: str, content: Mapping[str, object]) -> None:
         """Store a calibration that several cases share."""
-        self.write_json(f"fits/{fit_id}", dict(content))
+        self.write_result(f"fits/{fit_id}", content)
 
     def read_fit(self, fit_id: str) -> dict[str, object] | None:
-        """Read a shared calibration; None if it is missing or was damaged."""
-        found = self.read_json(f"fits/{fit_id}")
-        return found if isinstance(found, dict) else None
+        """Read a shared calibration; None if it is missing, was damaged, or does not count."""
+        return self.read_result(f"fits/{fit_id}")
+
+    def write_result(self, name: str, content: Mapping[str, object]) -> None:
+        """Store a result that is no record, with the name of the libraries that made it."""
+        self.write_json(name, {**content, _MADE_WITH: self._libraries})
+
+    def read_result(self, name: str) -> dict[str, object] | None:
+        """Read what :meth:`write_result` stored; None also where other libraries made it."""
+        found = self.read_json(name)
+        if not isinstance(found, dict):
+            return None
+        made_with = found.pop(_MADE_WITH, "")
+        return None if self._strict and made_with != self._libraries else found
+
+    def other_libraries(
+        self, input_hashes: Mapping[str, str], versions: Mapping[str, str]
+    ) -> list[OtherLibraries]:
+        """Results that other libraries made than those of today, by what differs.
+
+        Parameters
+        ----------
+        versions : mapping of str to str
+            Version of each library of today.
+        """
+        cases: dict[str, list[str]] = defaultdict(list)
+        for case_id, made_with in self.survey(input_hashes).made_with.items():
+            if made_with not in ("", name_of(versions)):
+                cases[made_with].append(case_id)
+        found = []
+        for ids in cases.values():
+            record = self.read(ids[0], input_hashes[ids[0]])
+            if record is not None:
+                found.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
+        return found
+
+    @cached_property
+    def _index(self) -> RecordIndex:
+        return RecordIndex(self.path)
+
+    def _begin(self) -> None:
+        for known in ("_index", "_finished"):  # another runner may have written since
+            self.__dict__.pop(known, None)
+        names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
+        own = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
+        self._clear_leftovers([*own, *names])
+
+    def _end(self) -> None:
+        self._write_index()
+
+    def _write_index(self) -> None:
+        """Write the index where it would say something new."""
+        index = self._index
+        if index.is_stale:
+            write_atomic(self._json(INDEX), index.text().encode(), self._system)
+            index.written()
+
+    def _said(self, case_id: str, wanted: str) -> Entry | None:
+        """Say what a record says: the one that is wanted, by the index where that knows it."""
+        said = self._index.entry(case_id)
+        if said is not None and said.input_hash == wanted:
+            return said
+        record = self.read(case_id, wanted)
+        return None if record is None else Entry.of(record)
+
+    def _counts(self, said: Entry, wanted: str) -> bool:
+        """Whether a result is one of the input that is wanted."""
+        made_now = not self._strict or said.libraries == self._libraries
+        return said.input_hash == wanted and made_now
+
+    def _lay_by(self, record: Record) -> None:
+        """Keep the record of a finished study that one of an edited design takes the place of."""
+        kept = self._finished.get(record.case_id)
+        if kept is None or kept == record.input_hash:
+            return
+        path = self._case(record.case_id) / CURRENT
+        before = self._read_file(record.case_id, path)
+        if before is not None and before.input_hash == kept:
+            write_atomic(path.with_name(laid_by(kept)), before.to_json().encode(), self._system)
+
+    @cached_property
+    def _finished(self) -> Mapping[str, str]:
+        """Cases of the finished study that is to stay readable."""
+        known = self.read_manifest() if self._locked else None
+        if known is None or not known.get("finished", True):
+            return {}
+        return known.get("cases", {})
+
+    def begin_run(self, meta: ManifestDocument) -> None:
+        """Note what is going to be computed; a finished study of another design stays as it is."""
+        super().begin_run(meta)
+        self.__dict__.pop("_finished", None)
+
+    def finish_run(self, meta: ManifestDocument) -> None:
+        """Make a run the one that is read from; what was laid by for the one before it may go."""
+        before = dict(self._finished)
+        super().finish_run(meta)
+        self.__dict__.pop("_finished", None)
+        for case_id, kept in before.items():
+            if meta["cases"].get(case_id) != kept:
+                with contextlib.suppress(OSError):  # only space is lost
+                    self._system.unlink(self._case(case_id) / laid_by(kept))
+
+    def _distrust(self, case_id: str) -> None:
+        """Forget a damaged record; an index that vouched for it is worth nothing."""
+        vouched = self._index.entry(case_id) is not None
+        self._index.forget(case_id)
+        if vouched:
+            with contextlib.suppress(OSError):  # who may not delete it may not run here either
+                self._system.unlink(self._json(INDEX))
 
     def _case(self, case_id: str) -> Path:
-        if not _ID.fullmatch(case_id):
+        if not ID.fullmatch(case_id):
             raise StoreError(f"{case_id!r} is no case id (small letters, digits and hyphens)")
         return self._inside(self.path / "cases" / case_id)
-
-    def _json(self, name: str) -> Path:
-        if not all(_ID.fullmatch(part) for part in name.split("/")):
-            raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
-        return self._inside(self.path / f"{name}.json")
-
-    def _inside(self, path: Path) -> Path:
-        """Refuse a place that a link leads out of the results folder."""
-        try:
-            inside = path.resolve().is_relative_to(self.path.resolve())
-        except (OSError, RuntimeError, ValueError) as error:
-            raise StoreError(f"{path}: cannot be used ({error})") from error
-        if not inside:
-            raise StoreError(f"{path}: a link leads outside the results folder; remove it")
-        return path
 
     def _case_ids(self) -> list[str]:
         folder = self.path / "cases"
         try:
-            return sorted(entry.name for entry in folder.iterdir() if _ID.fullmatch(entry.name))
+            return sorted(entry.name for entry in folder.iterdir() if ID.fullmatch(entry.name))
         except FileNotFoundError:
             return []
         except OSError as error:
             raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
 
-    def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
-        try:
-            if path.stat().st_size > limit:
-                self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
-                return None
-            return path.read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
-
-    def _make(self, folder: Path) -> None:
-        try:
-            self._system.make_folder(folder)
-        except OSError as error:
-            raise StoreError(f"{folder}: cannot be made ({error.strerror or error})") from error
-
-    def _set_aside(self, path: Path, why: str) -> None:
-        """Rename a damaged file; a reader without the lock leaves it to the next runner.
-
-        Without the lock, a runner could replace the file by a good one between our reading
-        and our renaming.
-        """
-        if not self._locked:
-            self._say(f"{why}; it is not used, and the next run replaces it")
-            return
-        number = 1
-        while (target := path.with_name(f"{path.name}.corrupt-{number}")).exists():
-            number += 1
-        try:
-            self._system.replace(path, target)
-        except OSError as error:
-            self._say(f"{why}; it is not used, but could not be renamed ({error})")
-            return
-        self._say(f"{why}; it was renamed to {target.name} and will be computed again")
-
     def _drop_other_fields(self, folder: Path, keep: str) -> None:
-        for path in folder.glob("fields-*.npz"):
-            if path.name != keep:
+        for name in os.listdir(folder):
+            if field_files.is_name(name) and name != keep:
                 with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(path)
-
-    def _clear_leftovers(self) -> None:
-        folders = [self.path, self.path / "fits"]
-        folders += [self.path / "cases" / name for name in self._case_ids()]
-        for folder in folders:
-            for path in folder.glob(".*"):
-                if is_leftover(path):
-                    with contextlib.suppress(OSError):  # ignored by every reader anyway
-                        self._system.unlink(path)
-
-    def _say(self, message: str) -> None:
-        if message in self.warnings:
-            return
-        self.warnings.append(message)
-        if self._warn is not None:
-            self._warn(message)
-
-
-def _pack(fields: Mapping[str, ArrayLike]) -> bytes:
-    arrays = {name: np.asarray(value) for name, value in fields.items()}
-    bad = [name for name, value in arrays.items() if value.dtype.hasobject]
-    if bad:
-        raise TypeError(f"field {bad[0]!r} holds Python objects, which are never stored")
-    stream = io.BytesIO()
-    np.savez_compressed(stream, allow_pickle=False, **arrays)
-    return stream.getvalue()
-
-
-def _unpack(data: bytes, path: Path) -> dict[str, Stored]:
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-        if size > MAX_FIELD_BYTES:
-            raise StoreError(f"{path}: unpacks to {size} bytes, which no field file does")
-        with np.load(io.BytesIO(data), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise StoreError(f"{path}: is no field file ({error})") from error
+                    self._system.unlink(folder / name)

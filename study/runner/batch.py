@@ -7,6 +7,7 @@ parent, finished results stay, and running again does the rest.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import signal
 import threading
@@ -32,6 +33,9 @@ from study.runner.tasks import processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
+#: seconds for which a prediction of the time left is good: it looks at all that is left
+FORETOLD_S = 0.2
 
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
@@ -108,6 +112,7 @@ def run_batch(
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
     executor: Executor | None = None,
+    memory_MB: float | None = None,  # noqa: N803
 ) -> Summary:
     """Compute every case of ``work`` that the store does not hold yet.
 
@@ -121,6 +126,8 @@ def run_batch(
         Wall-clock limit of one computation in seconds.
     executor : Executor, optional
         Where the computations run; by default ``jobs`` processes of this machine.
+    memory_MB : float, optional
+        Predicted memory that these may take together; by default what the machine has free.
 
     Raises
     ------
@@ -138,7 +145,7 @@ def run_batch(
         check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
         run = _Batch(work, store, todo, progress or (lambda _: None))
         workers = jobs or default_jobs()
-        return run.execute(workers, executor or processes(workers, timeout_s))
+        return run.execute(workers, executor or processes(workers, timeout_s, memory_MB))
 
 
 def computing(
@@ -209,15 +216,18 @@ class _Batch:
 
     def execute(self, workers: int, executor: Executor) -> Summary:
         began = time.monotonic()
-        tasks, costs = self._tasks(), Costs()
-        prices = {task.key: self._price(costs, task.key) for task in tasks}
+        tasks = self._tasks()
+        prices = {task.key: task.seconds for task in tasks}
         pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
         outcomes = executor.run(tasks, self.known)
+        left, foretold = 0.0, -math.inf
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
                 pace.finished(outcome.key, outcome.seconds)
-                seconds, left = time.monotonic() - began, pace.seconds_left()
+                seconds = time.monotonic() - began
+                if seconds - foretold > FORETOLD_S or count == len(tasks):
+                    left, foretold = pace.seconds_left(), seconds
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
                     count, len(tasks), self.failed, seconds, left, self._label(outcome.key),
@@ -231,21 +241,30 @@ class _Batch:
         )
 
     def _tasks(self) -> list[Task]:
-        """Cases first: each is scored as soon as its fits are there."""
+        """List fits and cases with what they are predicted to take, which gives their order."""
+        costs = Costs()
         tasks = [
-            Task(key, partial(case_document, self.work, job), needs=job.needs, group=job.group)
-            for key, job in self.cases.items()
-        ]
-        tasks += [
-            Task(job.key, partial(fit_document, job), (job.start.key,) if job.start else ())
+            Task(
+                job.key,
+                partial(fit_document, job),
+                (job.start.key,) if job.start else (),
+                seconds=costs.fit_seconds(job.problem),
+                memory_MB=costs.fit_memory_MB(job.problem),
+            )
             for job in self.fits.values()
         ]
+        tasks += [
+            Task(
+                key,
+                partial(case_document, self.work, job),
+                job.needs,
+                job.group,
+                costs.case_seconds(job),
+                costs.case_memory_MB(job),
+            )
+            for key, job in self.cases.items()
+        ]
         return tasks
-
-    def _price(self, costs: Costs, key: str) -> float:
-        if key in self.fits:
-            return costs.fit_seconds(self.fits[key].problem)
-        return costs.case_seconds(self.cases[key])
 
     def _kind(self, key: str) -> str:
         """Name what costs alike: computations on one mesh of one test."""

@@ -90,6 +90,15 @@ class Costs:
         """Peak memory of one worker at this configuration."""
         return self._estimate(config, None)[1]
 
+    def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
+        """Peak memory of one calibration."""
+        return self.memory_MB(problem.tables) if problem.method == "inverse-fem" else 0.0
+
+    def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
+        """Peak memory of one case; none worth counting without a simulation of its own."""
+        simulated = job.forward == "simulation" and job.origin.predicts
+        return self.memory_MB(job.case.config) if simulated else 0.0
+
     def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:
         key = same_model(config)
         if key not in self._known:

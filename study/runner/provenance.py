@@ -93,12 +93,16 @@ def _code_hash(root: Path) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of everything that may move a digit, for the record."""
-    found = {"study": code_version(), "python": platform.python_version()}
+    return {"study": code_version(), **libraries()}
+
+
+@functools.cache
+def libraries() -> Mapping[str, str]:
+    """Versions of Python and of the libraries that compute, looked up once a process."""
+    found = {"python": platform.python_version()}
     for name in _PACKAGES:
-        try:
+        with contextlib.suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return found
 
 

@@ -116,12 +116,31 @@ class Conclusion:
 class Change:
     """An input that the studies do not share; None where one of them does not set it.
 
-    ``kind`` is ``"design"``, ``"measurements"``, ``"truth"``, ``"extent"`` or ``"code"``.
+    ``kind`` is ``"design"``, ``"measurements"``, ``"truth"``, ``"extent"``, ``"code"`` or
+    ``"library"``.
     """
 
     kind: str
     key: str
     values: tuple[str | None, str | None]
+
+    @property
+    def sentence(self) -> str:
+        """Say from what to what it changed.
+
+        Examples
+        --------
+        >>> Change("design", "specimen.radius", ("25 mm", "26 mm")).sentence
+        'specimen.radius: from 25 mm to 26 mm'
+        >>> Change("design", "test.steps", (None, "20")).sentence
+        'test.steps: 20, not set before'
+        """
+        then, now = self.values
+        if then is None:
+            return f"{self.key}: {now}, not set before"
+        if now is None:
+            return f"{self.key}: {then} before, not set now"
+        return f"{self.key}: from {then} to {now}"
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ import re
 import signal
 import time
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 
@@ -33,6 +34,8 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         re.match(r"(a+)+$", "a" * 40 + "b")  # one call into C that lasts for hours
     if kind == "stopped":
         os.kill(os.getpid(), signal.SIGSTOP)  # its answer never leaves the pipe
+    if kind == "stop soon":  # after its answer: it reads nothing more
+        Timer(0.2, os.kill, (os.getpid(), signal.SIGSTOP)).start()
     if kind == "print":
         print("noise on stdout", flush=True)
         os.write(1, b"noise of a library\n")
@@ -42,3 +45,8 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         time.sleep(0.05)
         return {"status": "converged", "process": os.getpid()}
     return {"status": "converged", "value": task.get("value", 0) + 1}
+
+
+def never_up() -> None:
+    """Stop a worker before it can say that it is there."""
+    os.kill(os.getpid(), signal.SIGSTOP)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 import pytest
@@ -15,9 +16,10 @@ import pytest
 from study.errors import InputError
 from study.execution.inline import Inline
 from study.execution.loky import Loky
-from study.execution.queue import ReadyQueue
-from study.execution.task import Outcome, Task
-from tests.execution.misbehaving import perform
+from study.execution.queue import ReadyQueue, longest_first
+from study.execution.supervisor import Answer, Supervisor
+from study.execution.task import Document, Outcome, Results, Task
+from tests.execution.misbehaving import never_up, perform
 
 ROOT = Path(__file__).parents[2]
 
@@ -138,6 +140,31 @@ def test_the_limit_holds_whatever_a_worker_does(kind: str) -> None:
     assert time.monotonic() - began < 20
 
 
+def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No limit was asked for: only the start of a process has one of its own."""
+    monkeypatch.setattr("study.execution.loky.serve_quietly", never_up)
+    monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
+    began = time.monotonic()
+    found = run([task("a"), task("b")])
+    assert {o.status for o in found.values()} == {"crashed"}
+    assert "no worker was up within 1 s, twice" in found["a"].message
+    assert time.monotonic() - began < 20
+    assert not _children()
+
+
+def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
+    """A worker stops after its answer, and the next task is larger than any pipe."""
+    outcomes = Loky(perform, 1, 2.0).run(
+        [task("a", "stop soon"), task("large", needs=("a",), text="x" * 30_000_000),
+         task("next", needs=("large",))]
+    )  # fmt: skip
+    assert next(outcomes).status == "converged"
+    time.sleep(0.5)
+    began = time.monotonic()
+    assert [o.status for o in outcomes] == ["timeout", "converged"]
+    assert time.monotonic() - began < 20
+
+
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_limit_that_is_none_is_refused(limit: float) -> None:
     with pytest.raises(InputError, match="must be a positive number"):
@@ -160,7 +187,7 @@ LEFT = """
 import signal
 from study.execution.loky import Loky
 from study.execution.task import Task
-from tests.execution.misbehaving import perform
+from tests.execution.misbehaving import never_up, perform
 tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
 tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
 # a shell that starts a test in the background has it ignore Ctrl-C
@@ -214,3 +241,64 @@ def test_tasks_of_a_group_stay_with_one_worker() -> None:
     processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
     assert all(len(own) == 1 for own in processes.values())
     assert processes["a"] != processes["b"]
+
+
+def test_the_longest_comes_first_and_what_others_wait_for_before_them() -> None:
+    """Graham 1969: two workers end after 6, 5 and 6 + 5 where the long ones came last."""
+
+    def nothing(results: Results) -> Document:
+        return {}
+
+    tasks = [
+        Task("short", nothing, seconds=1),
+        Task("case", nothing, ("fit",), seconds=2),
+        Task("fit", nothing, seconds=3),
+        Task("long", nothing, seconds=4),
+        Task("g1", nothing, group="g", seconds=2.5),
+        Task("g2", nothing, group="g", seconds=2),
+    ]
+    assert [t.key for t in longest_first(tasks)] == ["fit", "g1", "long", "case", "g2", "short"]
+    ready = ReadyQueue(tasks, {})
+    assert [t.key for _ in range(4) if (t := ready.take(""))] == ["fit", "g1", "long", "g2"]
+
+
+def test_no_more_run_at_once_than_there_is_room_for() -> None:
+    """Predicted memory: two of 3 beside each other in 7, and one of 20 alone."""
+    sizes = {"giant": 20.0, **{f"t{k}": 3.0 for k in range(6)}}
+    running: list[float] = []
+    most: list[float] = []
+
+    class Counted:
+        """Slot that does its task at once, and is told when it ends."""
+
+        def start(self, text: str, done: Any, ticket: object) -> None:
+            running.append(sizes[text.strip('"')])
+            most.append(sum(running))
+            Timer(0.02, self._end, (text, done, ticket)).start()
+
+        def _end(self, text: str, done: Any, ticket: object) -> None:
+            running.remove(sizes[text.strip('"')])
+            done.put((ticket, Answer('{"status": "converged"}')))
+
+        def kill(self) -> None:
+            """Nothing runs elsewhere."""
+
+    tasks = [
+        Task(key, lambda _, key=key: key, seconds=1.0, memory_MB=size)  # type: ignore[misc]
+        for key, size in sizes.items()
+    ]
+    found = list(
+        Supervisor(ReadyQueue(tasks, {}), [Counted() for _ in range(4)], None, 7.0).outcomes()
+    )
+    assert len(found) == len(sizes)
+    assert sorted(set(most)) == [3.0, 6.0, 20.0]
+
+
+def test_results_are_kept_while_somebody_needs_them() -> None:
+    ready = ReadyQueue([task("a"), task("b", needs=("a",)), task("c", needs=("a",))], {"x": {}})
+    assert ready.results == {}
+    for key, kept in (("a", {"a"}), ("b", {"a"}), ("c", set())):
+        taken = ready.take("")
+        assert taken is not None
+        ready.finish(taken.key, {"status": key})
+        assert set(ready.results) == kept

@@ -11,7 +11,7 @@ import pytest
 from study.analysis.convergence.validation import compare
 from study.api.convergence.cells import affordable, measured_cells
 from study.api.opened_study import open_study
-from study.api.study import _write_manifest
+from study.api.planning.manifest import manifest_of
 from study.api.uncertainty import numerical, validation
 from study.design.load import loads
 from study.design.spec import Design
@@ -46,7 +46,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
 
     # and the study reads it
     work, store = expand(design, one_mix), Store(results / design.name)
-    _write_manifest(store, work, {}, None)
+    store.write_manifest(manifest_of(work))
     rows = open_study(store.path).numerical
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4

@@ -9,8 +9,9 @@ import pytest
 
 from study.analysis.effects.contrast_uncertainty import response_bounds
 from study.api.opened_study import open_study
+from study.api.planning.manifest import manifest_of
 from study.api.statistics.analysis import analyze
-from study.api.study import _write_manifest, report
+from study.api.study import report
 from study.api.uncertainty.credibility import refine
 from study.design.load import loads
 from study.record.record import Record
@@ -90,7 +91,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
 ) -> None:
     store = Store(results)
     refine(work, store, 1, None, None)
-    _write_manifest(store, work, {}, None)
+    store.write_manifest(manifest_of(work))
     study = open_study(results)
     (response,) = study.analyses
     material, mesh, both = response.result.effects

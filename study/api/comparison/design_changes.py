@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.design.load import loads
+from study.record.document import ManifestDocument
 from study.runner.job import TRUTH_SUFFIX
 from study.study_result.comparison import Change
 
@@ -34,6 +36,18 @@ def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
     )
 
 
+def run_changes(first: ManifestDocument, second: ManifestDocument) -> tuple[Change, ...]:
+    """Every input that differs between two runs of a study, by their manifests."""
+    runs = (first, second)
+    designs = [loads(run["design"], run["source"]).config for run in runs]
+    return (
+        *_differing("design", *(_named_keys(design) for design in designs)),
+        *_differing("measurements", *(_sums(run.get("files", {})) for run in runs)),
+        *_differing("truth", *(dict(_leaves(run.get("truths", {}), "truth")) for run in runs)),
+        *_differing("code", *(_code(run.get("versions", {})) for run in runs)),
+    )
+
+
 def _differing(kind: str, first: Mapping[str, str], second: Mapping[str, str]) -> Iterator[Change]:
     for key in dict.fromkeys([*first, *second]):
         values = first.get(key), second.get(key)
@@ -43,7 +57,11 @@ def _differing(kind: str, first: Mapping[str, str], second: Mapping[str, str]) -
 
 def _keys(study: StudyResult) -> dict[str, str]:
     """Dotted keys of a design and their values as text, tables in lists by their names."""
-    return {k: v for k, v in _leaves(study.design.config, "") if k not in _WORDS}
+    return _named_keys(study.design.config)
+
+
+def _named_keys(config: Mapping[str, object]) -> dict[str, str]:
+    return {k: v for k, v in _leaves(config, "") if k not in _WORDS}
 
 
 def _leaves(value: Any, key: str) -> Iterator[tuple[str, str]]:
@@ -74,13 +92,20 @@ def _extent(study: StudyResult) -> dict[str, str]:
 
 
 def _files(study: StudyResult) -> dict[str, str]:
-    files = study.manifest.get("files", {})
-    found = {f"sha256 of {name}": str(sha)[:_DIGITS] for name, sha in files.items()}
-    return found | {"kind": "virtual specimens" if study.manifest["virtual"] else "measured"}
+    return _sums(study.manifest.get("files", {})) | {
+        "kind": "virtual specimens" if study.manifest["virtual"] else "measured"
+    }
+
+
+def _sums(files: Mapping[str, str]) -> dict[str, str]:
+    return {f"sha256 of {name}": str(sha)[:_DIGITS] for name, sha in files.items()}
 
 
 def _versions(study: StudyResult) -> dict[str, str]:
-    versions = study.manifest.get("versions", {})
+    return _code(study.manifest.get("versions", {}))
+
+
+def _code(versions: Mapping[str, str]) -> dict[str, str]:
     return {f"version of {name}": str(value) for name, value in versions.items()}
 
 

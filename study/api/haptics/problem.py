@@ -11,7 +11,7 @@ from typing import cast
 import numpy as np
 
 from study.api.folders import data_root, results_folder
-from study.api.planning.plan import why
+from study.api.planning.why import why
 from study.arrays import Array
 from study.design import load
 from study.errors import Fault, InputError

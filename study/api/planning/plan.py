@@ -1,12 +1,14 @@
-"""What a study will do, what it has done, and why a case is as it is."""
+"""What a study will do, and what it has done."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.api.comparison.design_changes import run_changes
 from study.api.folders import RESULTS, design_root, results_folder
 from study.api.planning.remaining_time import (
     control_seconds,
@@ -17,10 +19,11 @@ from study.api.planning.remaining_time import (
 from study.design.load import load
 from study.design.overview import Overview, overview
 from study.design.spec import Design
-from study.errors import Fault, InputError, MissingDataError, nearest
+from study.errors import InputError, MissingDataError
 from study.forward.external import common_digest
-from study.record.record import Record
+from study.record.document import ManifestDocument
 from study.record.store import Store
+from study.record.survey import Survey
 from study.runner.batch import default_jobs, missing, open_fits
 from study.runner.cost import Costs, program_calls
 from study.runner.expansion import expand
@@ -184,7 +187,9 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     -------
     dict
         The document of ``study status --json``, with ``running`` (pid, host, since, and what its
-        progress line said last) or None; the predicted seconds are those that are left.
+        progress line said last) or None; the predicted seconds are those that are left. Counted
+        are the cases of the last finished run; ``unfinished`` says how far a later one is, of an
+        edited design, and what was edited.
     """
     folder = results_folder(path, results)
     warnings: list[str] = []
@@ -192,58 +197,35 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     manifest = store.read_manifest()
     if manifest is None:
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
-    found = store.survey(manifest["cases"])
-    failures = [record for case in found.failed if (record := store.read(case)) is not None]
-    counts: dict[str, int] = {}
-    for record in failures:
-        counts[record.status] = counts.get(record.status, 0) + 1
+    found, later = store.survey(manifest["cases"]), store.read_unfinished()
     running = store.running()
     return {
         "study": manifest["name"],
-        "cases": {
-            "total": len(manifest["cases"]),
-            "done": len(found.done),
-            "failed": len(found.failed),
-            "missing": len(found.missing),
-        },
+        "cases": _counts(found),
         "predicted_seconds": seconds_left(running),
         "report": None,
         "verdicts": [],
         "warnings": warnings,
-        "failures": counts,
+        "failures": dict(Counter(found.statuses.values())),
         "running": running,
         "timings": manifest.get("timings", {}),
+        "finished": bool(manifest.get("finished", not found.missing)),
+        "unfinished": None if later is None else _unfinished(store, manifest, later),
     }
 
 
-def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
-    """Record of one case, found by the beginning of its id in one study or in all of them.
-
-    Raises
-    ------
-    InputError
-        If no case, or more than one, has an id that begins so.
-    """
-    folders = [results_folder(study, results)] if study is not None else _all_studies(results)
-    found: list[tuple[Store, str]] = []
-    names: list[str] = []
-    for folder in folders:
-        store = Store(folder)
-        ids = [path.name for path in sorted((folder / "cases").glob("*")) if path.is_dir()]
-        names += ids
-        found += [(store, name) for name in ids if name.startswith(case)]
-    if not found or not case:
-        mend = nearest(case, names[:20]) if names else f"there are no records below {results}"
-        raise InputError(Fault("case", f"no case has an id that begins with {case!r}", mend))
-    if len(found) > 1:
-        listed = ", ".join(name for _, name in found[:6])
-        raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
-    store, name = found[0]
-    record = store.read(name)
-    if record is None:
-        raise InputError(Fault("case", f"the record of {name} is damaged; run the study again"))
-    return record
+def _counts(found: Survey) -> dict[str, int]:
+    """Cases of a study: all, and those that are done, failed and missing."""
+    counts = {
+        "done": len(found.done), "failed": len(found.failed), "missing": len(found.missing),
+    }  # fmt: skip
+    return {"total": sum(counts.values()), **counts}
 
 
-def _all_studies(results: str | Path) -> list[Path]:
-    return sorted(path.parent for path in Path(results).glob("*/study.json"))
+def _unfinished(
+    store: Store, manifest: ManifestDocument, later: ManifestDocument
+) -> dict[str, object]:
+    """Describe a run of an edited design that is not finished, and what was edited."""
+    quiet = Store(store.path)
+    changed = [one.sentence for one in run_changes(manifest, later)]
+    return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -18,12 +20,15 @@ if TYPE_CHECKING:
     from study.runner.batch import Progress
     from study.runner.job import CaseJob, Work
 
+#: seconds between two notes for other shells: nobody reads them faster
+NOTED_S = 0.2
+
 
 def controls_of(work: Work, store: Store) -> list[CaseJob]:
     """Cells of the spaces' control that have no solution yet."""
     plain = work.plain()
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
-    return upcoming(plain, store.by_case(hashes), lambda task: is_kept(task, store))
+    return upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
 
 
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
@@ -47,18 +52,24 @@ def with_time_left(
     store: Store, progress: Callable[[Progress], None] | None, later: float
 ) -> Callable[[Progress], None]:
     """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    noted = -math.inf
 
     def note(state: Progress) -> None:
-        whole = replace(state, seconds_left=state.seconds_left + later)
-        store.note(
-            {
-                "done": whole.done,
-                "total": whole.total,
-                "counted": whole.counted,
-                "seconds_left": round(whole.seconds_left, 1),
-                "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            }
-        )
+        nonlocal noted
+        whole, now = replace(state, seconds_left=state.seconds_left + later), time.monotonic()
+        if now - noted > NOTED_S or whole.done == whole.total:
+            noted = now
+            store.note(
+                {
+                    "done": whole.done,
+                    "total": whole.total,
+                    "counted": whole.counted,
+                    "failed": whole.failed,
+                    "label": whole.label[:80],
+                    "seconds_left": round(whole.seconds_left, 1),
+                    "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                }
+            )
         if progress is not None:
             progress(whole)
 

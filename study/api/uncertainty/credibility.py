@@ -34,11 +34,11 @@ def refine(
     timeout_s: float | None,
 ) -> None:
     """Compute the refined cases and store what they say of every response."""
-    series = study_refinement.study_series(work, store.by_case(work.input_hashes))
+    series = study_refinement.study_series(work, store.on_demand(work.input_hashes))
     compute = computing(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
     refinement.refine(series, compute)
     with store.lock():
-        store.write_json("numerical", [asdict(row) for row in uncertainties(work, series)])
+        store.write_rows("numerical", [asdict(row) for row in uncertainties(work, series)])
 
 
 def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
@@ -54,7 +54,7 @@ def compare_spaces(
     progress: Callable[[Progress], None] | None = None,
 ) -> None:
     """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
-    pairs = space_comparison.pairs(work, store.by_case(work.input_hashes))
+    pairs = space_comparison.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
     workers = jobs or default_jobs()
@@ -70,7 +70,7 @@ def compare_spaces(
         space_comparison.compared(pair, *(found[task.key] for task in pair.tasks)) for pair in pairs
     ]
     with store.lock():
-        store.write_json("spaces", [asdict(row) for row in rows])
+        store.write_rows("spaces", [asdict(row) for row in rows])
 
 
 class _Watch:

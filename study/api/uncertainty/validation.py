@@ -41,7 +41,7 @@ def validate(
         run_batch(moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
     rows = compared(work, moved, store)
     with store.lock():
-        store.write_json("validation", rows)
+        store.write_rows("validation", rows)
     return rows
 
 

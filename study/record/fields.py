@@ -1,0 +1,68 @@
+"""Arrays beside a record: packed into one file, whose name holds the hash of its content."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from study.errors import StoreError
+
+#: an array as it was kept: of numbers, flags or text
+Stored = NDArray[np.generic]
+
+MAX_FIELD_BYTES = 4_000_000_000
+_NAME = re.compile(r"fields-[0-9a-f]{16}\.npz")
+
+
+def pack(fields: Mapping[str, ArrayLike]) -> tuple[str, bytes]:
+    """File name and content of some arrays.
+
+    Raises
+    ------
+    TypeError
+        If one of them holds Python objects.
+    """
+    arrays = {name: np.asarray(value) for name, value in fields.items()}
+    bad = [name for name, value in arrays.items() if value.dtype.hasobject]
+    if bad:
+        raise TypeError(f"field {bad[0]!r} holds Python objects, which are never stored")
+    stream = io.BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, **arrays)
+    data = stream.getvalue()
+    return f"fields-{hashlib.sha256(data).hexdigest()[:16]}.npz", data
+
+
+def is_name(name: object) -> bool:
+    """Whether a text is the name of a file of arrays, and no path to somewhere else."""
+    return isinstance(name, str) and _NAME.fullmatch(name) is not None
+
+
+def fits(name: str, data: bytes | None) -> bool:
+    """Whether the content of a file is the one that its name promises."""
+    return data is not None and hashlib.sha256(data).hexdigest()[:16] == name[7:23]
+
+
+def unpack(data: bytes, path: Path) -> dict[str, Stored]:
+    """Arrays of a file.
+
+    Raises
+    ------
+    StoreError
+        If it is no such file, or would unpack to more than any study keeps.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+        if size > MAX_FIELD_BYTES:
+            raise StoreError(f"{path}: unpacks to {size} bytes, which no field file does")
+        with np.load(io.BytesIO(data), allow_pickle=False) as found:
+            return {name: found[name] for name in found.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise StoreError(f"{path}: is no field file ({error})") from error

@@ -1,0 +1,176 @@
+"""A folder of sealed JSON files: crash-safe, one writer at a time, nothing damaged is used."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Self
+
+from study.errors import NewerSchemaError, StoreError
+from study.record import lock
+from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.record.record import plain, seal, unseal
+
+MAX_JSON_BYTES = 200_000_000
+ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
+
+
+class SealedFolder:
+    """Sealed files under names, in a folder that one process at a time may write to.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; made when first written to.
+    warn : callable, optional
+        Receives each warning; all are also kept in ``warnings``.
+    system : FileSystem, optional
+        Operations that change the disk.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        warn: Callable[[str], None] | None = None,
+        system: FileSystem | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.warnings: list[str] = []
+        self._warn = warn
+        self._system = system or FileSystem()
+        self._locked = False
+
+    @contextlib.contextmanager
+    def lock(self) -> Iterator[Self]:
+        """Hold the folder for this process and clear what an interrupted run left behind.
+
+        Raises
+        ------
+        StoreError
+            If another runner holds it (the message names it) or the folder is read-only.
+        """
+        if self._locked:  # the whole of a run holds it, and its parts as well
+            yield self
+            return
+        self._make(self.path)
+        with lock.exclusive(self.path):
+            self._locked = True
+            try:
+                self._begin()
+                yield self
+            except (Exception, KeyboardInterrupt):
+                with contextlib.suppress(StoreError):  # what went wrong matters more
+                    self._end()
+                raise
+            else:
+                self._end()
+            finally:
+                self._locked = False
+
+    def note(self, progress: Mapping[str, object]) -> None:
+        """Say to other processes how far the runner is, while this one holds the folder."""
+        if self._locked:
+            lock.sign(self.path, progress)
+
+    def running(self) -> dict[str, object] | None:
+        """Pid, host, start and progress of the runner in this folder; None if there is none."""
+        return lock.holder(self.path) if lock.is_locked(self.path) else None
+
+    def write_json(self, name: str, content: object) -> None:
+        """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
+        lost: dict[str, str] = {}
+        clean = plain(content, name, lost)
+        if lost and isinstance(clean, dict):
+            clean["not_finite"] = lost
+        write_atomic(self._json(name), seal(clean).encode(), self._system)
+
+    def read_json(self, name: str) -> object:
+        """Content stored under a name; None if there is none or it is damaged (set aside)."""
+        path = self._json(name)
+        data = self._bytes(path)
+        if data is None:
+            return None
+        try:
+            return unseal(data, str(path))
+        except NewerSchemaError:
+            raise
+        except StoreError as error:
+            self._set_aside(path, str(error))
+            return None
+
+    def _begin(self) -> None:
+        """Do what the owner of the folder does first."""
+
+    def _end(self) -> None:
+        """Do what the owner of the folder does last."""
+
+    def _json(self, name: str) -> Path:
+        if not all(ID.fullmatch(part) for part in name.split("/")):
+            raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
+        return self._inside(self.path / f"{name}.json")
+
+    def _inside(self, path: Path) -> Path:
+        """Refuse a place that a link leads out of the results folder."""
+        below = path.relative_to(self.path).parts
+        names = [os.path.join(self.path, *below[: k + 1]) for k in range(len(below))]
+        if not any(map(os.path.islink, names)):
+            return path
+        try:
+            inside = path.resolve().is_relative_to(self.path.resolve())
+        except (OSError, RuntimeError, ValueError) as error:
+            raise StoreError(f"{path}: cannot be used ({error})") from error
+        if not inside:
+            raise StoreError(f"{path}: a link leads outside the results folder; remove it")
+        return path
+
+    def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
+        try:
+            if path.stat().st_size > limit:
+                self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
+                return None
+            return path.read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+    def _make(self, folder: Path) -> None:
+        try:
+            self._system.make_folder(folder)
+        except OSError as error:
+            raise StoreError(f"{folder}: cannot be made ({error.strerror or error})") from error
+
+    def _set_aside(self, path: Path, why: str) -> None:
+        """Rename a damaged file; a reader without the lock leaves it to the next runner.
+
+        Without the lock, a runner could replace the file by a good one between our reading
+        and our renaming.
+        """
+        if not self._locked:
+            self._say(f"{why}; it is not used, and the next run replaces it")
+            return
+        number = 1
+        while (target := path.with_name(f"{path.name}.corrupt-{number}")).exists():
+            number += 1
+        try:
+            self._system.replace(path, target)
+        except OSError as error:
+            self._say(f"{why}; it is not used, but could not be renamed ({error})")
+            return
+        self._say(f"{why}; it was renamed to {target.name} and will be computed again")
+
+    def _clear_leftovers(self, folders: Iterable[str]) -> None:
+        for folder in folders:
+            with contextlib.suppress(OSError):  # ignored by every reader anyway
+                for name in filter(is_leftover, os.listdir(folder)):
+                    self._system.unlink(Path(folder, name))
+
+    def _say(self, message: str) -> None:
+        if message in self.warnings:
+            return
+        self.warnings.append(message)
+        if self._warn is not None:
+            self._warn(message)

@@ -1,0 +1,194 @@
+"""What every record says of itself, so that nobody has to read them all to count them.
+
+An entry holds for as long as its file is the one that was read: same size, same times. Whatever
+differs is read again. The index decides nothing: without it, everything is read again.
+
+Times have a grain, some milliseconds on most file systems: a file that changed twice within one
+grain looks unchanged. An entry is therefore believed only where the index was written later than
+its record (as git does, "Racy Git", Documentation/technical/racy-git.txt).
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from study.errors import StoreError
+from study.record.libraries import name_of
+from study.record.record import CONVERGED, Record, seal, unseal
+
+#: name of the stored file, of which a study's own files must not be
+NAME = "index"
+
+#: name of the file of a case's record
+CURRENT = "record.json"
+
+#: entries that are noted before the index is written, at least; then a share of those it has,
+#: so that all writing together grows no faster than the number of records
+FEWEST = 500
+SHARE = 4
+
+
+@dataclass(frozen=True)
+class FileStamp:
+    """A file as it lies on the disk; whoever alters it alters one of these."""
+
+    size: int
+    modified_ns: int
+    changed_ns: int
+
+    @classmethod
+    def of(cls, path: str | Path) -> FileStamp | None:
+        """Stamp of a file; None if there is none."""
+        try:
+            found = os.stat(path)
+        except (OSError, ValueError):
+            return None
+        return cls(found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+
+
+#: stamp of no file
+NOWHERE = FileStamp(0, 0, 0)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What a record said when it was read.
+
+    Parameters
+    ----------
+    stamp : FileStamp
+        The file that was read.
+    status, input_hash : str
+        As in the record.
+    libraries : str
+        Name of the libraries that made it, by :func:`study.record.libraries.name_of`.
+    mesh : str
+        Hash of its mesh; empty without one.
+    """
+
+    stamp: FileStamp
+    status: str
+    input_hash: str
+    libraries: str = ""
+    mesh: str = ""
+
+    @property
+    def converged(self) -> bool:
+        """Whether the case has an answer."""
+        return self.status == CONVERGED
+
+    @property
+    def row(self) -> list[object]:
+        """Plain data for the file."""
+        stamp = self.stamp
+        times = stamp.size, stamp.modified_ns, stamp.changed_ns
+        return [*times, self.status, self.input_hash, self.libraries, self.mesh]
+
+    @classmethod
+    def of(cls, record: Record, stamp: FileStamp = NOWHERE) -> Entry:
+        """Entry of a record, from the file of that stamp."""
+        made_with, mesh = name_of(record.versions), record.mesh.get("hash", "")
+        return cls(stamp, record.status, record.input_hash, made_with, mesh)
+
+
+class RecordIndex:
+    """Entries of the records of a results folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The results folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._cases = os.path.join(folder, "cases", "")
+        self._path = folder / f"{NAME}.json"
+        self._written_ns = 0
+        self._known: dict[str, Entry] = {}
+        self._fresh: dict[str, Entry] = {}
+        self._altered = False
+        self._load()
+
+    def entry(self, case_id: str) -> Entry | None:
+        """Entry of a record that was not touched since; None where it has to be read."""
+        found = self._known.get(case_id)
+        if found is None or found.stamp.changed_ns >= self._written_ns:
+            return None
+        stamp = FileStamp.of(f"{self._cases}{case_id}{os.sep}{CURRENT}")
+        return found if stamp == found.stamp else None
+
+    def note(self, record: Record, stamp: FileStamp | None) -> None:
+        """Keep what a record says that was read or written whole, from the file of that stamp."""
+        if stamp is None:
+            return
+        entry = Entry.of(record, stamp)
+        if self._known.get(record.case_id) != entry or stamp.changed_ns >= self._written_ns:
+            self._fresh[record.case_id] = entry
+
+    def forget(self, case_id: str) -> None:
+        """Drop the entry of a record that is damaged or gone."""
+        lost = self._known.pop(case_id, None), self._fresh.pop(case_id, None)
+        self._altered |= any(lost)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether so much was noted that it should be written now."""
+        return len(self._fresh) >= max(FEWEST, len(self._known) // SHARE)
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether the file says something else than is known."""
+        new = any(self._known.get(name) != entry for name, entry in self._fresh.items())
+        return self._altered or new or self._is_racy
+
+    @property
+    def _is_racy(self) -> bool:
+        """Whether some entry is not believed for being as young as the file."""
+        return any(entry.stamp.changed_ns >= self._written_ns for entry in self._known.values())
+
+    def text(self) -> str:
+        """Everything that is known, sealed."""
+        whole = {**self._known, **self._fresh}
+        return seal({name: entry.row for name, entry in whole.items()})
+
+    def written(self) -> None:
+        """Take over what was noted, once :meth:`text` lies on the disk."""
+        self._known |= self._fresh
+        self._fresh, self._altered = {}, False
+        stamp = FileStamp.of(self._path)
+        self._written_ns = 0 if stamp is None else stamp.modified_ns
+
+    def _load(self) -> None:
+        """Read the file; one that is missing, damaged or foreign is as none."""
+        try:
+            with open(self._path, "rb") as stream:
+                written = os.fstat(stream.fileno()).st_mtime_ns
+                content = unseal(stream.read(), str(self._path))
+        except (OSError, StoreError):
+            return
+        if not isinstance(content, dict):
+            return
+        try:
+            self._known = {str(name): _entry(row) for name, row in content.items()}
+        except (TypeError, ValueError):
+            return
+        self._written_ns = written
+
+
+def _entry(row: object) -> Entry:
+    """Read an entry back.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is none.
+    """
+    if not isinstance(row, list):
+        raise TypeError("an entry is a list")
+    size, modified, changed, *said = row
+    if not all(isinstance(n, int) for n in (size, modified, changed)):
+        raise TypeError("a stamp has whole numbers")
+    status, input_hash, libraries, mesh = map(str, said)
+    return Entry(FileStamp(size, modified, changed), status, input_hash, libraries, mesh)

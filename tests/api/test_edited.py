@@ -1,0 +1,196 @@
+"""What becomes of a finished study when its design, data, code or libraries change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from study import api
+from study.errors import InputError, RefusedError
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.batch import Progress
+from tests.cli.small import DESIGN, study, write_files
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a study that was run."""
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    api.run("small.toml", data="data", jobs=2, reports=None)
+    return tmp_path
+
+
+def edited(home: Path) -> None:
+    """Another range, which four cells have, and an answer at another level."""
+    text = DESIGN.replace('["1 %", "20 %"]', '["1 %", "15 %"]')
+    (home / "small.toml").write_text(text + "[analysis]\nalpha = 0.01\n")
+
+
+class Enough(Exception):
+    """The run is stopped here."""
+
+
+def interrupted(home: Path, after: int) -> None:
+    """Run the study, and stop it as soon as so many computations are finished."""
+
+    def stop(state: Progress) -> None:
+        if state.done == after:
+            raise Enough
+
+    with pytest.raises(Enough):
+        api.run("small.toml", data="data", jobs=1, reports=None, progress=stop)
+
+
+def test_the_finished_study_is_read_until_the_edited_one_is_finished(home: Path) -> None:
+    before = study("analyze", "results/small", "--json").json
+    table = api.open_study("results/small").table
+    edited(home)
+    interrupted(home, 8)
+    found = study("status", "small", "--json").json
+    assert found["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert found["finished"]
+    later = found["unfinished"]
+    assert later["cases"]["total"] == 12
+    assert 6 <= later["cases"]["done"] < 12  # the six of the other range are shared
+    assert set(later["changed"]) == {
+        "presets.range.large.measurements.range: from 1 %, 20 % to 1 %, 15 %",
+        "analysis.alpha: 0.01, not set before",
+    }
+    words = study("status", "small").out
+    assert "12 cases: 12 done" in words
+    assert "that is its last finished run; a later one has 12 cases" in words
+    assert "presets.range.large.measurements.range: from 1 %, 20 % to 1 %, 15 %" in words
+    # every number is still that of the finished run, and the report says which run it is
+    assert study("analyze", "results/small", "--json").json == before
+    assert api.open_study("results/small").table.equals(table)
+    reported = study("report", "small", "--json")
+    assert "this is the last finished run; one of an edited design" in reported.err
+    assert "run small.toml again to finish it" in reported.err
+    # once it is finished, it is the one that is read
+    api.run("small.toml", data="data", jobs=1, reports=None)
+    assert study("status", "small", "--json").json["unfinished"] is None
+    assert api.open_study("results/small").design.analysis.alpha == 0.01
+    assert len(Store(home / "results/small").read_runs()) == 2
+
+
+def test_why_names_the_input_that_changed(home: Path) -> None:
+    cases = {r.levels["range"]: r.case_id for r in api.open_study("results/small").records}
+    used = study("why", cases["large"])
+    assert "the study uses it" in used.out
+    edited(home)
+    # before anything ran: the file as it is now
+    gone = study("why", cases["large"], "--study", "small.toml", "--data", "data")
+    assert "the study has this case no more" in gone.out
+    assert "presets.range.large.measurements.range: from 1 %, 20 % to 1 %, 15 %" in gone.out
+    api.run("small.toml", data="data", jobs=1, reports=None)
+    found = study("why", cases["large"], "--json").json["state"]
+    assert found["use"] == "the study has this case no more"
+    assert {
+        "kind": "design",
+        "key": "presets.range.large.measurements.range",
+        "values": ["1 %, 20 %", "1 %, 15 %"],
+    } in found["changes"]
+    assert "the study uses it" in study("why", cases["small"]).out
+
+
+def test_why_names_the_file_that_changed(home: Path) -> None:
+    cases = {r.block: r.case_id for r in api.open_study("results/small").records}
+    data = home / "data" / "tests.csv"
+    text = data.read_text()
+    assert "M1,A,1,2.0000," in text
+    data.write_text(text.replace("M1,A,1,2.0000,", "M1,A,1,2.0010,"))
+    said = {
+        block: study("why", case, "--study", "small.toml", "--data", "data").out
+        for block, case in cases.items()
+    }
+    assert "makes it of other inputs now" in said["M1"]
+    assert "sha256 of tests.csv: from " in said["M1"]
+    assert "the study uses it" in said["M2"]  # its own rows are as they were
+
+
+def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cases keep their names and none its input: each record is laid by for the old study."""
+    before = study("analyze", "results/small", "--json").json
+    for module in ("expansion", "fitting.fit_task"):
+        monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "1+other")
+    monkeypatch.setattr("study.runner.provenance.code_version", lambda: "1+other")
+    with pytest.raises(RefusedError, match="12 results have another input"):
+        api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
+    interrupted(home, 20)
+    found = study("status", "small", "--json").json
+    assert found["cases"]["done"] == 12
+    assert 0 < found["unfinished"]["cases"]["done"] < 12
+    assert any("version of study: from" in line for line in found["unfinished"]["changed"])
+    assert study("analyze", "results/small", "--json").json == before
+
+
+def older(record: Record) -> Record:
+    """Make a record of another numpy."""
+    return replace(record, versions={**record.versions, "numpy": "1.0.0"})
+
+
+def test_other_libraries_are_told_refused_or_made_again(home: Path) -> None:
+    store = Store(home / "results" / "small")
+    records = store.read_all()
+    now = records[0].versions["numpy"]
+    for record in records[:5]:
+        store.write(older(record))
+    with pytest.raises(RefusedError, match=rf"5 results .* libraries: numpy 1\.0\.0, now {now}"):
+        api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
+    warned = api.run("small.toml", data="data", jobs=1, reports=None)
+    assert any(f"numpy 1.0.0, now {now}; they are used" in text for text in warned.warnings)
+    assert sum(r.versions["numpy"] == "1.0.0" for r in store.read_all()) == 5
+    told = study("why", records[0].case_id).out
+    assert "though other libraries made it" in told
+    assert f"numpy: from 1.0.0 to {now}" in told
+    again = api.run("small.toml", data="data", jobs=1, reports=None, stale="rerun")
+    assert not any("numpy" in text for text in again.warnings)
+    assert {r.versions["numpy"] for r in store.read_all()} == {now}
+    # the digits are those of the first time: nothing else changed
+    values = {r.case_id: r.value("relative_rms_force_error") for r in records}
+    assert {r.case_id: r.value("relative_rms_force_error") for r in again.records} == values
+    with pytest.raises(InputError, match="did you mean 'warn'"):
+        api.run("small.toml", data="data", stale="worn", reports=None)
+
+
+def test_cases_of_one_cell_on_two_meshes_are_told(home: Path) -> None:
+    store = Store(home / "results" / "small")
+    records = store.read_all()
+    for number, record in enumerate(records):
+        store.write(replace(record, mesh={**record.mesh, "hash": f"m{number % 2}"}))
+    found = api.run("small.toml", data="data", jobs=1, reports=None)
+    assert any("were computed on different meshes" in text for text in found.warnings)
+    for record in records:
+        store.write(replace(record, mesh={**record.mesh, "hash": "m0"}))
+    found = api.run("small.toml", data="data", jobs=1, reports=None)
+    assert not any("different meshes" in text for text in found.warnings)
+
+
+def test_a_newer_manifest_is_refused_politely(home: Path) -> None:
+    path = home / "results" / "small" / "study.json"
+    text = path.read_text().replace('{"schema":1,', '{"schema":3,', 1)
+    path.write_text(text)
+    for verb in (("status", "small"), ("report", "small"), ("run", "small.toml", "--data", "data")):
+        answer = study(*verb)
+        assert answer.code == 2
+        assert "written by a newer study (schema 3, this version reads 1)" in answer.err
+        assert "Traceback" not in answer.err
+    assert path.read_text() == text
+
+
+def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
+    """A run in room for nothing does one thing after the other, and comes to the same digits."""
+    before = api.open_study("results/small").table
+    found = api.run(
+        "small.toml", data="data", jobs=2, reports=None, memory="1 MB", results=home / "again"
+    )
+    columns = ["case_id", "relative_rms_force_error"]
+    assert found.table[columns].equals(before[columns])
+    for text in ("20", "20 mm", "-1 GB", "0 MB"):
+        answer = study("run", "small.toml", "--data", "data", f"--memory={text}")
+        assert answer.code == 2
+        assert "memory" in answer.err

@@ -1,0 +1,170 @@
+"""The index of records spares reading them, and is believed only while it is right."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from study.record.record import Record, seal
+from study.record.store import Store
+from tests.record.samples import record
+from tests.record.test_store import CASES, WANTED, run
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the records that were read from the disk since."""
+    found: list[str] = []
+    before = Store.read
+
+    def noted(self: Store, case_id: str, input_hash: str | None = None) -> Record | None:
+        found.append(case_id)
+        return before(self, case_id, input_hash)
+
+    monkeypatch.setattr(Store, "read", noted)
+    return found
+
+
+def settled(path: Path) -> None:
+    """Let the clock of the disk go on, and have the index written later than every record."""
+    run(path)
+    time.sleep(0.02)
+    (path / "index.json").unlink(missing_ok=True)
+    with Store(path).lock() as store:
+        store.survey(WANTED)
+
+
+def test_a_survey_reads_no_record_that_the_index_knows(tmp_path: Path, read: list[str]) -> None:
+    settled(tmp_path)
+    read.clear()
+    found = Store(tmp_path).survey(WANTED)
+    assert found.done == CASES
+    assert read == []
+
+
+def test_whatever_differs_is_read_again(tmp_path: Path, read: list[str]) -> None:
+    settled(tmp_path)
+    victim = tmp_path / "cases" / "b2" / "record.json"
+    stamp = victim.stat()
+    text = victim.read_text()
+    # as long as before, and as old: only the time that nobody can set tells
+    victim.write_text(text.replace('"converged"', '"convergee"'))
+    os.utime(victim, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
+    assert victim.stat().st_size == stamp.st_size
+    read.clear()
+    store = Store(tmp_path)
+    assert store.survey(WANTED).missing == ("b2",)
+    assert read == ["b2"]
+    assert "damaged" in store.warnings[0]
+
+
+def test_a_record_written_by_hand_in_place_of_another_is_seen(tmp_path: Path) -> None:
+    settled(tmp_path)
+    failed = record("b2", status="crashed", message="signal 9").to_json()
+    (tmp_path / "cases" / "b2" / "record.json").write_text(failed)
+    found = Store(tmp_path).survey(WANTED)
+    assert (found.failed, dict(found.statuses)) == (("b2",), {"b2": "crashed"})
+    (tmp_path / "cases" / "c3" / "record.json").unlink()
+    assert Store(tmp_path).survey(WANTED).missing == ("c3",)
+
+
+@pytest.mark.parametrize(
+    "damage", [None, b"", b"{", b"[]", b"\xff", b'{"schema":1,"checksum":"","content":{}}']
+)
+def test_a_lost_or_damaged_index_is_made_again(
+    tmp_path: Path, read: list[str], damage: bytes | None
+) -> None:
+    settled(tmp_path)
+    index = tmp_path / "index.json"
+    whole = index.read_bytes()
+    index.unlink() if damage is None else index.write_bytes(damage)
+    read.clear()
+    looker = Store(tmp_path)
+    assert looker.survey(WANTED).done == CASES
+    assert sorted(read) == list(CASES)
+    assert looker.warnings == []
+    assert (not index.exists()) if damage is None else index.read_bytes() == damage
+    with Store(tmp_path).lock() as store:
+        assert store.done_ids(WANTED) == set(CASES)
+    assert json.loads(index.read_bytes())["content"] == json.loads(whole)["content"]
+
+
+def test_an_index_that_vouches_for_a_damaged_record_is_thrown_away(tmp_path: Path) -> None:
+    """A disk may lose bits and change no time: the reader finds it, the next run replaces it."""
+    settled(tmp_path)
+    victim = tmp_path / "cases" / "b2" / "record.json"
+    victim.write_bytes(b"{}")
+    stamp = victim.stat()
+    index = tmp_path / "index.json"
+    rows = json.loads(index.read_bytes())["content"]
+    rows["b2"][:3] = stamp.st_size, stamp.st_mtime_ns, stamp.st_ctime_ns
+    time.sleep(0.02)
+    index.write_text(seal(rows))
+    assert Store(tmp_path).survey(WANTED).done == CASES  # deceived
+    assert Store(tmp_path).read("b2") is None
+    assert not index.exists()
+    assert Store(tmp_path).survey(WANTED).missing == ("b2",)
+    assert run(tmp_path).survey(WANTED).done == CASES
+
+
+def test_an_entry_as_young_as_the_index_is_not_believed(tmp_path: Path, read: list[str]) -> None:
+    """Within one grain of the clock a file may change twice and look the same."""
+    settled(tmp_path)
+    stamp = (tmp_path / "cases" / "a1" / "record.json").stat()
+    os.utime(tmp_path / "index.json", ns=(stamp.st_ctime_ns, stamp.st_ctime_ns))
+    read.clear()
+    Store(tmp_path).survey({"a1": WANTED["a1"]})
+    assert read == ["a1"]
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.binary(max_size=300)
+    | st.recursive(
+        st.none() | st.integers() | st.text(max_size=5),
+        lambda inner: st.lists(inner, max_size=6) | st.dictionaries(st.sampled_from(CASES), inner),
+    ).map(lambda content: seal(content).encode())
+)
+def test_any_bytes_as_an_index(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
+    path = tmp_path_factory.mktemp("index")
+    run(path)
+    (path / "index.json").write_bytes(data)
+    store = Store(path)
+    assert store.survey(WANTED).done == CASES
+    assert store.warnings == []
+
+
+def test_ten_thousand_cases_are_counted_at_once(tmp_path: Path) -> None:
+    """Processor seconds of counting them, of which reading each one took 1.3 before."""
+    count = 10_000
+    names = [f"c{k}" for k in range(count)]
+    text = {name: record(name).to_json() for name in names}
+    for name in names:
+        folder = tmp_path / "cases" / name
+        folder.mkdir(parents=True)
+        (folder / "record.json").write_text(text[name])
+    wanted = {name: "h-" + name for name in names}
+    time.sleep(0.02)
+    with Store(tmp_path).lock() as store:
+        assert len(store.survey(wanted).done) == count
+    began = time.process_time()
+    assert len(Store(tmp_path).survey(wanted).done) == count
+    assert time.process_time() - began < 0.4
+
+
+def test_the_index_is_written_while_a_long_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever looks while it runs, or after a kill, reads a share of the records at most."""
+    monkeypatch.setattr("study.record.index.FEWEST", 10)
+    with Store(tmp_path).lock() as store:
+        for k in range(100):
+            store.write(record(f"c{k}"))
+        content = json.loads((tmp_path / "index.json").read_bytes())["content"]
+        assert 70 <= len(content) < 100

@@ -1,0 +1,154 @@
+"""A finished study stays readable while an edited one is computed, whatever happens meanwhile."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from study.errors import NewerSchemaError, StoreError
+from study.record.document import ManifestDocument
+from study.record.record import seal
+from study.record.store import Store
+from study.record.table import table
+from tests.record.disk import FailingDisk, PowerLoss
+from tests.record.samples import record
+
+CASES = ("a1", "b2", "c3")
+OLD = {name: "old-" + name for name in CASES}
+#: the edited study drops a case, makes two of other inputs, and adds one
+NEW = {"b2": "new-b2", "c3": "new-c3", "d4": "new-d4"}
+
+
+def manifest(design: str, cases: dict[str, str]) -> ManifestDocument:
+    values: dict[str, Any] = {"name": "demo", "design": design, "cases": cases}
+    return cast(ManifestDocument, values)
+
+
+def compute(
+    path: Path, design: str, cases: dict[str, str], disk: FailingDisk | None = None
+) -> None:
+    """Run a study: what is missing is computed, with rows beside it."""
+    store = Store(path, system=disk)
+    with store.lock():
+        store.begin_run(manifest(design, cases))
+        for name in [n for n in cases if n not in store.done_ids(cases)]:
+            found = {"value": float(len(design)), "unit": "%"}
+            store.write(record(name, input_hash=cases[name], responses={"error": found}))
+        store.write_rows("numerical", [{"of": design}])
+        store.finish_run(manifest(design, cases))
+
+
+def seen(path: Path) -> tuple[object, ...]:
+    """Everything that a reader gets of the last finished run."""
+    store = Store(path)
+    known = store.read_manifest()
+    assert known is not None
+    records = store.records(known["cases"])
+    counted = store.survey(known["cases"])
+    assert counted.missing == ()
+    assert store.warnings == []
+    return known["design"], table(records).to_csv(), store.read_rows("numerical")
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, object, int]:
+    """Finished study, edited study, and the operations of the disk that lie between."""
+    path = tmp_path_factory.mktemp("clean")
+    compute(path, "old", OLD)
+    old, disk = seen(path), FailingDisk()
+    compute(path, "newer", NEW, disk)
+    return old, seen(path), disk.count
+
+
+@pytest.mark.parametrize("power_loss", [False, True], ids=["disk full", "power loss"])
+def test_one_of_the_two_is_whole_after_a_failure_at_every_operation(
+    tmp_path: Path, expected: tuple[object, object, int], power_loss: bool
+) -> None:
+    old, new, operations = expected
+    assert operations > 45
+    readable = set()
+    for k in range(1, operations + 1):
+        path = tmp_path / str(k)
+        compute(path, "old", OLD)
+        with contextlib.suppress(StoreError, PowerLoss):
+            compute(path, "newer", NEW, FailingDisk(k, power_loss))
+        found = seen(path)
+        if found[2] == old[2]:  # type: ignore[index]
+            assert found == old, k
+        else:  # rows go first, and the manifest that they belong to at once after them
+            assert found in (new, (*old[:2], new[2])), k  # type: ignore[index]
+        readable.add(found[0])
+        compute(path, "newer", NEW)
+        assert seen(path) == new, k
+    assert readable == {"old", "newer"}
+
+
+def test_each_run_has_a_manifest_and_the_latest_comes_first(tmp_path: Path) -> None:
+    compute(tmp_path, "old", OLD)
+    compute(tmp_path, "old", OLD)  # resumed with nothing to do: it is the same run
+    compute(tmp_path, "newer", NEW)
+    store = Store(tmp_path)
+    assert [run["design"] for run in store.read_runs()] == ["newer", "old"]
+    assert store.read_unfinished() is None
+    assert not list((tmp_path / "cases").glob("*/record-*.json"))
+    assert not list(tmp_path.glob("unfinished*"))
+
+
+def test_an_edit_that_is_taken_back_finds_what_was_there(tmp_path: Path) -> None:
+    compute(tmp_path, "old", OLD)
+    store = Store(tmp_path)
+    with store.lock():
+        store.begin_run(manifest("newer", NEW))
+        store.write(record("b2", input_hash="new-b2"))
+    later = Store(tmp_path).read_unfinished()
+    assert later is not None
+    assert Store(tmp_path).survey(later["cases"]).done == ("b2",)
+    assert Store(tmp_path).survey(OLD).done == CASES
+    before = [r.to_json() for r in Store(tmp_path).records(OLD)]
+    compute(tmp_path, "old", OLD)
+    assert [r.to_json() for r in Store(tmp_path).records(OLD)] == before
+    assert Store(tmp_path).read_unfinished() is None
+
+
+def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_path: Path) -> None:
+    then, now = {"numpy": "1.26.4", "gmsh": "4.13"}, {"numpy": "2.2.1", "gmsh": "4.13"}
+    store = Store(tmp_path)
+    with store.lock():
+        store.made_with(then)
+        for name in CASES:
+            versions = {"study": "1", "python": "3.11", **(then if name != "c3" else now)}
+            store.write(record(name, input_hash=OLD[name], versions=versions))
+        store.write_fit("f1", {"C10": 0.5})
+    found = Store(tmp_path).other_libraries(OLD, {"python": "3.13", **now})
+    assert [(one.cases, one.changes) for one in found] == [
+        (("a1", "b2"), {"numpy": ("1.26.4", "2.2.1")})
+    ]
+    assert found[0].sentence == (
+        "2 results were made with other libraries: numpy 1.26.4, now 2.2.1"
+    )
+    strict = Store(tmp_path)
+    strict.made_with(now, strict=True)
+    assert strict.done_ids(OLD) == {"c3"}
+    assert [r.case_id for r in strict.records(OLD)] == ["c3"]
+    assert strict.read_fit("f1") is None
+    assert Store(tmp_path).read_fit("f1") == {"C10": 0.5}
+    assert Store(tmp_path).done_ids(OLD) == set(CASES)
+
+
+@pytest.mark.parametrize("victim", ["study.json", "cases/b2/record.json"])
+def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path: Path, victim: str) -> None:
+    compute(tmp_path, "old", OLD)
+    path = tmp_path / victim
+    text = seal({"a": 1}).replace('"schema":1', '"schema":3').replace('"checksum"', '"sum"')
+    path.write_text(text)
+    looker = Store(tmp_path)
+    look = looker.read_manifest if victim == "study.json" else lambda: looker.survey(OLD)
+    with pytest.raises(NewerSchemaError, match=r"newer study \(schema 3, this version reads 1\)"):
+        look()
+    with pytest.raises(NewerSchemaError, match="pip install --upgrade"):
+        compute(tmp_path, "old", OLD)
+    assert path.read_text() == text
+    assert not list(tmp_path.rglob("*.corrupt-*"))
