@@ -8,7 +8,8 @@
     |   `-- UnitError          a value without its unit, or with one of the wrong dimension
     |-- MeshError            no usable mesh; a status of its case
     |-- RefusedError           the answer would be meaningless (exit 3)
-    `-- StoreError             records that cannot be read, written or locked (exit 2)
+    |-- StoreError             records that cannot be read, written or locked (exit 2)
+    `-- SchedulerLostError     the cluster is gone in the middle of a run (exit 130, resumable)
 
 Expected failure of a computation (a case that did not converge) is a status in a
 record, never an exception that leaves ``runner``.
@@ -79,6 +80,12 @@ class RefusedError(StudyError):
 
 class StoreError(StudyError):
     """Records on disk that cannot be read, written or locked."""
+
+
+class SchedulerLostError(StudyError):
+    """The scheduler of a cluster was lost while tasks ran; what is finished is kept."""
+
+    exit_code = 130
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

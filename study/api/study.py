@@ -32,13 +32,16 @@ from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
-from study.runner.provenance import versions
+from study.runner.provenance import surface_files, versions
+from study.runner.tasks import computing_on
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 
 if TYPE_CHECKING:
+    from study.execution.task import Executor
     from study.runner.batch import Progress, Summary
     from study.runner.job import Work
+    from study.runner.tasks import Engine
 
 load_design = load
 
@@ -69,6 +72,7 @@ def run(
     allow_commands: bool | str = False,
     forward: Function | None = None,
     version: str = "",
+    engine: Engine | None = None,
 ) -> StudyResult:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -103,6 +107,9 @@ def run(
         What ``forward.model = "python"`` stands for; to give it is to allow it.
     version : str
         Identity of that function, part of the key of every result.
+    engine : str, Path, distributed.Client or Executor, optional
+        Where to compute instead of processes of this machine: the address or the scheduler file
+        of a Dask cluster, a client of one, or an executor. Results do not depend on it.
 
     Returns
     -------
@@ -114,7 +121,10 @@ def run(
     InputError
         For a faulty design or faulty data; nothing is written then.
     RefusedError
-        If the design runs programs that nobody allowed, or that are not there.
+        If the design runs programs that nobody allowed, or that are not there; if versions of
+        the cluster's workers differ from those of this machine.
+    SchedulerLostError
+        If the scheduler is lost in the middle; what is finished is kept.
     """
     clock = _Clock()
     check_limit(timeout_s)
@@ -126,11 +136,15 @@ def run(
     work = expand(loaded, data_root(loaded.source, data), allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
+    executor = None
+    if engine is not None:
+        read = {path for job in work.jobs for path in surface_files(job.case.config)}
+        executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
     warnings: list[str] = []
     store = Store(results / loaded.name, warn=warnings.append)
     with store.lock():
         _write_manifest(store, work, {}, None)
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
+        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, executor)
         _write_manifest(store, work, clock.parts, summary)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
@@ -145,22 +159,26 @@ def _compute(
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
     refine: bool,
+    executor: Executor | None,
 ) -> Summary:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
     workers, plain = jobs or default_jobs(), work.plain()
     finer = refinement_seconds(work, store, workers) if refine else 0.0
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
-    summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
+    summary = run_batch(
+        work, store, jobs=jobs, progress=noted, timeout_s=timeout_s, executor=executor
+    )
     clock.mark("calibration and simulation")
     if not refine:
         return summary
     noted = with_time_left(store, progress, spaces)
-    credibility.refine(plain, store, jobs, noted, timeout_s)
-    credibility.compare_spaces(plain, store, jobs, with_time_left(store, progress, 0.0))
+    credibility.refine(plain, store, jobs, noted, timeout_s, executor)
+    noted = with_time_left(store, progress, 0.0)
+    credibility.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty:
-        validate(plain, store, jobs, progress, timeout_s)
+        validate(plain, store, jobs, progress, timeout_s, executor)
         clock.mark("uncertain inputs")
     return summary
 

@@ -108,6 +108,9 @@ def run(
     allow_digest: Annotated[
         str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
     ] = "",
+    scheduler: Annotated[
+        str, typer.Option(help="Compute on a Dask cluster: its address, or its scheduler file.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -117,7 +120,7 @@ def run(
         study = api.run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
-            allow_commands=allow_commands or allow_digest,
+            allow_commands=allow_commands or allow_digest, engine=scheduler or None,
         )  # fmt: skip
     _finish(study, as_json)
 

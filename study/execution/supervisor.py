@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import queue
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from study.execution.queue import ReadyQueue
-from study.execution.task import Outcome, Task
+from study.execution.task import Outcome, Task, stopped_late
 
 #: a task whose worker died is tried once more: the machine may have been short of memory
 MAX_DEATHS = 2
@@ -63,12 +63,17 @@ class Supervisor:
         As many as tasks may run at once.
     limit_s : float, optional
         Wall-clock limit of one task in seconds, enforced from outside: a task that holds the
-        interpreter, or whose answer never leaves its pipe, is stopped all the same.
+        interpreter, or whose answer never leaves its pipe, is stopped all the same. None also
+        where the slots enforce it themselves.
+    arrivals : callable
+        Slots that have come since it was last called; asked every ``LONGEST_WAIT_S`` or more
+        often, so that it may also look whether the slots there are still in working order.
     """
 
     ready: ReadyQueue
     slots: list[Slot]
     limit_s: float | None = None
+    arrivals: Callable[[], Sequence[Slot]] = tuple
     deaths: dict[str, int] = field(default_factory=dict)
 
     def outcomes(self) -> Generator[Outcome, None, None]:
@@ -77,6 +82,7 @@ class Supervisor:
         done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
         try:
             while len(self.ready) or any(desk.task for desk in desks):
+                desks += [Desk(slot) for slot in self.arrivals()]
                 self._hand_out(desks, done)
                 busy = [desk for desk in desks if desk.task]
                 if not busy:
@@ -142,7 +148,6 @@ class Supervisor:
             if desk.task is None or self.limit_s is None or seconds <= self.limit_s:
                 continue
             desk.slot.kill()
-            message = f"stopped after {self.limit_s:g} s, the limit of one computation"
-            found.append(Outcome(desk.task.key, {"status": "timeout", "message": message}, seconds))
+            found.append(Outcome(desk.task.key, stopped_late(self.limit_s), seconds))
             desk.task = None
         return found
