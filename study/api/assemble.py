@@ -36,6 +36,7 @@ CONTROL_TOLERANCE = 1e-5
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
            "measurements", "calibration", "converge", "uncertainty", "replicates",
+           "execution",
            "expected")  # fmt: skip
 
 
@@ -59,6 +60,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
         failures=tuple(_failures(study.records)),
+        failure_pattern=study.failure_pattern if study.failed else None,
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),

@@ -21,6 +21,7 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.assumption.failed_cases import FailurePattern
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
@@ -250,6 +251,8 @@ class ReportData:
     curves : sequence of CurvePair
     fits : sequence of FittedConstant
     failures : sequence of Failure
+    failure_pattern : FailurePattern, optional
+        What the failed cases share.
     checks : sequence of Check
         Checks that the runner made (store, stability, ...); those of the analysis are
         added by the report.
@@ -312,6 +315,7 @@ class ReportData:
     curves: tuple[CurvePair, ...] = ()
     fits: tuple[FittedConstant, ...] = ()
     failures: tuple[Failure, ...] = ()
+    failure_pattern: FailurePattern | None = None
     checks: tuple[Check, ...] = ()
     numerical: tuple[NumericalUncertainty, ...] = ()
     convergence: tuple[Mapping[str, Any], ...] = ()
