@@ -191,6 +191,7 @@ def why(
     import json
 
     from study import api
+    from study.runner.numerical.retry import notes_of
 
     record = api.why(case, study=study, results=results)
     if as_json:
@@ -199,6 +200,8 @@ def why(
     print(f"case {record.case_id} of {record.study}: {record.status}")
     if record.message:
         print(f"  {record.message}")
+    for note in notes_of(record):
+        print(f"  after {note['cause']}: {note['what']} ({note['message']})")
     for name, level in record.levels.items():
         print(f"  {name} = {level}")
     if record.block is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeGuard, cast
 
@@ -84,3 +85,27 @@ def computing_on(
 def _is_scheduler(engine: Engine) -> TypeGuard[str | Path | Client]:
     """Whether it leads to a cluster; a client of Dask has a ``run`` too, which is another one."""
     return isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads")
+
+
+def limit_of(place: Executor) -> float | None:
+    """Wall-clock limit of one task of an executor in seconds; None where there is none."""
+    return place.limit_s if isinstance(place, Loky | Cluster) else None
+
+
+def adapted(place: Executor, longer: float = 1.0, alone: bool = False) -> Executor:
+    """Copy an executor with a longer limit, or with one task at a time.
+
+    Parameters
+    ----------
+    place : Executor
+        One that is not ours stays as it is.
+    longer : float
+        Times the limit of one task.
+    alone : bool
+        Whether a task has the memory of the machine to itself.
+    """
+    if not isinstance(place, Loky | Cluster):
+        return place
+    limit = None if place.limit_s is None else longer * place.limit_s
+    longest = replace(place, limit_s=limit)
+    return replace(longest, jobs=1) if alone else longest

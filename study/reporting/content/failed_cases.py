@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from study.reporting.content.table import Table
-from study.reporting.numbers import clean, listing, name_of
+from study.reporting.numbers import MISSING, clean, count, listing, name_of
 
 if TYPE_CHECKING:
     from study.analysis.assumption.failed_cases import FailurePattern, FailureRule, FailureTest
+    from study.study_result.report_data import Retried
 
 #: levels of a factor that the table lists, those that fail most
 _LISTED = 4
@@ -97,6 +98,37 @@ def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
     )
     columns = ("factor", "p", "p (Holm)", "failed by level", "method")
     return Table("failure_tests", columns, rows, 1, 2, note, raw)
+
+
+def retried_sentence(items: Sequence[Retried]) -> str:
+    """Say how many cases have other settings than the design's; empty where none has."""
+    if not items:
+        return ""
+    solved = sum(item.status == "converged" for item in items)
+    were = "was" if len(items) == 1 else "were"
+    return (
+        f"{count(len(items), 'case')} failed as designed and {were} "
+        f"computed with other settings, as the design declares: {solved:,} then gave an answer. "
+        "What was changed is part of their difference from the other cases."
+    )
+
+
+def retried_table(items: Sequence[Retried], block: str) -> Table:
+    """List every case whose settings are not those of the design: why, what, and the outcome."""
+    rows = tuple(
+        (
+            clean(item.case_id, 16),
+            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
+            clean(item.block) or MISSING,
+            "; then ".join(f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.notes),
+            "; ".join(clean(n["what"]) for n in item.notes),
+            clean(item.status),
+        )
+        for item in items
+    )
+    return Table(
+        "retried", ("case", "cell", block or "block", "failed", "changed", "outcome"), rows, 6
+    )
 
 
 def _levels(test: FailureTest) -> str:
