@@ -44,10 +44,11 @@ class Loopback:
         )  # fmt: skip
         until(self.file.is_file)
 
-    def start_worker(self, shadow: str = "") -> subprocess.Popen[bytes]:
+    def start_worker(self, shadow: str = "", nanny: bool = False) -> subprocess.Popen[bytes]:
         return self._start(
             "dask_worker", "--scheduler-file", str(self.file), "--nthreads", str(self.threads),
-            "--memory-limit", "0", "--no-dashboard", "--no-nanny", "--death-timeout", "60",
+            "--memory-limit", "0", "--no-dashboard", "--nanny" if nanny else "--no-nanny",
+            "--death-timeout", "60",
             "--local-directory", str(self.folder), *self.tls, shadow=shadow,
         )  # fmt: skip
 
@@ -69,8 +70,8 @@ class Loopback:
 
     def stop(self) -> None:
         for process in self.processes[::-1]:
-            process.send_signal(signal.SIGCONT)
-            process.kill()
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
 

@@ -109,6 +109,32 @@ def test_a_worker_that_is_lost_costs_what_it_was_doing(tmp_path: Path) -> None:
         assert {outcome.status for outcome in seen.values()} == {"converged"}
 
 
+def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
+    """As `dask worker` starts them: children of a nanny, which may have no children of theirs."""
+    with loopback(tmp_path, workers=0) as made:
+        nanny = made.start_worker(nanny=True)
+        seen = set()
+        for outcome in Cluster(perform, made.file).run(
+            [task(str(k), "process") for k in range(40)]
+        ):
+            assert outcome.status == "converged"
+            seen.add(outcome.key)
+            if len(seen) == 10:
+                _kill_child(nanny.pid)
+        assert len(seen) == 40
+        began = time.monotonic()
+        nanny.terminate()
+        nanny.wait(timeout=20)
+        assert time.monotonic() - began < 10  # it does not wait for processes of ours
+
+
+def _kill_child(pid: int) -> None:
+    for listed in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in listed.read_text().split():
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                os.kill(int(child), signal.SIGKILL)
+
+
 def test_a_task_that_loses_two_workers_is_a_failed_case_and_says_so(tmp_path: Path) -> None:
     """It may be what brings the machines down; others are done by the worker that comes."""
     with loopback(tmp_path, workers=1) as made:
