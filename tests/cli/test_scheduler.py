@@ -9,14 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from study import api
 from study.record.record import Record
+from study.runner.batch import Progress
 from study.study_result.study_result import StudyResult
 from tests.cli.small import study
 from tests.execution.loopback import ROOT, Loopback, loopback, until
+from tests.fem.surfaces import box, write
 from tests.runner.conftest import DESIGN, make_data
+from tests.runner.test_surfaces import DESIGN as SURFACE
 
 pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 
@@ -142,3 +146,30 @@ def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
     assert "'nowhere.json' is no address and no file" in answer.err
     assert "tls://HOST:PORT" in answer.err
     assert not (folder / "results").exists()
+
+
+def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
+    """The file is gone as soon as something is computed: workers read the copies that they got."""
+    designs, data, place = (tmp_path / name for name in ("designs", "data", "cluster"))
+    for folder in (designs, data, place):
+        folder.mkdir()
+    write(designs / "box.stl", box(10, 8, 6))
+    (designs / "design.toml").write_text(SURFACE)
+    rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
+    (data / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
+    found = {}
+    with loopback(place) as cluster:
+        for name, engine in (("here", None), ("there", cluster.file)):
+
+            def hide(state: Progress, name: str = name) -> None:
+                if name == "there":
+                    (designs / "box.stl").unlink(missing_ok=True)
+
+            found[name] = api.run(
+                designs / "design.toml", data=data, results=tmp_path / name, reports=None,
+                jobs=2 if engine is None else None, engine=engine, progress=hide, refine=False,
+            )  # fmt: skip
+    assert not (designs / "box.stl").exists()
+    assert found["there"].cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
+    here, there = (found[name].table.drop(columns="seconds") for name in ("here", "there"))
+    assert there.equals(here)

@@ -158,6 +158,18 @@ def _lose_twice(made: Loopback) -> None:
         made.start_worker()
 
 
+def test_a_worker_that_hangs_does_not_keep_a_finished_study(tmp_path: Path) -> None:
+    with loopback(tmp_path) as made:
+        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("c")])
+        seen = [next(outcomes).key for _ in range(3)]
+        made.workers[0].send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        assert list(outcomes) == []
+        assert time.monotonic() - began < 20
+        made.workers[0].send_signal(signal.SIGCONT)
+    assert sorted(seen) == ["a", "b", "c"]
+
+
 def test_losing_the_scheduler_keeps_what_is_finished(tmp_path: Path) -> None:
     seen = []
     with loopback(tmp_path) as made:

@@ -7,6 +7,7 @@ import functools
 import os
 import queue
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -25,6 +26,8 @@ Done = queue.SimpleQueue[tuple[object, Answer]]
 
 #: seconds between two looks at the workers
 LOOK_S = 1.0
+#: seconds for the workers to end the processes of a run that is over
+FAREWELL_S = 5.0
 
 
 @dataclass(eq=False)
@@ -197,6 +200,12 @@ class Crew:
         self.give_up([slot.future for slot in self.slots if slot.future is not None])
         if self.client.status != "running":
             return
+        # of a worker that hangs nobody waits for a farewell: its idle processes end by themselves
+        farewell = threading.Thread(target=self._say_farewell, daemon=True)
+        farewell.start()
+        farewell.join(FAREWELL_S)
+
+    def _say_farewell(self) -> None:
         with contextlib.suppress(Exception):  # a worker that is gone has ended them already
             self.client.run(end_run, self.name, workers=list(self.workers), on_error="ignore")
 
