@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,7 @@ class StudyResult:
         """Number of cases without an answer."""
         return sum(not record.converged for record in self.records)
 
-    @property
+    @cached_property
     def failure_pattern(self) -> FailurePattern:
         """What the failed cases share."""
         fates = [
