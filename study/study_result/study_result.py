@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.assumption.failed_cases import CaseFate, FailurePattern, failure_pattern
+from study.analysis.assumption.failed_cases import CaseFate, FailurePattern, cause, failure_pattern
 from study.design.spec import Design
 from study.record.record import Record
 from study.record.table import is_repeat, table
@@ -88,7 +88,10 @@ class StudyResult:
         """What the failed cases share."""
         fates = [
             CaseFate(
-                one.levels, one.block or "", not one.converged, "" if one.converged else one.status
+                one.levels,
+                one.block or "",
+                not one.converged,
+                "" if one.converged else cause(one.status, one.message),
             )
             for one in self.records
         ]

@@ -52,7 +52,7 @@ def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(
     assert "Where cases fail: " in page
     assert "mooney-rivlin" in page
     assert "3 of 3; elsewhere 0 of 9." in page
-    assert "Causes: 3 failed." in page
+    assert "Causes: 3 failed: ArithmeticError: no step was found." in page
     assert "No factor on its own fails significantly more often" in page
     csv = (found.report.parent / "small-data" / "table-failure-tests.csv").read_text()
     assert csv.startswith("factor,level,failed,cases,p,p_holm,method\n")
@@ -60,7 +60,7 @@ def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(
     document = found.to_json()["failures"]
     assert isinstance(document, dict)
     assert document["rules"][0]["settings"] == {"material": "mooney-rivlin", "plates": "bonded"}
-    assert document["causes"] == {"failed": 3}
+    assert document["causes"] == {"failed: ArithmeticError: no step was found": 3}
 
 
 def test_a_study_in_which_every_case_failed_has_a_report_that_says_so(tmp_path: Path) -> None:
@@ -68,7 +68,7 @@ def test_a_study_in_which_every_case_failed_has_a_report_that_says_so(tmp_path: 
     assert found.cases["failed"] == 12
     assert found.report is not None, found.warnings
     page = found.report.read_text(encoding="utf-8")
-    assert "Every case failed (12 failed)" in page
+    assert "Every case failed (12 failed: ArithmeticError: no step was found)" in page
     assert "All 12 cases failed, so there is nothing to compare." in page
     assert "ArithmeticError: no step was found" in page
     assert [warning for warning in found.warnings if "could not be written" in warning] == []

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -45,6 +46,9 @@ MOST_RULES = 4
 #: a rule names where most cases fail, and more than one
 LEAST_SHARE = 0.5
 LEAST_FAILED = 2
+#: letters of a message that name a cause
+LONGEST_CAUSE = 120
+_NUMBER = re.compile(r"(?<![A-Za-z])[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,18 @@ class FailurePattern:
     def to_json(self) -> dict[str, object]:
         """Plain data, for ``--json``."""
         return asdict(self)
+
+
+def cause(status: str, message: str) -> str:
+    """Name what many cases may have failed of: what was said, without its numbers.
+
+    Examples
+    --------
+    >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found")
+    'not-converged: stopped at # mm of # mm: no step was found'
+    """
+    said = _NUMBER.sub("#", message.split("\n")[0])[:LONGEST_CAUSE].strip()
+    return f"{status}: {said}" if said else status
 
 
 def failure_pattern(

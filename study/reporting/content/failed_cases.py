@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from study.analysis.assumption.failed_cases import FailurePattern, FailureRule, FailureTest
     from study.study_result.report_data import Retried
 
-#: levels of a factor that the table lists, those that fail most
+#: levels of a factor that the table lists, those that fail most, and causes in a sentence
 _LISTED = 4
 #: p below which a factor has to do with failing
 _ALPHA = 0.05
@@ -33,7 +33,7 @@ def sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tuple[str, 
     tuple of str
         Sentences, the plainest first.
     """
-    causes = listing([f"{number:,} {clean(cause)}" for cause, number in pattern.causes.items()])
+    causes = _causes(pattern)
     if pattern.failed == pattern.total:
         return (
             f"Every case failed ({causes}): no setting of this study gives an answer, so none of "
@@ -51,6 +51,13 @@ def sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tuple[str, 
             f"number alone: {pattern.failed:,} of {pattern.total:,}."
         )
     return found, f"Causes: {causes}.", _blamed(pattern, labels)
+
+
+def _causes(pattern: FailurePattern) -> str:
+    """Count the causes, those behind the most frequent ones together."""
+    counted = [f"{number:,} {clean(cause)}" for cause, number in pattern.causes.items()]
+    others = sum(list(pattern.causes.values())[_LISTED:])
+    return "; ".join([*counted[:_LISTED], *([f"{others:,} others"] if others else [])])
 
 
 def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
