@@ -14,10 +14,12 @@ from study.design.load import loads
 from study.errors import InputError
 from study.record.record import Record
 from study.record.store import Store
-from study.runner.batch import Summary, run_batch
+from study.runner.batch import Summary, computing, run_batch
 from study.runner.expansion import expand
 from study.runner.job import Work
+from study.runner.numerical.refinement import refine
 from study.runner.numerical.retry import notes_of
+from study.runner.numerical.study_refinement import study_series
 from study.runner.tasks import adapted, limit_of, processes
 
 from .conftest import DESIGN, fake, make_data
@@ -87,6 +89,26 @@ def test_changes_are_tried_one_after_the_other_and_add_up(
     assert [note["change"] for note in notes_of(found)] == ["smaller-steps", "finer-mesh"]
     assert notes_of(found)[1]["what"] == "elements of 5.333 mm instead of 8 mm"
     assert found.mesh["mesh_size_mm"] == pytest.approx(8 / 1.5)
+
+
+def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken for the coarse mesh, it would hide the error that refinement has to show."""
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs 6 mm")
+    text = design('not-converged = "finer-mesh"').replace('mesh = "coarse"', 'mesh_size = "8 mm"')
+    work = expand(loads(text, "small.toml"), one_mix)
+    store = Store(tmp_path / "results")
+    run(work, tmp_path / "results")
+    series = study_series(work.plain(), store.by_case(work.input_hashes))
+    compute = computing(work.plain(), store, jobs=2, executor=fake(2))
+    refine(series, compute)
+    found = {one.base.case.levels["material"]: one for one in series}
+    assert found["neo-hookean"].uncertainty("mu0", "kPa").u_num is not None
+    lacking = found["mooney-rivlin"].uncertainty("mu0", "kPa")
+    assert lacking.u_num is None
+    judged = found["mooney-rivlin"].judge(work.design.converge, work.responses)
+    assert "only a finer one did" in str(judged)
 
 
 def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(

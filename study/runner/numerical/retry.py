@@ -102,6 +102,11 @@ def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
     return tuple(kept) if isinstance(kept, (list, tuple)) else ()
 
 
+def has_other_mesh(record: Record) -> bool:
+    """Whether a case was computed on a finer mesh than its own."""
+    return any(note["change"] == FINER_MESH for note in notes_of(record))
+
+
 def _applies(change: str, job: CaseJob, limited: bool) -> bool:
     """Whether a change can be made of a case.
 
