@@ -36,6 +36,7 @@ TABLES: tuple[tuple[str, type], ...] = (
     ("[[exclude]]", study_file.ExclusionTable),
     ("[analysis]", study_file.AnalysisTable),
     ("[replicates]", study_file.Replicates),
+    ("[execution]", study_file.Execution),
     ("[converge]", study_file.Converge),
     ("[report]", study_file.Report),
 )

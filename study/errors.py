@@ -8,8 +8,9 @@
     |   `-- UnitError          a value without its unit, or with one of the wrong dimension
     |-- MeshError            no usable mesh; a status of its case
     |-- RefusedError           the answer would be meaningless (exit 3)
-    `-- StoreError             records that cannot be read, written or locked (exit 2)
-        `-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
+    |-- StoreError             records that cannot be read, written or locked (exit 2)
+    |   `-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
+    `-- SchedulerLostError     the cluster is gone in the middle of a run (exit 130, resumable)
 
 Expected failure of a computation (a case that did not converge) is a status in a
 record, never an exception that leaves ``runner``.
@@ -84,6 +85,12 @@ class StoreError(StudyError):
 
 class NewerSchemaError(StoreError):
     """What a newer version wrote: it is whole, and this one must not touch it."""
+
+
+class SchedulerLostError(StudyError):
+    """The scheduler of a cluster was lost while tasks ran; what is finished is kept."""
+
+    exit_code = 130
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -22,6 +22,7 @@ HEAVY = (
     "seaborn",
     "pypardiso",
     "dask",
+    "distributed",
 )
 
 

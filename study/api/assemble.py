@@ -14,6 +14,7 @@ from study.design.overview import calibration_factors, equivalent_groups
 from study.material.registry import is_dimensionless
 from study.reporting.numbers import name_of
 from study.runner.numerical.case_series import stored_convergence
+from study.runner.numerical.retry import notes_of
 from study.study_result.report_data import (
     ANY,
     Check,
@@ -21,6 +22,7 @@ from study.study_result.report_data import (
     Failure,
     FittedConstant,
     ReportData,
+    Retried,
 )
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ CONTROL_TOLERANCE = 1e-5
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
            "measurements", "calibration", "converge", "uncertainty", "replicates",
+           "execution",
            "expected")  # fmt: skip
 
 
@@ -59,6 +62,12 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
         failures=tuple(_failures(study.records)),
+        failure_pattern=study.failure_pattern if study.failed else None,
+        retried=tuple(
+            Retried(one.case_id, one.levels, one.block or "", one.status, notes_of(one))
+            for one in study.records
+            if notes_of(one)
+        ),
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),

@@ -35,13 +35,17 @@ from study.reporting.output.write import checked_formats, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
+from study.runner.provenance import surface_files
+from study.runner.tasks import computing_on
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 from study.units import parse
 
 if TYPE_CHECKING:
+    from study.execution.task import Executor
     from study.runner.batch import Progress, Summary
     from study.runner.job import Work
+    from study.runner.tasks import Engine
 
 
 def load_design(
@@ -101,6 +105,7 @@ def run(
     version: str = "",
     stale: str = WARN,
     memory: str | None = None,
+    engine: Engine | None = None,
 ) -> Study:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -143,6 +148,9 @@ def run(
     memory : str, optional
         Memory that computations may take together, such as ``"20 GB"``, by their prediction; by
         default what the machine has free. One that needs more runs alone.
+    engine : str, Path, distributed.Client or Executor, optional
+        Where to compute instead of processes of this machine: the address or the scheduler file
+        of a Dask cluster, a client of one, or an executor. Results do not depend on it.
 
     Returns
     -------
@@ -156,7 +164,10 @@ def run(
         For a faulty design or faulty data; nothing is written then.
     RefusedError
         If the design runs programs that nobody allowed, or that are not there; if results are
-        stale and that is to be refused.
+        stale and that is to be refused; if versions of the cluster's workers differ from those of
+        this machine.
+    SchedulerLostError
+        If the scheduler is lost in the middle; what is finished is kept.
     """
     clock = _Clock()
     check_limit(timeout_s)
@@ -170,12 +181,16 @@ def run(
     work = expand(loaded, design_root(loaded, data), allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
+    executor = None
+    if engine is not None:
+        read = {path for job in work.jobs for path in surface_files(job.case.config)}
+        executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
     warnings: list[str] = []
     store = Store(Path(results) / loaded.name, warn=warnings.append)
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, room)
+        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, room, executor)
         _finish(store, work, clock.parts, summary)
         warnings += mixed_meshes(work, store)
     return report(
@@ -214,6 +229,7 @@ def _compute(
     timeout_s: float | None,
     refine: bool,
     memory_MB: float | None,  # noqa: N803
+    executor: Executor | None,
 ) -> Summary:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
     workers, plain = jobs or default_jobs(), work.plain()
@@ -221,17 +237,24 @@ def _compute(
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
     summary = run_batch(
-        work, store, jobs=jobs, progress=noted, timeout_s=timeout_s, memory_MB=memory_MB
+        work,
+        store,
+        jobs=jobs,
+        progress=noted,
+        timeout_s=timeout_s,
+        memory_MB=memory_MB,
+        executor=executor,
     )
     clock.mark("calibration and simulation")
     if not refine:
         return summary
     noted = with_time_left(store, progress, spaces)
-    credibility.refine(plain, store, jobs, noted, timeout_s)
-    credibility.compare_spaces(plain, store, jobs, with_time_left(store, progress, 0.0))
+    credibility.refine(plain, store, jobs, noted, timeout_s, executor)
+    noted = with_time_left(store, progress, 0.0)
+    credibility.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty:
-        validate(plain, store, jobs, progress, timeout_s)
+        validate(plain, store, jobs, progress, timeout_s, executor)
         clock.mark("uncertain inputs")
     return summary
 

@@ -117,6 +117,9 @@ def run(
     memory: Annotated[
         str | None, typer.Option(help="Memory that may be in use at once: '20 GB'.")
     ] = None,
+    scheduler: Annotated[
+        str, typer.Option(help="Compute on a Dask cluster: its address, or its scheduler file.")
+    ] = "",
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -127,6 +130,7 @@ def run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
             allow_commands=allow_commands or allow_digest, stale=stale, memory=memory,
+            engine=scheduler or None,
         )  # fmt: skip
     _finish(study, as_json, _folders(results, reports))
 
@@ -206,6 +210,7 @@ def why(
     import json
 
     from study import api
+    from study.runner.numerical.retry import notes_of
 
     state = api.explain(case, study=study, results=results, data=data)
     record = state.record
@@ -218,6 +223,8 @@ def why(
         print(f"    {change.sentence}")
     if record.message:
         print(f"  {record.message}")
+    for note in notes_of(record):
+        print(f"  after {note['cause']}: {note['what']} ({note['message']})")
     for name, level in record.levels.items():
         print(f"  {name} = {level}")
     if record.block is not None:

@@ -334,6 +334,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,
+        retry=dict(file.execution.retry or ()),  # None where it is faulty
         expected=expected_from(file.expected, factors, responses, faults),
         converge=file.converge,
         uncertainty=_uncertainty(file.uncertainty, faults),

@@ -205,6 +205,8 @@ class Design:
         What the study's owner expected before it ran.
     replicates : Replicates
         What is computed several times, for an error term.
+    retry : mapping of str to tuple of str
+        What is changed of a case without an answer, by its cause.
     source : str
         The file it was read from; no part of the study's identity.
     text : str
@@ -227,6 +229,7 @@ class Design:
     report: Report
     scheme: Scheme = field(default_factory=Scheme)
     replicates: Replicates = field(default_factory=Replicates)
+    retry: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     expected: tuple[Expected, ...] = ()
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)

@@ -63,6 +63,22 @@ RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
 SEEDS = (5, 1000)
 RESAMPLES = (20, 10_000)
 
+#: what may be changed of a case that has no answer
+SMALLER_STEPS = "smaller-steps"
+FINER_MESH = "finer-mesh"
+LONGER_LIMIT = "longer-limit"
+MORE_MEMORY = "more-memory"
+
+#: causes of which something can be tried, and what may help
+REMEDIES = {
+    "not-converged": (SMALLER_STEPS, FINER_MESH),
+    "unstable": (SMALLER_STEPS, FINER_MESH),
+    "mesh-failed": (FINER_MESH,),
+    "timeout": (LONGER_LIMIT,),
+    "out-of-memory": (MORE_MEMORY,),
+    "crashed": (MORE_MEMORY,),
+}
+
 
 def response_unit(name: str) -> str | None:
     """Find the unit of a response: "" for a plain number, None if there is no such response.
@@ -169,6 +185,20 @@ def _roles(value: object) -> tuple[tuple[str, str], ...]:
     return tuple((name, choice(*ROLES)(role)) for name, role in flatten(value).items())
 
 
+def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Read what is tried of every cause."""
+    if not isinstance(value, Mapping):
+        mend = f'for example {{ not-converged = ["{SMALLER_STEPS}", "{FINER_MESH}"] }}'
+        raise Bad(f"must be a table of causes, got {shown(value)}", mend)
+    found = []
+    for cause, wanted in value.items():
+        choice(*REMEDIES)(cause)
+        changes = wanted if isinstance(wanted, list) else [wanted]
+        read = choice(*REMEDIES[cause])
+        found.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
+    return tuple(found)
+
+
 def _weight(value: object) -> str | float:
     return choice("scatter", "equal")(value) if isinstance(value, str) else number(0, 1e12)(value)
 
@@ -207,6 +237,13 @@ class Replicates:
 
     mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
     noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+
+
+@section
+class Execution:
+    """What is tried of a case without an answer, by its cause; the report lists such cases."""
+
+    retry: Annotated[tuple[tuple[str, tuple[str, ...]], ...], Reads(_retry)] = ()
 
 
 @section
@@ -306,6 +343,7 @@ class DesignFile(ProblemFile):
     response: _Responses = ()
     analysis: AnalysisTable = AnalysisTable()
     replicates: Replicates = Replicates()
+    execution: Execution = Execution()
     expected: AsWritten = None
 
 

@@ -183,7 +183,7 @@ def serve_quietly() -> None:
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(PARENT_CHECK_S)
-        os._exit(1)
+        os.killpg(0, signal.SIGKILL)  # with every program that the task started
 
     threading.Thread(target=watch, daemon=True).start()
 

@@ -6,12 +6,12 @@ import json
 import math
 import queue
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from study.execution.queue import ReadyQueue
-from study.execution.task import Outcome, Task
+from study.execution.task import Outcome, Task, stopped_late
 
 #: a task whose worker died is tried once more: the machine may have been short of memory
 MAX_DEATHS = 2
@@ -74,16 +74,21 @@ class Supervisor:
         As many as tasks may run at once.
     limit_s : float, optional
         Wall-clock limit of one task in seconds, enforced from outside: a task that holds the
-        interpreter, or whose answer never leaves its pipe, is stopped all the same.
+        interpreter, or whose answer never leaves its pipe, is stopped all the same. None also
+        where the slots enforce it themselves.
     memory_MB : float, optional
         Room for the predicted memory of all that run at once. A task that is too large for it
         runs alone, and what comes after one that has to wait waits too: else it waited for ever.
+    arrivals : callable
+        Slots that have come since it was last called; asked every ``LONGEST_WAIT_S`` or more
+        often, so that it may also look whether the slots there are still in working order.
     """
 
     ready: ReadyQueue
     slots: list[Slot]
     limit_s: float | None = None
     memory_MB: float | None = None  # noqa: N815
+    arrivals: Callable[[], Sequence[Slot]] = tuple
     deaths: dict[str, int] = field(default_factory=dict)
 
     def outcomes(self) -> Generator[Outcome, None, None]:
@@ -92,6 +97,7 @@ class Supervisor:
         done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
         try:
             while len(self.ready) or any(desk.task for desk in desks):
+                desks += [Desk(slot) for slot in self.arrivals()]
                 self._hand_out(desks, done)
                 busy = [desk for desk in desks if desk.task]
                 if not busy:
@@ -181,6 +187,5 @@ class Supervisor:
                 found += self._died(desk, task, seconds, f"no worker was up within {limit:g} s")
                 continue
             desk.slot.kill()
-            message = f"stopped after {limit:g} s, the limit of one computation"
-            found.append(Outcome(task.key, {"status": "timeout", "message": message}, seconds))
+            found.append(Outcome(task.key, stopped_late(limit), seconds))
         return found

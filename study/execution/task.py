@@ -121,3 +121,9 @@ def check_limit(seconds: float | None) -> float | None:
         return seconds
     rule = f"must be a positive number of seconds, got {seconds:g}"
     raise InputError(Fault("timeout", rule, "leave it out for no limit"))
+
+
+def stopped_late(limit_s: float) -> Document:
+    """Say that a task was stopped at its wall-clock limit, given in seconds."""
+    message = f"stopped after {limit_s:g} s, the limit of one computation"
+    return {"status": "timeout", "message": message}

@@ -28,8 +28,9 @@ from study.runner.fitting.external_model import externals
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask
 from study.runner.job import CaseJob, FitJob, Work, fits_of
+from study.runner.numerical.retry import RETRIES, attempts
 from study.runner.tables import PROBLEM
-from study.runner.tasks import processes
+from study.runner.tasks import adapted, limit_of, processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
@@ -96,6 +97,18 @@ class Summary:
     seconds: float
     compute_seconds: Mapping[str, float]
 
+    def with_retried(self, other: Summary) -> Summary:
+        """Add what was computed of cases that had failed."""
+        spent = {k: v + other.compute_seconds[k] for k, v in self.compute_seconds.items()}
+        saved = other.computed - other.failed
+        return replace(
+            self,
+            failed=max(self.failed - saved, 0),
+            fits=self.fits + other.fits,
+            seconds=self.seconds + other.seconds,
+            compute_seconds=spent,
+        )
+
 
 def default_jobs() -> int:
     """One worker for each core that this process may use."""
@@ -143,9 +156,31 @@ def run_batch(
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
-        run = _Batch(work, store, todo, progress or (lambda _: None))
-        workers = jobs or default_jobs()
-        return run.execute(workers, executor or processes(workers, timeout_s, memory_MB))
+        workers, told = jobs or default_jobs(), progress or (lambda _: None)
+        place = executor or processes(workers, timeout_s, memory_MB)
+        first = _Batch(work, store, todo, told).execute(workers, place)
+        return _retried(work, store, first, workers, place, told)
+
+
+def _retried(
+    work: Work,
+    store: Store,
+    first: Summary,
+    workers: int,
+    place: Executor,
+    progress: Callable[[Progress], None],
+) -> Summary:
+    """Try what the design says of the cases that failed, until nothing is left to be tried."""
+    total = first
+    while todo := attempts(work, store, limit_of(place) is not None):
+        ways = {(one.longer, one.alone): None for one in todo}
+        for longer, alone in ways:
+            own = [one for one in todo if (one.longer, one.alone) == (longer, alone)]
+            notes = {one.job.case.case_id: one.notes for one in own}
+            batch = _Batch(work, store, [one.job for one in own], progress, notes)
+            there = adapted(place, longer, alone)
+            total = total.with_retried(batch.execute(1 if alone else workers, there))
+    return total
 
 
 def computing(
@@ -199,8 +234,9 @@ class _Batch:
         store: Store,
         todo: Sequence[CaseJob],
         progress: Callable[[Progress], None],
+        notes: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
     ) -> None:
-        self.work, self.store, self.progress = work, store, progress
+        self.work, self.store, self.progress, self.notes = work, store, progress, notes or {}
         self.cases = {f"case-{job.case.case_id}": job for job in todo}
         self.fits: dict[str, FitJob] = {}
         self.known: dict[str, Document] = {}
@@ -286,6 +322,9 @@ class _Batch:
         self.spent["cases"] += outcome.seconds
         record = self._record(outcome)
         self.failed += not record.converged
+        tried = self.notes.get(record.case_id)
+        if tried:
+            record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in tried]})
         self.store.write(record)
 
     def _record(self, outcome: Outcome) -> Record:

@@ -285,3 +285,15 @@ def fingerprints(config: Tables) -> list[str]:
     own = CalibrationTable.of(config).problem or {}
     sections = [config.get("specimen") or {}, own.get("specimen") or {}]
     return [section["sha256"] for section in sections if section.get("sha256")]
+
+
+def surface_files(config: object) -> set[Path]:
+    """Files of the surfaces in a configuration that was :func:`located`."""
+    if _is_surface(config):
+        return {Path(str(config["path"]))} if config.get("path") else set()
+    values: Sequence[object] = ()
+    if isinstance(config, Mapping):
+        values = tuple(config.values())
+    elif isinstance(config, list):
+        values = config
+    return {path for value in values for path in surface_files(value)}

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeGuard, cast
 
+from study.execution.cluster.connection import Client
+from study.execution.cluster.executor import Cluster
 from study.execution.loky import Loky
 from study.execution.task import Document, Executor, Perform
 from study.runner import case
 from study.runner.fitting import fit_task, residual_bootstrap
 from study.runner.numerical import solve_task
+from study.runner.provenance import versions
 from study.runner.virtual import reference
+
+#: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
+#: scheduler file or a client of it
+Engine = Executor | Client | str | Path
 
 KINDS: dict[str, Perform] = {
     "case": case.perform,
@@ -54,3 +65,64 @@ def free_memory_MB() -> float | None:  # noqa: N802
         return float(found["MemAvailable"].split()[0]) / 1024
     except (OSError, KeyError, ValueError, IndexError):
         return None
+
+
+def computing_on(
+    engine: Engine,
+    jobs: int | None = None,
+    timeout_s: float | None = None,
+    files: Sequence[Path] = (),
+) -> tuple[Executor, int | None]:
+    """Find the executor that an engine means, and how many tasks it does at once.
+
+    Parameters
+    ----------
+    engine : Executor, str, Path or distributed.Client
+        Where to compute. A scheduler is reached, its workers are compared with this machine.
+    jobs : int, optional
+        Tasks at once; by default one a thread of the cluster.
+    timeout_s : float, optional
+        Wall-clock limit of one task in seconds; an executor has its own.
+    files : sequence of Path
+        Files that tasks read on the machine where they are done.
+
+    Raises
+    ------
+    InputError
+        If the scheduler cannot be reached.
+    RefusedError
+        If versions of a worker differ from those of this machine.
+    """
+    if not _is_scheduler(engine):
+        return cast("Executor", engine), jobs
+    cluster = Cluster(perform, engine, versions, jobs, timeout_s, files)
+    return cluster, cluster.slots()
+
+
+def _is_scheduler(engine: Engine) -> TypeGuard[str | Path | Client]:
+    """Whether it leads to a cluster; a client of Dask has a ``run`` too, which is another one."""
+    return isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads")
+
+
+def limit_of(place: Executor) -> float | None:
+    """Wall-clock limit of one task of an executor in seconds; None where there is none."""
+    return place.limit_s if isinstance(place, Loky | Cluster) else None
+
+
+def adapted(place: Executor, longer: float = 1.0, alone: bool = False) -> Executor:
+    """Copy an executor with a longer limit, or with one task at a time.
+
+    Parameters
+    ----------
+    place : Executor
+        One that is not ours stays as it is.
+    longer : float
+        Times the limit of one task.
+    alone : bool
+        Whether a task has the memory of the machine to itself.
+    """
+    if not isinstance(place, Loky | Cluster):
+        return place
+    limit = None if place.limit_s is None else longer * place.limit_s
+    longest = replace(place, limit_s=limit)
+    return replace(longest, jobs=1) if alone else longest

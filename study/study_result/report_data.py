@@ -21,6 +21,7 @@ from study.curve import Curve
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.assumption.failed_cases import FailurePattern
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
@@ -171,6 +172,27 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class Retried:
+    """A case that was computed with other settings than the design's, having failed with these.
+
+    Parameters
+    ----------
+    case_id, block, status : str
+        Which, and what became of it in the end.
+    levels : mapping of str to str
+        Level of each factor.
+    notes : tuple of mapping of str to str
+        Of every attempt the ``cause``, its ``message``, and ``what`` was changed for it.
+    """
+
+    case_id: str
+    levels: Mapping[str, str]
+    block: str
+    status: str
+    notes: tuple[Mapping[str, str], ...]
+
+
+@dataclass(frozen=True)
 class Check:
     """One check: ``outcome`` is one of ``OUTCOMES``; the consequence says what follows.
 
@@ -250,6 +272,10 @@ class ReportData:
     curves : sequence of CurvePair
     fits : sequence of FittedConstant
     failures : sequence of Failure
+    failure_pattern : FailurePattern, optional
+        What the failed cases share.
+    retried : sequence of Retried
+        Cases whose settings are not those of the design.
     checks : sequence of Check
         Checks that the runner made (store, stability, ...); those of the analysis are
         added by the report.
@@ -314,6 +340,8 @@ class ReportData:
     curves: tuple[CurvePair, ...] = ()
     fits: tuple[FittedConstant, ...] = ()
     failures: tuple[Failure, ...] = ()
+    failure_pattern: FailurePattern | None = None
+    retried: tuple[Retried, ...] = ()
     checks: tuple[Check, ...] = ()
     numerical: tuple[NumericalUncertainty, ...] = ()
     convergence: tuple[Mapping[str, Any], ...] = ()

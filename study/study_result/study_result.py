@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from study.analysis.assumption.failed_cases import CaseFate, FailurePattern, cause, failure_pattern
 from study.design.spec import Design
 from study.record.record import Record
 from study.record.table import is_repeat, table
@@ -81,6 +83,22 @@ class StudyResult:
         """Number of cases without an answer."""
         return sum(not record.converged for record in self.records)
 
+    @cached_property
+    def failure_pattern(self) -> FailurePattern:
+        """What the failed cases share."""
+        fates = [
+            CaseFate(
+                one.levels,
+                one.block or "",
+                not one.converged,
+                "" if one.converged else cause(one.status, one.message),
+            )
+            for one in self.records
+        ]
+        spec = self.design.measurements
+        block = spec.block if spec is not None and spec.block else "block"
+        return failure_pattern(fates, block, self.design.seed)
+
     @property
     def cases(self) -> dict[str, int]:
         """Number of cases: in all, done, failed and missing."""
@@ -111,6 +129,8 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
+        if self.failed:
+            found["failures"] = self.failure_pattern.to_json()
         if self.surfaces:
             found["surfaces"] = [one.to_json() for one in self.surfaces]
         if self.beside is not None:

@@ -41,6 +41,8 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         os.write(1, b"noise of a library\n")
     if kind == "threads":
         return {"status": "converged", "threads": os.environ["OMP_NUM_THREADS"]}
+    if kind == "read":
+        return {"status": "converged", "path": task["path"], "text": Path(task["path"]).read_text()}
     if kind == "process":
         time.sleep(0.05)
         return {"status": "converged", "process": os.getpid()}

@@ -32,6 +32,17 @@ def solve(problem: Problem, **options: Any) -> SimpleNamespace:
             os.kill(os.getpid(), signal.SIGKILL)
         if "bug" in wish.read_text():
             raise ZeroDivisionError("a bug in the solver")
+        if "needs 40 steps" in wish.read_text() and problem.test.steps >= 40:
+            return outcome(problem, "converged", "every step converged")
+        if "needs 6 mm" in wish.read_text() and mesh_size(problem.setup) <= 6.0:
+            return outcome(problem, "converged", "every step converged")
+        if "needs memory" in wish.read_text():
+            with wish.with_suffix(".deaths").open("a+") as deaths:
+                deaths.seek(0)
+                if len(deaths.read()) >= 4:
+                    return outcome(problem, "converged", "every step converged")
+                deaths.write("x")
+            os.kill(os.getpid(), signal.SIGKILL)
         return outcome(problem, "not-converged", "stopped at 1 mm of 6 mm: no step was found")
     return outcome(problem, "converged", "every step converged")
 

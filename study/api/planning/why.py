@@ -139,7 +139,7 @@ def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDo
         return None  # it is compared with what was run
 
 
-def _found(case: str, folders: Sequence[Path], results: Path) -> tuple[Store, str]:
+def _found(case: str, folders: Sequence[Path], results: str | Path) -> tuple[Store, str]:
     """Store and id of the only case whose id begins so."""
     found: list[tuple[Store, str]] = []
     names: list[str] = []
@@ -157,5 +157,5 @@ def _found(case: str, folders: Sequence[Path], results: Path) -> tuple[Store, st
     return found[0]
 
 
-def _all_studies(results: Path) -> list[Path]:
-    return sorted(path.parent for path in results.glob("*/study.json"))
+def _all_studies(results: str | Path) -> list[Path]:
+    return sorted(path.parent for path in Path(results).glob("*/study.json"))

@@ -18,6 +18,7 @@ from study.runner.numerical.solver import by_workers, is_kept, kept
 from study.study_result.report_data import Check
 
 if TYPE_CHECKING:
+    from study.execution.task import Executor
     from study.record.store import Store
     from study.runner.job import Work
 
@@ -32,10 +33,13 @@ def refine(
     jobs: int | None,
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
+    executor: Executor | None = None,
 ) -> None:
     """Compute the refined cases and store what they say of every response."""
     series = study_refinement.study_series(work, store.on_demand(work.input_hashes))
-    compute = computing(work, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+    compute = computing(
+        work, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
+    )
     refinement.refine(series, compute)
     with store.lock():
         store.write_rows("numerical", [asdict(row) for row in uncertainties(work, series)])
@@ -52,6 +56,7 @@ def compare_spaces(
     store: Store,
     jobs: int | None,
     progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
 ) -> None:
     """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
     pairs = space_comparison.pairs(work, store.on_demand(work.input_hashes))
@@ -63,7 +68,7 @@ def compare_spaces(
     todo = [task for task in tasks if not is_kept(task, store)]
     watch = _Watch(todo, workers, progress or (lambda state: None))
     found: dict[str, SolveResult] = {}
-    for key, result in kept(by_workers(workers), store)(tasks):
+    for key, result in kept(by_workers(workers, executor), store)(tasks):
         found[key] = result
         watch.finished(key)
     rows = [

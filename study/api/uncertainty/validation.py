@@ -16,6 +16,7 @@ from study.runner.numerical.input_uncertainty import input_shares, input_work, p
 
 if TYPE_CHECKING:
     from study.curve import Curve
+    from study.execution.task import Executor
     from study.record.record import Record
     from study.record.store import Store
     from study.runner.batch import Progress
@@ -28,6 +29,7 @@ def validate(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
     timeout_s: float | None = None,
+    executor: Executor | None = None,
 ) -> list[dict[str, object]]:
     """Move the uncertain inputs, compare every case, and store the rows as ``validation``.
 
@@ -38,7 +40,9 @@ def validate(
     """
     moved = input_work(work)
     if moved.jobs:
-        run_batch(moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s)
+        run_batch(
+            moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
+        )
     rows = compared(work, moved, store)
     with store.lock():
         store.write_rows("validation", rows)

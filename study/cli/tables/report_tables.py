@@ -43,12 +43,14 @@ def anova_rows(data: ReportData, response: str) -> Rows:
 
 
 def answer_lines(data: ReportData) -> list[str]:
-    """Return the sentences of the answer box, and what would change them."""
-    from study.reporting.content import recommendation, sentences
+    """Return the sentences of the answer box, which cases fail, and what would change them."""
+    from study.reporting.content import failed_cases, recommendation, sentences
 
     found = facts(data)
+    where = data.failure_pattern
+    said = () if where is None else failed_cases.sentences(where, data.labels)
     change = f"What would change this? {recommendation.would_change(data, found)}"
-    lines = [*sentences.answer(data, found), change]
+    lines = [*sentences.answer(data, found), *said, change]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import NOT_RESOLVED
-from study.reporting.content import response_surface, sentences, verdicts
+from study.reporting.content import failed_cases, response_surface, sentences, verdicts
 from study.reporting.content.verdicts import shown_difference
 from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts
@@ -74,10 +74,15 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
 
 
 def _of_cases(data: ReportData) -> list[Check]:
-    if not data.failures:
-        return []
-    finding = sentences.failures(data.failures, len(data.table))
-    return [Check("Failed cases", "caution", finding, "See the failure map.")]
+    found = []
+    if data.failures:
+        finding = sentences.failures(data.failures, len(data.table))
+        found.append(Check("Failed cases", "caution", finding, "See the failure map."))
+    if data.retried:
+        finding = failed_cases.retried_sentence(data.retried)
+        told = "They are listed among the failures."
+        found.append(Check("Cases with other settings", "caution", finding, told))
+    return found
 
 
 def _surface(one: FittedSurface, data: ReportData) -> Check:

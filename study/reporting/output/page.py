@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from study.reporting.content import (
     checks,
     comparison,
+    failed_cases,
     fit_tables,
     glossary,
     hypotheses,
@@ -107,6 +108,10 @@ def prepare(data: ReportData) -> Contents:
         known["changes"] = comparison.changes(data.beside)
     if data.failures:
         known["failures"] = tables.failures(data)
+    if data.retried:
+        known["retried"] = failed_cases.retried_table(data.retried, data.block)
+    if data.failure_pattern is not None and data.failure_pattern.tests:
+        known["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
     sections = tuple(_section(data, item) for item in found if item.terms or not data.surfaces)
     over = tuple(_surface(data, one) for one in data.surfaces)
     for one in over:
@@ -205,6 +210,10 @@ def render(contents: Contents) -> str:
         planned=_planned(data, len(contents.tables["cells"].rows)),
         methods=methods.paragraph(data, contents.found),
         failures=sentences.failures(data.failures, len(data.table)),
+        retried=failed_cases.retried_sentence(data.retried),
+        failure_pattern=()
+        if data.failure_pattern is None
+        else failed_cases.sentences(data.failure_pattern, data.labels),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
         glossary=glossary.TERMS,

@@ -33,6 +33,7 @@ from study.runner.numerical.judgement import (
     series_sizes,
 )
 from study.runner.numerical.refinement import FEWEST
+from study.runner.numerical.retry import has_other_mesh
 from study.runner.numerical.series_uncertainty import (
     fine_uncertainty,
     ratio_of,
@@ -89,9 +90,13 @@ class CaseSeries:
 
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
-        """Cases with an answer."""
+        """Cases with an answer on the mesh that is theirs in the series."""
         found = [(job, self.records.get(job.case.case_id)) for job in self.jobs]
-        return [(job, record) for job, record in found if record is not None and record.converged]
+        return [
+            (job, record)
+            for job, record in found
+            if record is not None and record.converged and not has_other_mesh(record)
+        ]
 
     def due(self) -> list[CaseJob]:
         """Cases that were not computed yet: all of them, for none depends on another."""
@@ -212,6 +217,9 @@ class CaseSeries:
             if record is None or not record.converged:
                 why = "it was not computed" if record is None else record.message
                 yield f"the mesh of {base_size_mm(job.case):.4g} mm gave no answer: {why}"
+            elif has_other_mesh(record):
+                size = f"{base_size_mm(job.case):.4g} mm"
+                yield f"the mesh of {size} gave no answer: only a finer one did, on a second try"
 
 
 def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:

@@ -1,0 +1,346 @@
+"""Which cases fail, and whether their settings have to do with it.
+
+Cases that fail are not missing at random where a setting makes them fail. Every factor is tested
+for it, and a short list of rules says which settings they share.
+
+The test is Fisher's exact test of a table of levels against failed and not failed, for more
+than two levels as Freeman and Halton (1951, Biometrika 38, 141) extended it: p is the probability,
+all margins given, of a table that is no more probable than the one found. It takes every case for
+a draw of its own. The cases of a cell differ in their specimen or mesh alone, and mostly fail
+together; where a cell has several, whole cells are therefore permuted among the levels (for
+blocks: the failures within each cell), with the same statistic.
+
+The rules are a decision list (Rivest 1987, Machine Learning 2, 229): each is the conjunction of at
+most three settings, found by looking at all of them, that explains most of the failures that the
+rules before it leave. A rule is taken if it saves more of the log-likelihood than it costs to name
+it among all conjunctions as long, and to tell its share (minimum description length, Quinlan and
+Rivest 1989, Information and Computation 80, 227).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.special import gammaln
+from scipy.stats import fisher_exact
+
+from study.analysis.effects.comparisons import holm
+from study.arrays import Array, Ints
+
+#: permutations, or random tables, of a p that is not computed exactly: its standard error at
+#: 0.05 is 0.002
+SAMPLES = 9_999
+#: entries of the permutations that are held at once
+ENTRIES = 2_000_000
+#: probabilities that differ by less are equal
+TIE = 1e-7
+#: settings that a rule may join, and rules that a reader can hold
+LONGEST_RULE = 3
+MOST_RULES = 4
+#: a rule names where most cases fail, and more than one
+LEAST_SHARE = 0.5
+LEAST_FAILED = 2
+#: letters of a message that name a cause
+LONGEST_CAUSE = 120
+_NUMBER = re.compile(r"(?<![A-Za-z])[-+]?\d[\d.]*(?:e[-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class CaseFate:
+    """Settings of a case, and whether it failed.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Level of every factor.
+    block : str
+        Label of its block; empty without blocks.
+    failed : bool
+    cause : str
+        Word of how it failed; empty if it did not.
+    """
+
+    levels: Mapping[str, str]
+    block: str
+    failed: bool
+    cause: str = ""
+
+
+@dataclass(frozen=True)
+class FailureTest:
+    """Whether failing has to do with one factor.
+
+    Parameters
+    ----------
+    factor : str
+    counts : mapping of str to (int, int)
+        Failed cases and all cases of every level.
+    p, p_holm : float
+        Raw, and adjusted for the number of factors.
+    method : str
+    """
+
+    factor: str
+    counts: Mapping[str, tuple[int, int]]
+    p: float
+    p_holm: float
+    method: str
+
+
+@dataclass(frozen=True)
+class FailureRule:
+    """Settings under which most cases fail.
+
+    Parameters
+    ----------
+    settings : mapping of str to str
+        Level by factor; all of them together.
+    failed, total : int
+        Cases with these settings that no earlier rule holds for.
+    """
+
+    settings: Mapping[str, str]
+    failed: int
+    total: int
+
+
+@dataclass(frozen=True)
+class FailurePattern:
+    """What the failed cases of a study share.
+
+    Parameters
+    ----------
+    failed, total : int
+        Cases.
+    causes : mapping of str to int
+        Failed cases by how they failed, the most frequent first.
+    tests : tuple of FailureTest
+        One a factor, the smallest p first; empty where all cases failed or none.
+    rules : tuple of FailureRule
+        In the order in which they are asked.
+    elsewhere : (int, int)
+        Failed cases and all cases that no rule holds for.
+    """
+
+    failed: int
+    total: int
+    causes: Mapping[str, int]
+    tests: tuple[FailureTest, ...]
+    rules: tuple[FailureRule, ...]
+    elsewhere: tuple[int, int]
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for ``--json``."""
+        return asdict(self)
+
+
+def cause(status: str, message: str) -> str:
+    """Name what many cases may have failed of: what was said, without its numbers.
+
+    Examples
+    --------
+    >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found")
+    'not-converged: stopped at # mm of # mm: no step was found'
+    """
+    said = _NUMBER.sub("#", message.split("\n")[0])[:LONGEST_CAUSE].strip()
+    return f"{status}: {said}" if said else status
+
+
+def failure_pattern(
+    cases: Sequence[CaseFate], block: str = "block", seed: int = 0
+) -> FailurePattern:
+    """Find what the failed cases of a study share.
+
+    Parameters
+    ----------
+    cases : sequence of CaseFate
+        Every case that ended.
+    block : str
+        What a block is, the name of its row.
+    seed : int
+        Of the permutations.
+
+    Returns
+    -------
+    FailurePattern
+        Causes, a test of every factor, and rules.
+
+    Examples
+    --------
+    >>> cases = [CaseFate({"plates": p}, str(k), p == "bonded") for p in ("bonded", "free")
+    ...          for k in range(4)]
+    >>> found = failure_pattern(cases)
+    >>> dict(found.rules[0].settings), found.rules[0].failed, found.elsewhere
+    ({'plates': 'bonded'}, 4, (0, 4))
+    """
+    failed = sum(case.failed for case in cases)
+    causes = Counter(case.cause for case in cases if case.failed)
+    rules, elsewhere = _rules(cases, block)
+    tests = _tests(cases, block, seed) if 0 < failed < len(cases) else ()
+    return FailurePattern(failed, len(cases), dict(causes.most_common()), tests, rules, elsewhere)
+
+
+def _settings(case: CaseFate, block: str) -> dict[str, str]:
+    """Levels of a case, its block among them."""
+    return {**case.levels, **({block: case.block} if case.block else {})}
+
+
+def _tests(cases: Sequence[CaseFate], block: str, seed: int) -> tuple[FailureTest, ...]:
+    rng = np.random.default_rng(seed)
+    settings = [_settings(case, block) for case in cases]
+    failed = np.array([case.failed for case in cases], dtype=float)
+    cells = _codes([tuple(sorted(case.levels.items())) for case in cases])
+    found = []
+    for factor in settings[0]:
+        labels = [one.get(factor, "") for one in settings]
+        if len(set(labels)) > 1:
+            is_block = factor not in cases[0].levels
+            p, method = _p(failed, _codes(labels), cells, is_block, rng)
+            found.append((factor, _counts(labels, failed), p, method))
+    if not found:
+        return ()
+    adjusted = holm([p for _, _, p, _ in found])
+    tests = [
+        FailureTest(factor, counts, p, float(q), method)
+        for (factor, counts, p, method), q in zip(found, adjusted, strict=True)
+    ]
+    return tuple(sorted(tests, key=lambda test: test.p))
+
+
+def _codes(labels: Sequence[object]) -> Ints:
+    """Give every label a number, in the order of first appearance."""
+    known = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+    return np.array([known[label] for label in labels])
+
+
+def _counts(labels: Sequence[str], failed: Array) -> dict[str, tuple[int, int]]:
+    total, bad = Counter(labels), Counter(itertools.compress(labels, failed))
+    return {label: (bad[label], total[label]) for label in total}
+
+
+def _p(
+    failed: Array, levels: Ints, cells: Ints, is_block: bool, rng: np.random.Generator
+) -> tuple[float, str]:
+    """Probability of a table as extreme as that of levels against failures, and its method."""
+    if is_block:
+        return _by_order(failed, levels, cells, rng), "permuted within cells"
+    first = np.unique(cells, return_index=True)[1]
+    if first.size == cells.size:
+        return _independent(failed, levels, rng)
+    bad = np.asarray(np.bincount(cells, failed), dtype=float)
+    total = np.asarray(np.bincount(cells), dtype=float)
+    return _by_cells(bad, total, levels[first], rng), "whole cells permuted"
+
+
+def _independent(failed: Array, levels: Ints, rng: np.random.Generator) -> tuple[float, str]:
+    """Fisher's test of independent cases, exact for two levels."""
+    bad = np.asarray(np.bincount(levels, failed), dtype=float)
+    total = np.asarray(np.bincount(levels), dtype=float)
+    if total.size == 2:
+        table = np.stack([bad, total - bad]).astype(int)
+        return float(fisher_exact(table).pvalue), "Fisher's exact test"
+    drawn = rng.multivariate_hypergeometric(total.astype(int), int(bad.sum()), size=SAMPLES)
+    p = _tail(_weight(bad, total), _weight(drawn.astype(float), total))
+    return p, f"Fisher's test by {SAMPLES:,} random tables"
+
+
+def _by_cells(bad: Array, total: Array, levels: Ints, rng: np.random.Generator) -> float:
+    """Permute whole cells among the levels; arrays have shape (cells,)."""
+    member = np.eye(int(levels.max()) + 1)[levels]
+    drawn = []
+    for rows in _batches(levels.size):
+        order = rng.permuted(np.tile(np.arange(levels.size), (rows, 1)), axis=1)
+        drawn.append(_weight(bad[order] @ member, total[order] @ member))
+    return _tail(_weight(bad @ member, total @ member), np.concatenate(drawn))
+
+
+def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator) -> float:
+    """Permute the failures among the cases of each cell."""
+    member = np.eye(int(levels.max()) + 1)[levels]
+    total = member.sum(axis=0)
+    drawn = np.zeros((SAMPLES, total.size))
+    for cell in np.unique(cells[failed > 0]):  # where none failed there is nothing to permute
+        own = cells == cell
+        shuffled = rng.permuted(np.tile(failed[own], (SAMPLES, 1)), axis=1)
+        drawn += shuffled @ member[own]
+    return _tail(_weight(failed @ member, total), _weight(drawn, total))
+
+
+def _batches(size: int) -> Iterator[int]:
+    """Split the permutations of so many things into parts that fit into memory."""
+    left = SAMPLES
+    while left:
+        rows = min(left, max(1, ENTRIES // size))
+        left -= rows
+        yield rows
+
+
+def _weight(bad: Array, total: Array) -> Array:
+    """Logarithm of the probability of a table, but for a constant: sum of ln C(total, bad)."""
+    return np.asarray(
+        np.sum(gammaln(total + 1) - gammaln(bad + 1) - gammaln(total - bad + 1), axis=-1)
+    )
+
+
+def _tail(found: Array, drawn: Array) -> float:
+    """Share of tables no more probable than the one found, which counts itself."""
+    return float((1 + np.sum(drawn <= found + TIE)) / (1 + drawn.size))
+
+
+def _rules(
+    cases: Sequence[CaseFate], block: str
+) -> tuple[tuple[FailureRule, ...], tuple[int, int]]:
+    """Decision list of the failures, and what it leaves."""
+    left = [(_settings(case, block), case.failed) for case in cases]
+    found: list[FailureRule] = []
+    while len(found) < MOST_RULES and any(f for _, f in left) and not all(f for _, f in left):
+        best = max(_candidates(left), key=lambda one: one[0], default=None)
+        if best is None or best[0] <= 0:
+            break
+        found.append(best[1])
+        wanted = best[1].settings.items()
+        left = [one for one in left if not wanted <= one[0].items()]
+    return tuple(found), (sum(f for _, f in left), len(left))
+
+
+def _candidates(
+    left: Sequence[tuple[Mapping[str, str], bool]],
+) -> Iterator[tuple[float, FailureRule]]:
+    """Every rule that could come next, with what it saves."""
+    bad, total = sum(failed for _, failed in left), len(left)
+    failures = Counter(rule for one, failed in left if failed for rule in _conjunctions(one))
+    every = Counter(rule for one, _ in left for rule in _conjunctions(one) if rule in failures)
+    names = _names([one for one, _ in left])
+    whole = _information(bad, total)
+    for rule, n in every.items():
+        f = failures[rule]
+        if f < LEAST_FAILED or f < LEAST_SHARE * n or f * total <= bad * n:
+            continue
+        saved = whole - _information(f, n) - _information(bad - f, total - n)
+        # its name, and one more share to be told with the precision that so many cases give
+        cost = math.log(names[len(rule)]) + math.log(total) / 2
+        yield saved - cost, FailureRule(dict(rule), f, n)
+
+
+def _conjunctions(settings: Mapping[str, str]) -> Iterator[tuple[tuple[str, str], ...]]:
+    for size in range(1, LONGEST_RULE + 1):
+        yield from itertools.combinations(settings.items(), size)
+
+
+def _names(settings: Sequence[Mapping[str, str]]) -> dict[int, int]:
+    """Count the conjunctions of every length that could be named."""
+    levels = [len({one.get(factor) for one in settings}) for factor in settings[0]]
+    lengths = range(1, LONGEST_RULE + 1)
+    return {k: sum(map(math.prod, itertools.combinations(levels, k))) for k in lengths}
+
+
+def _information(bad: int, total: int) -> float:
+    """Negative log-likelihood of so many failures at the share that is most likely."""
+    parts = [n * math.log(n / total) for n in (bad, total - bad) if n]
+    return -sum(parts)

@@ -1,0 +1,138 @@
+"""Which cases fail: published tables, enumerations, rates, and rules that were planted."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import fisher_exact
+
+from study.analysis.assumption.failed_cases import CaseFate, failure_pattern
+
+
+def independent(table: dict[str, tuple[int, int]]) -> list[CaseFate]:
+    """Cases of a table of failed and all, each in a cell of its own."""
+    fates = []
+    for level, (bad, total) in table.items():
+        for k in range(total):
+            fates.append(CaseFate({"f": level, "cell": f"{level}{k}"}, "", k < bad, "bad"))
+    return fates
+
+
+def p_of(fates: list[CaseFate], factor: str = "f") -> float:
+    (found,) = [test for test in failure_pattern(fates).tests if test.factor == factor]
+    return found.p
+
+
+def test_the_lady_tasting_tea() -> None:
+    """Fisher 1935, The Design of Experiments: three of four right; two-sided p = 34/70."""
+    assert p_of(independent({"milk": (3, 4), "tea": (1, 4)})) == pytest.approx(34 / 70)
+
+
+def test_more_than_two_levels_agree_with_the_enumeration_of_all_tables() -> None:
+    table = {"a": (5, 6), "b": (2, 7), "c": (1, 8), "d": (2, 5)}
+    total, bad = [n for _, n in table.values()], [b for b, _ in table.values()]
+
+    def chance(drawn: tuple[int, ...]) -> float:
+        ways = math.prod(math.comb(n, b) for n, b in zip(total, drawn, strict=True))
+        return ways / math.comb(sum(total), sum(bad))
+
+    every = itertools.product(*(range(n + 1) for n in total))
+    chances = [chance(drawn) for drawn in every if sum(drawn) == sum(bad)]
+    assert sum(chances) == pytest.approx(1.0)
+    exact = sum(c for c in chances if c <= chance(tuple(bad)) * (1 + 1e-9))
+    error = math.sqrt(exact * (1 - exact) / 9999)
+    assert p_of(independent(table)) == pytest.approx(exact, abs=4 * error)
+
+
+def design(bad: set[tuple[str, str, str]], blocks: int) -> list[CaseFate]:
+    return [
+        CaseFate(
+            {"plates": p, "order": o, "depth": d}, str(k), (p, o, d) in bad,
+            "not-converged" if (p, o, d) in bad else "",
+        )
+        for p, o, d in itertools.product(("bonded", "free"), ("1", "2"), ("20 %", "40 %", "60 %"))
+        for k in range(blocks)
+    ]  # fmt: skip
+
+
+def test_a_planted_rule_is_found_and_counted() -> None:
+    fates = design({("bonded", "2", "60 %")}, 8)
+    fates[0] = CaseFate(fates[0].levels, fates[0].block, True, "timeout")
+    found = failure_pattern(fates, "specimen")
+    (rule,) = found.rules
+    assert rule.settings == {"plates": "bonded", "order": "2", "depth": "60 %"}
+    assert (rule.failed, rule.total, found.elsewhere) == (8, 8, (1, 88))
+    assert found.causes == {"not-converged": 8, "timeout": 1}
+
+
+def test_one_cell_that_fails_in_every_block_blames_no_factor() -> None:
+    """Eight failures of one cell are one fact: taken as eight, bonded plates had p < 0.01."""
+    fates = design({("bonded", "2", "60 %")}, 8)
+    naive = fisher_exact([[8, 40], [0, 48]]).pvalue
+    assert naive < 0.01
+    assert min(test.p for test in failure_pattern(fates).tests) > 0.2
+
+
+def test_a_factor_that_makes_cells_fail_is_blamed() -> None:
+    bad = {(p, o, "60 %") for p in ("bonded", "free") for o in ("1", "2")}
+    found = failure_pattern(design(bad, 4))
+    assert found.tests[0].factor == "depth"
+    assert found.tests[0].counts["60 %"] == (16, 16)
+    # 4 of 12 cells fail, all of one level: 3 of the 495 ways to choose them are as extreme
+    assert found.tests[0].p == pytest.approx(3 / 495, abs=0.003)
+    assert [rule.settings for rule in found.rules] == [{"depth": "60 %"}]
+
+
+def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks() -> None:
+    fates = [
+        CaseFate(one.levels, one.block, one.block == "3", "bad") for one in design(set(), 6)
+    ]  # fmt: skip
+    found = failure_pattern(fates, "specimen")
+    assert found.tests[0].factor == "specimen"
+    assert found.tests[0].p_holm < 0.001
+    assert [rule.settings for rule in found.rules] == [{"specimen": "3"}]
+
+
+def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised() -> None:
+    """Cells that fail as a whole, at random: 5 % of data sets may blame a factor."""
+    rng, blamed, ruled, sets = np.random.default_rng(7), 0, 0, 120
+    for _ in range(sets):
+        cells = list({tuple(one.levels.values()) for one in design(set(), 1)})
+        bad = {cell for cell in sorted(cells) if rng.random() < 0.3}
+        found = failure_pattern(design(bad, 3))  # type: ignore[arg-type]
+        blamed += any(test.p_holm < 0.05 for test in found.tests)
+        ruled += any(len(rule.settings) < 2 for rule in found.rules)
+    assert blamed <= 0.05 * sets + 3 * math.sqrt(0.05 * 0.95 * sets)
+    assert ruled < sets / 2
+
+
+def test_rules_that_only_list_cases_by_chance_are_not_given() -> None:
+    """Single cases fail at random: no conjunction is worth its name."""
+    rng, given = np.random.default_rng(3), 0
+    for _ in range(60):
+        fates = [
+            CaseFate(one.levels, one.block, bool(rng.random() < 0.1), "bad")
+            for one in design(set(), 6)
+        ]
+        given += len(failure_pattern(fates).rules) > 0
+    assert given <= 9
+
+
+def test_all_or_none() -> None:
+    everything = [CaseFate(one.levels, one.block, True, "timeout") for one in design(set(), 2)]
+    found = failure_pattern(everything)
+    assert (found.failed, found.total, found.tests, found.rules) == (24, 24, (), ())
+    assert found.causes == {"timeout": 24}
+    none = failure_pattern(design(set(), 2))
+    assert (none.failed, none.causes, none.tests, none.rules) == (0, {}, (), ())
+
+
+def test_ten_thousand_cases_fit_into_memory_and_seconds() -> None:
+    fates = [
+        CaseFate({"a": str(k % 100), "b": str(k // 100)}, "", k % 100 == 7, "bad")
+        for k in range(10_000)
+    ]
+    assert [rule.settings for rule in failure_pattern(fates).rules] == [{"a": "7"}]

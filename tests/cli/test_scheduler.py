@@ -1,0 +1,175 @@
+"""`study run --scheduler`: a study on a Dask cluster gives the numbers of this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.record.record import Record
+from study.runner.batch import Progress
+from study.study_result.study_result import StudyResult
+from tests.cli.small import study
+from tests.execution.loopback import ROOT, Loopback, loopback, until
+from tests.fem.surfaces import box, write
+from tests.runner.conftest import DESIGN, make_data
+from tests.runner.test_surfaces import DESIGN as SURFACE
+
+pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
+
+#: finite elements, calibration and a refinement in seconds
+FEM = (
+    DESIGN.replace('mesh = "coarse"', 'mesh_size = "6 mm"')
+    .replace("steps = 10", "steps = 3")
+    .replace("swap = true", "")
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "small.toml").write_text(FEM)
+    make_data(tmp_path)
+    return tmp_path
+
+
+def started(folder: Path, cluster: Loopback, *options: str) -> subprocess.Popen[str]:
+    """`study run` on a cluster, in a process of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "study", "run", "small.toml", "--data", "data",
+         "--scheduler", str(cluster.file), "--json", *options],
+        cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+    )  # fmt: skip
+
+
+def records_of(folder: Path) -> list[Path]:
+    return list((folder / "results" / "small" / "cases").rglob("*.json"))
+
+
+def numbers(record: Record) -> object:
+    """Everything of a record but the times that it took."""
+    return without_times(json.loads(record.to_json())["content"])
+
+
+def without_times(document: object) -> object:
+    if isinstance(document, dict):
+        kept = {k: v for k, v in document.items() if k not in ("seconds", "timings")}
+        return {k: without_times(v) for k, v in kept.items()}
+    return [without_times(v) for v in document] if isinstance(document, list) else document
+
+
+def assert_equal(found: StudyResult, expected: StudyResult) -> None:
+    """The same tables, records and numerical uncertainty, bit for bit."""
+    there, here = (one.table.drop(columns="seconds") for one in (found, expected))
+    assert there.equals(here)
+    for one, other in zip(found.records, expected.records, strict=True):
+        assert numbers(one) == numbers(other)
+    assert {"responses", "curves", "fit"} <= set(numbers(found.records[0]))  # type: ignore[call-overload]
+    assert found.numerical == expected.numerical
+    assert len(found.numerical) > 0
+
+
+def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
+    folder: Path, tmp_path: Path
+) -> None:
+    cluster_folder = tmp_path / "cluster"
+    cluster_folder.mkdir()
+    with loopback(cluster_folder) as cluster:
+        run = started(folder, cluster)
+        until(lambda: len(records_of(folder)) >= 2 or run.poll() is not None)
+        cluster.workers[0].kill()
+        out, err = run.communicate(timeout=240)
+    assert run.returncode == 0, err
+    assert json.loads(out)["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    local = api.run(
+        folder / "small.toml", data=folder / "data", jobs=2, results=tmp_path / "local",
+        reports=None,
+    )  # fmt: skip
+    assert_equal(api.open_study(folder / "results" / "small"), local)
+
+
+def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
+    folder: Path, tmp_path: Path
+) -> None:
+    cluster_folder = tmp_path / "cluster"
+    cluster_folder.mkdir()
+    with loopback(cluster_folder) as cluster:
+        run = started(folder, cluster)
+        until(lambda: len(records_of(folder)) >= 2 or run.poll() is not None)
+        cluster.scheduler.kill()
+        _, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert "the scheduler of the cluster is gone" in err
+    assert "what is finished is kept" in err
+    assert "Traceback" not in err, err
+    kept = {path: path.read_bytes() for path in records_of(folder)}
+    assert len(kept) >= 2
+    resumed = api.run(
+        folder / "small.toml", data=folder / "data", jobs=2, results=folder / "results",
+        reports=None,
+    )  # fmt: skip
+    assert resumed.cases == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert {path: path.read_bytes() for path in kept} == kept
+
+
+def test_ctrl_c_stops_a_study_on_a_cluster_and_leaves_the_cluster(
+    folder: Path, tmp_path: Path
+) -> None:
+    cluster_folder = tmp_path / "cluster"
+    cluster_folder.mkdir()
+    with loopback(cluster_folder, workers=1) as cluster:
+        run = started(folder, cluster)
+        until(lambda: len(records_of(folder)) >= 1 or run.poll() is not None)
+        run.send_signal(signal.SIGINT)
+        _, err = run.communicate(timeout=60)
+        assert run.returncode == 130, err
+        assert "interrupted: what is finished is kept" in err
+        again = started(folder, cluster)
+        out, err = again.communicate(timeout=240)
+    assert again.returncode == 0, err
+    assert json.loads(out)["cases"]["done"] == 12
+
+
+def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    answer = study("run", "small.toml", "--data", "data", "--scheduler", "nowhere.json")
+    assert answer.code == 2
+    assert "'nowhere.json' is no address and no file" in answer.err
+    assert "tls://HOST:PORT" in answer.err
+    assert not (folder / "results").exists()
+
+
+def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
+    """The file is gone as soon as something is computed: workers read the copies that they got."""
+    designs, data, place = (tmp_path / name for name in ("designs", "data", "cluster"))
+    for folder in (designs, data, place):
+        folder.mkdir()
+    write(designs / "box.stl", box(10, 8, 6))
+    (designs / "design.toml").write_text(SURFACE)
+    rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
+    (data / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
+    found = {}
+    with loopback(place) as cluster:
+        for name, engine in (("here", None), ("there", cluster.file)):
+
+            def hide(state: Progress, name: str = name) -> None:
+                if name == "there":
+                    (designs / "box.stl").unlink(missing_ok=True)
+
+            found[name] = api.run(
+                designs / "design.toml", data=data, results=tmp_path / name, reports=None,
+                jobs=2 if engine is None else None, engine=engine, progress=hide, refine=False,
+            )  # fmt: skip
+    assert not (designs / "box.stl").exists()
+    assert found["there"].cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
+    here, there = (found[name].table.drop(columns="seconds") for name in ("here", "there"))
+    assert there.equals(here)

@@ -1,0 +1,96 @@
+"""A Dask cluster on the loopback device, as processes that a test can kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass
+class Loopback:
+    """A scheduler and its workers."""
+
+    folder: Path
+    tls: Sequence[str] = ()
+    threads: int = 1
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "scheduler.json"
+
+    @property
+    def scheduler(self) -> subprocess.Popen[bytes]:
+        return self.processes[0]
+
+    @property
+    def workers(self) -> list[subprocess.Popen[bytes]]:
+        return self.processes[1:]
+
+    def start_scheduler(self) -> None:
+        protocol = "tls" if self.tls else "tcp"
+        self._start(
+            "dask_scheduler", "--host", f"{protocol}://127.0.0.1", "--port", "0",
+            "--scheduler-file", str(self.file), "--no-dashboard", "--no-show", *self.tls,
+        )  # fmt: skip
+        until(self.file.is_file)
+
+    def start_worker(self, shadow: str = "", nanny: bool = False) -> subprocess.Popen[bytes]:
+        return self._start(
+            "dask_worker", "--scheduler-file", str(self.file), "--nthreads", str(self.threads),
+            "--memory-limit", "0", "--no-dashboard", "--nanny" if nanny else "--no-nanny",
+            "--death-timeout", "60",
+            "--local-directory", str(self.folder), *self.tls, shadow=shadow,
+        )  # fmt: skip
+
+    def _start(self, what: str, *options: str, shadow: str = "") -> subprocess.Popen[bytes]:
+        path = os.pathsep.join(p for p in (shadow, str(ROOT), os.environ.get("PYTHONPATH")) if p)
+        log = (self.folder / f"{what}-{len(self.processes)}.log").open("wb")
+        with log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.{what}", *options],
+                stdout=log, stderr=log, cwd=self.folder, env={**os.environ, "PYTHONPATH": path},
+                start_new_session=True,
+            )  # fmt: skip
+        self.processes.append(process)
+        return process
+
+    def log(self, number: int) -> str:
+        (found,) = self.folder.glob(f"*-{number}.log")
+        return found.read_text()
+
+    def stop(self) -> None:
+        for process in self.processes[::-1]:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@contextmanager
+def loopback(folder: Path, workers: int = 2, **options: object) -> Iterator[Loopback]:
+    """Start a scheduler and some workers; kill them in the end."""
+    made = Loopback(folder, **options)  # type: ignore[arg-type]
+    try:
+        made.start_scheduler()
+        for _ in range(workers):
+            made.start_worker()
+        yield made
+    finally:
+        made.stop()
+
+
+def until(true: Callable[[], object], seconds: float = 60.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not true():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"waited {seconds:g} s for nothing")
+        time.sleep(0.05)

@@ -1,0 +1,395 @@
+"""Tasks on a Dask cluster: as on this machine, and what is lost with workers and scheduler."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study.errors import InputError, RefusedError, SchedulerLostError
+from study.execution.cluster.executor import Cluster
+from study.execution.cluster.isolation import Processes
+from study.execution.cluster.versions import differences
+from study.execution.inline import Inline
+from study.execution.task import Outcome, Task
+from tests.execution.loopback import ROOT, Loopback, loopback, until
+from tests.execution.misbehaving import perform
+
+distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
+dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loopback]:
+    """Two workers of one thread each, for tests that leave them alive."""
+    with loopback(tmp_path_factory.mktemp("cluster")) as made:
+        assert Cluster(perform, made.file, jobs=None).slots() in (1, 2)
+        yield made
+
+
+def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
+    return Task(key, lambda results: {"kind": kind, **values}, needs, values.get("group", ""))
+
+
+def run(where: Loopback, tasks: list[Task], **options: Any) -> dict[str, Outcome]:
+    return {o.key: o for o in Cluster(perform, where.file, **options).run(tasks)}
+
+
+def test_outcomes_are_those_of_this_machine(cluster: Loopback) -> None:
+    def payload(results: Any) -> dict[str, Any]:
+        return {"kind": "work", "value": results["a"]["value"]}
+
+    tasks = [Task("b", payload, ("a",)), task("a", value=3), task("bad", "raise"), task("n", "nan")]
+    inline = {o.key: o.result for o in Inline(perform).run(tasks)}
+    there = {key: o.result for key, o in run(cluster, tasks).items()}
+    for found in (inline, there):
+        found["bad"].pop("traceback")
+        found["n"].pop("traceback")
+    assert inline == there
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "said"),
+    [
+        ("die", "crashed", "signal 9"),
+        ("exit", "crashed", "exit code 3"),
+        ("memory", "out-of-memory", "out of memory"),
+        ("hang", "timeout", "stopped after 2 s"),
+        ("hold the interpreter", "timeout", "stopped after 2 s"),
+        ("stopped", "timeout", "stopped after 2 s"),
+    ],
+)
+def test_a_task_that_misbehaves_costs_itself_alone(
+    cluster: Loopback, kind: str, status: str, said: str
+) -> None:
+    found = run(cluster, [task("bad", kind), *(task(k) for k in "abc")], limit_s=2.0)
+    assert found["bad"].result["status"] == status
+    assert said in found["bad"].message
+    assert [found[k].result["value"] for k in "abc"] == [1, 1, 1]
+    assert all(worker.poll() is None for worker in cluster.workers)
+
+
+def test_a_task_whose_process_died_is_tried_once_more(cluster: Loopback, tmp_path: Path) -> None:
+    found = run(cluster, [task("a", "die once", mark=str(tmp_path / "mark"))])
+    assert found["a"].result == {"status": "converged", "value": 1}
+
+
+def test_every_process_there_has_one_thread_too(cluster: Loopback) -> None:
+    assert run(cluster, [task("a", "threads")])["a"].result["threads"] == "1"
+
+
+def test_tasks_of_a_group_stay_with_one_process(cluster: Loopback) -> None:
+    grouped = [
+        Task(f"{g}{k}", lambda _: {"kind": "process"}, group=g) for k in range(3) for g in "ab"
+    ]
+    found = run(cluster, grouped)
+    processes = {g: {found[f"{g}{k}"].result["process"] for k in range(3)} for g in "ab"}
+    assert all(len(own) == 1 for own in processes.values())
+    assert processes["a"] != processes["b"]
+
+
+def test_a_worker_that_is_lost_costs_what_it_was_doing(tmp_path: Path) -> None:
+    with loopback(tmp_path) as made:
+        tasks = [task(str(k), "process") for k in range(40)]
+        seen: dict[str, Outcome] = {}
+        for outcome in Cluster(perform, made.file).run(tasks):
+            seen[outcome.key] = outcome
+            if len(seen) == 6:
+                made.workers[0].kill()
+        assert set(seen) == {task.key for task in tasks}
+        assert {outcome.status for outcome in seen.values()} == {"converged"}
+
+
+def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
+    """As `dask worker` starts them: children of a nanny, which may have no children of theirs."""
+    with loopback(tmp_path, workers=0) as made:
+        nanny = made.start_worker(nanny=True)
+        seen = set()
+        for outcome in Cluster(perform, made.file).run(
+            [task(str(k), "process") for k in range(40)]
+        ):
+            assert outcome.status == "converged"
+            seen.add(outcome.key)
+            if len(seen) == 10:
+                _kill_child(nanny.pid)
+        assert len(seen) == 40
+        began = time.monotonic()
+        nanny.terminate()
+        nanny.wait(timeout=20)
+        assert time.monotonic() - began < 10  # it does not wait for processes of ours
+
+
+def _kill_child(pid: int) -> None:
+    for listed in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in listed.read_text().split():
+            if "spawn_main" in Path(f"/proc/{child}/cmdline").read_text():
+                os.kill(int(child), signal.SIGKILL)
+
+
+def test_a_task_that_loses_two_workers_is_a_failed_case_and_says_so(tmp_path: Path) -> None:
+    """It may be what brings the machines down; others are done by the worker that comes."""
+    with loopback(tmp_path, workers=1) as made:
+        outcomes = Cluster(perform, made.file, jobs=1).run([task("slow", "hang"), task("a")])
+        killer = threading.Thread(target=_lose_twice, args=(made,))
+        killer.start()
+        found = {outcome.key: outcome for outcome in outcomes}
+        killer.join()
+    assert found["slow"].status == "crashed"
+    assert "lost with its worker tcp://127.0.0.1" in found["slow"].message
+    assert found["slow"].message.endswith(", twice")
+    assert found["a"].status == "converged"
+
+
+def _lose_twice(made: Loopback) -> None:
+    """Kill the worker while it hangs, and the next one, and start a third."""
+    for _ in range(2):
+        until(lambda: any("popen_loky" in line for line in children(made.workers[-1].pid)))
+        time.sleep(1.0)
+        made.workers[-1].kill()
+        made.start_worker()
+
+
+def test_a_worker_that_hangs_does_not_keep_a_finished_study(tmp_path: Path) -> None:
+    with loopback(tmp_path) as made:
+        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("c")])
+        seen = [next(outcomes).key for _ in range(3)]
+        made.workers[0].send_signal(signal.SIGSTOP)
+        began = time.monotonic()
+        assert list(outcomes) == []
+        assert time.monotonic() - began < 20
+        made.workers[0].send_signal(signal.SIGCONT)
+    assert sorted(seen) == ["a", "b", "c"]
+
+
+def test_losing_the_scheduler_keeps_what_is_finished(tmp_path: Path) -> None:
+    seen = []
+    with loopback(tmp_path) as made:
+        outcomes = Cluster(perform, made.file).run([task("a"), task("b"), task("slow", "hang")])
+        seen += [next(outcomes).key, next(outcomes).key]
+        began = time.monotonic()
+        made.scheduler.kill()
+        with pytest.raises(SchedulerLostError, match="what is finished is kept") as lost:
+            next(outcomes)
+        assert time.monotonic() - began < 20
+    assert sorted(seen) == ["a", "b"]
+    assert "it resumes" in str(lost.value)
+    assert lost.value.exit_code == 130
+
+
+def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback) -> None:
+    """Two studies on one cluster: the end of one is not that of the other."""
+    mine = Cluster(perform, cluster.file, jobs=2).run([task("a"), task("slow", "hang")])
+    other = Cluster(perform, cluster.file, jobs=2).run([task(str(k), "process") for k in range(30)])
+    found = [next(other)]
+    assert next(mine).key == "a"
+    time.sleep(0.5)
+    mine.close()
+    found += list(other)
+    assert len(found) == 30
+    assert {outcome.status for outcome in found} == {"converged"}
+    # a worker that has nothing to do has no process left, ours nor theirs
+    until(lambda: not any(worker_processes(cluster)), seconds=15)
+
+
+INTERRUPTED = """
+import signal, sys
+from study.execution.cluster.executor import Cluster
+from study.execution.task import Task
+from tests.execution.misbehaving import perform
+signal.signal(signal.SIGINT, signal.default_int_handler)
+tasks = [Task("a", lambda _: {"kind": "process"})]
+tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]
+for outcome in Cluster(perform, sys.argv[1]).run(tasks):
+    print(outcome.result["process"], flush=True)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_no_task_outlives_its_study(cluster: Loopback, how: signal.Signals) -> None:
+    """However it ends, the workers notice and stop what nobody waits for."""
+    owner = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, str(cluster.file)], cwd=ROOT, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+    )  # fmt: skip
+    assert owner.stdout is not None
+    assert int(owner.stdout.readline())
+    until(lambda: all(children(worker.pid) for worker in cluster.workers))
+    owner.send_signal(how)
+    try:
+        owner.wait(timeout=20)
+    finally:
+        owner.kill()
+        owner.stdout.close()
+    busy = "" if how == signal.SIGINT else "idle processes end a minute later"
+    until(lambda: busy or not any(worker_processes(cluster)), seconds=15)
+    # whatever was left, the threads of the workers are free for the next study
+    began = time.monotonic()
+    assert run(cluster, [task("a"), task("b")], limit_s=5.0)["a"].status == "converged"
+    assert time.monotonic() - began < 20
+
+
+def test_a_worker_with_other_versions_is_refused_with_the_differences(cluster: Loopback) -> None:
+    with pytest.raises(RefusedError, match="would not give the numbers") as refused:
+        run(cluster, [task("a")], identity=_of_process)
+    assert "numpy 1.0 (here 2.0)" in str(refused.value)
+    assert "2 workers" in str(refused.value)
+
+
+def _of_process() -> dict[str, str]:
+    """Versions that differ between the study and the processes of the cluster."""
+    is_worker = any("dask_worker" in word for word in sys.argv)
+    return {"numpy": "1.0" if is_worker else "2.0"}
+
+
+def test_a_worker_without_the_package_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study" / "__init__.py").write_text("raise ImportError('no study here')\n")
+    with loopback(tmp_path, workers=0) as made:
+        made.start_worker(shadow=str(tmp_path))
+        with pytest.raises(RefusedError, match="study cannot be imported there: .*no study here"):
+            run(made, [task("a")])
+
+
+def test_what_differs_is_named() -> None:
+    here = {"a": "1", "b": "2"}
+    assert differences(here, {"a": "1", "c": "3"}) == "b absent (here 2), c 3 (here absent)"
+    assert differences(here, here) == ""
+    assert differences(here, OSError("connection refused")) == "connection refused"
+
+
+def test_files_that_tasks_read_travel_with_the_study(cluster: Loopback, tmp_path: Path) -> None:
+    """A worker on another machine sees no file of ours; its copy goes when the run ends."""
+    path = tmp_path / "a surface.stl"
+    path.write_text("solid")
+    tasks = [task(k, "read", path=str(path)) for k in "abc"]
+    found = run(cluster, tasks, files=[path])
+    assert {outcome.result["text"] for outcome in found.values()} == {"solid"}
+    places = {str(outcome.result["path"]) for outcome in found.values()}
+    assert str(path) not in places
+    assert {Path(place).suffix for place in places} == {".stl"}
+    assert not any(Path(place).exists() for place in places)
+
+
+def test_a_worker_that_comes_later_gets_its_share(tmp_path: Path) -> None:
+    with loopback(tmp_path, workers=1) as made:
+        seen = set()
+        for outcome in Cluster(perform, made.file).run(
+            [task(str(k), "process") for k in range(99)]
+        ):
+            seen.add(outcome.result["process"])
+            if len(made.workers) == 1:
+                made.start_worker()
+                until(lambda: "Registered to" in made.log(2))
+        assert len(seen) == 2
+
+
+def test_a_study_waits_for_the_first_worker(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with loopback(tmp_path, workers=0) as made:
+        starter = threading.Timer(2.0, made.start_worker)
+        starter.start()
+        assert run(made, [task("a")])["a"].status == "converged"
+        starter.join()
+    assert "waiting for a worker" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_a_limit_that_is_none_is_refused(cluster: Loopback, limit: float) -> None:
+    with pytest.raises(InputError, match="must be a positive number"):
+        run(cluster, [task("a")], limit_s=limit)
+
+
+def test_a_scheduler_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"'scheduler.jsn' is no address and no file"):
+        list(Cluster(perform, "scheduler.jsn").run([]))
+
+
+def test_a_scheduler_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 1.0)
+    with pytest.raises(InputError, match=r"tcp://127.0.0.1:9 cannot be reached"):
+        list(Cluster(perform, "tcp://127.0.0.1:9").run([]))
+
+
+def test_a_client_that_was_given_stays_open(cluster: Loopback) -> None:
+    with distributed.Client(scheduler_file=str(cluster.file), set_as_default=False) as client:
+        for _ in range(2):
+            found = list(Cluster(perform, client).run([task("a"), task("b")]))
+            assert [outcome.status for outcome in found] == ["converged"] * 2
+        assert client.status == "running"
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], list[str]]:
+    """Certificates of an authority of our own, by its name."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl, which makes the certificates, is not installed")
+    folder = tmp_path_factory.mktemp("certificates")
+
+    def made(name: str) -> list[str]:
+        key, cert = folder / f"{name}.key", folder / f"{name}.pem"
+        subprocess.run(
+            ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2",
+             "-subj", f"/CN={name}", "-keyout", str(key), "-out", str(cert)],
+            check=True, capture_output=True,
+        )  # fmt: skip
+        return ["--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key)]
+
+    return made
+
+
+def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
+    tmp_path: Path, certificates: Callable[[str], list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own, foreign = certificates("own"), certificates("foreign")
+    monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 3.0)
+    with loopback(tmp_path, workers=1, tls=own) as made:
+        with dask.config.set(_tls(own)):
+            assert run(made, [task("a")])["a"].status == "converged"
+        with dask.config.set(_tls(foreign)), pytest.raises(InputError, match="certificate"):
+            run(made, [task("a")])
+        with pytest.raises(InputError, match="cannot be reached"):
+            run(made, [task("a")])
+
+
+def _tls(options: list[str]) -> dict[str, str]:
+    """What a file of Dask's configuration says of certificates."""
+    ca, cert, key = options[1::2]
+    place = "distributed.comm.tls"
+    return {
+        f"{place}.ca-file": ca, f"{place}.client.cert": cert, f"{place}.client.key": key,
+    }  # fmt: skip
+
+
+def test_processes_that_nobody_uses_end() -> None:
+    """A study that was killed cannot say that it is over."""
+    here = Processes()
+    answer = here.perform(("gone", 0), perform, '{"kind": "process"}', None, lambda: False)
+    process = int(answer.text.split('"process": ')[1].rstrip("}"))
+    here.end_idle(idle_s=60.0)
+    assert Path(f"/proc/{process}").exists()
+    here.end_idle(idle_s=0.0)
+    assert not Path(f"/proc/{process}").exists()
+
+
+def children(pid: int) -> list[str]:
+    """Command lines of the processes that a process has."""
+    listed = Path(f"/proc/{pid}/task").glob("*/children")
+    pids = [child for path in listed for child in path.read_text().split()]
+    found = [Path(f"/proc/{child}/cmdline") for child in pids]
+    return [path.read_text() for path in found if path.exists()]
+
+
+def worker_processes(cluster: Loopback) -> list[str]:
+    lines = [line for worker in cluster.workers for line in children(worker.pid)]
+    return [line for line in lines if "popen_loky" in line]

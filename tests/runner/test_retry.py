@@ -1,0 +1,218 @@
+"""[execution] retry: what is tried of a failed case, its record, and that nothing is silent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.design.load import loads
+from study.errors import InputError
+from study.record.record import Record
+from study.record.store import Store
+from study.runner.batch import Summary, computing, run_batch
+from study.runner.expansion import expand
+from study.runner.job import Work
+from study.runner.numerical.refinement import refine
+from study.runner.numerical.retry import notes_of
+from study.runner.numerical.study_refinement import study_series
+from study.runner.tasks import adapted, limit_of, processes
+
+from .conftest import DESIGN, fake, make_data
+
+
+def design(policy: str) -> str:
+    return f"{DESIGN}\n[execution]\nretry = {{ {policy} }}\n"
+
+
+def run(work: Work, folder: Path) -> tuple[Summary, dict[str, Record]]:
+    store = Store(folder)
+    summary = run_batch(work, store, jobs=2, executor=fake(2))
+    return summary, {r.case_id: r for r in store.records(work.input_hashes)}
+
+
+def wished(folder: Path, monkeypatch: pytest.MonkeyPatch, wish: str) -> None:
+    (folder / "wish").write_text(wish)
+    monkeypatch.setenv("FAKE_WISH", str(folder / "wish"))
+
+
+def bonded_mooney(records: Mapping[str, Record]) -> Record:
+    (found,) = [
+        r for r in records.values() if r.levels == {"material": "mooney-rivlin", "plates": "bonded"}
+    ]
+    return found
+
+
+def test_smaller_steps_mend_a_case_and_its_record_says_so(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
+    policy = 'not-converged = ["smaller-steps", "finer-mesh"]'
+    work = expand(loads(design(policy), "small.toml"), one_mix)
+    summary, records = run(work, tmp_path / "results")
+    assert (summary.computed, summary.failed) == (4, 0)
+    found = bonded_mooney(records)
+    (note,) = notes_of(found)
+    assert note["cause"] == "not-converged"
+    assert "no step was found" in note["message"]
+    assert note["change"] == "smaller-steps"
+    assert note["what"] == "40 load steps instead of 10"
+    # every case of the other material is as it was designed
+    assert [len(notes_of(r)) for r in records.values()].count(0) == 2
+    # the numbers are those of a study that asked for 40 steps at once
+    asked = DESIGN.replace("steps = 10", "steps = 40")
+    other = expand(loads(asked, "small.toml"), one_mix)
+    _, directly = run(other, tmp_path / "directly")
+    expected = bonded_mooney(directly)
+    for name in ("mu0", "relative_rms_force_error"):
+        assert found.response(name) == expected.response(name)
+    # it is a record of the planned case: nothing is computed again
+    again, _ = run(work, tmp_path / "results")
+    assert (again.computed, again.fits, again.failed) == (0, 0, 0)
+
+
+def test_changes_are_tried_one_after_the_other_and_add_up(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs 6 mm")
+    text = design('not-converged = ["smaller-steps", "finer-mesh"]').replace(
+        'mesh = "coarse"', 'mesh_size = "8 mm"'
+    )
+    work = expand(loads(text, "small.toml"), one_mix)
+    summary, records = run(work, tmp_path / "results")
+    assert summary.failed == 0
+    found = bonded_mooney(records)
+    assert [note["change"] for note in notes_of(found)] == ["smaller-steps", "finer-mesh"]
+    assert notes_of(found)[1]["what"] == "elements of 5.333 mm instead of 8 mm"
+    assert found.mesh["mesh_size_mm"] == pytest.approx(8 / 1.5)
+
+
+def test_a_case_on_a_finer_mesh_says_nothing_of_the_error_of_its_own(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Taken for the coarse mesh, it would hide the error that refinement has to show."""
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs 6 mm")
+    text = design('not-converged = "finer-mesh"').replace('mesh = "coarse"', 'mesh_size = "8 mm"')
+    work = expand(loads(text, "small.toml"), one_mix)
+    store = Store(tmp_path / "results")
+    run(work, tmp_path / "results")
+    series = study_series(work.plain(), store.by_case(work.input_hashes))
+    compute = computing(work.plain(), store, jobs=2, executor=fake(2))
+    refine(series, compute)
+    found = {one.base.case.levels["material"]: one for one in series}
+    assert found["neo-hookean"].uncertainty("mu0", "kPa").u_num is not None
+    lacking = found["mooney-rivlin"].uncertainty("mu0", "kPa")
+    assert lacking.u_num is None
+    judged = found["mooney-rivlin"].judge(work.design.converge, work.responses)
+    assert "only a finer one did" in str(judged)
+
+
+def test_a_case_that_nothing_mends_has_failed_with_all_that_was_tried(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wished(tmp_path, monkeypatch, "mooney-rivlin")
+    work = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
+    summary, records = run(work, tmp_path / "results")
+    assert summary.failed == 2
+    found = bonded_mooney(records)
+    assert (found.status, len(notes_of(found))) == ("not-converged", 1)
+    # and it is not tried for ever
+    again, _ = run(work, tmp_path / "results")
+    assert (again.computed, again.fits) == (0, 0)
+
+
+def test_without_a_policy_nothing_is_tried(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs 40 steps")
+    work = expand(loads(DESIGN, "small.toml"), one_mix)
+    summary, records = run(work, tmp_path / "results")
+    assert summary.failed == 2
+    assert all(not notes_of(record) for record in records.values())
+    # a policy that comes later changes no key: what failed is tried, nothing else is computed
+    later = expand(loads(design('not-converged = "smaller-steps"'), "small.toml"), one_mix)
+    assert later.input_hashes == work.input_hashes
+    summary, records = run(later, tmp_path / "results")
+    assert summary.computed == 0
+    assert all(record.converged for record in records.values())
+
+
+def test_a_task_that_lacked_memory_is_computed_alone(
+    one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit and a case that the machine killed twice each, then with nothing else beside them."""
+    wished(tmp_path, monkeypatch, "mooney-rivlin needs memory")
+    text = design('crashed = "more-memory"').replace("swap = true", "")
+    work = expand(loads(text, "small.toml"), one_mix)
+    summary, records = run(work, tmp_path / "results")
+    assert summary.failed == 0
+    (note,) = notes_of(bonded_mooney(records))
+    assert note["cause"] == "crashed"
+    assert note["what"] == "computed with nothing else beside it"
+
+
+def test_an_executor_is_given_more_time_or_fewer_tasks() -> None:
+    place = processes(4, 10.0)
+    assert limit_of(adapted(place, 4.0)) == 40.0
+    assert adapted(place, alone=True).jobs == 1  # type: ignore[attr-defined]
+    assert limit_of(adapted(processes(2), 4.0)) is None
+
+
+def slow_at_first(folder: Path) -> Callable[[Mapping[str, object]], object]:
+    """A model that hangs between bonded plates, each material once."""
+
+    def solve(problem: Mapping[str, object]) -> object:
+        test, material = problem["test"], problem["material"]
+        assert isinstance(test, Mapping)
+        assert isinstance(material, Mapping)
+        mark = folder / f"{material['model']}.mark"
+        if test["interface"] == "bonded" and not mark.exists():
+            mark.touch()
+            time.sleep(300)
+        return 2.0 * np.asarray(problem["displacement_mm"])
+
+    return solve
+
+
+def test_a_longer_limit_from_the_design_to_the_report(tmp_path: Path) -> None:
+    text = design('timeout = "longer-limit"').replace(
+        'model = "mooney-rivlin"', 'model = "mooney-rivlin"\nC10 = "4 kPa"\nC01 = "1 kPa"'
+    ).replace('model = "neo-hookean"', 'model = "neo-hookean"\nC10 = "5 kPa"')  # fmt: skip
+    text = text.split('[[response]]\nname = "mu0"')[0] + text[text.index("[execution]") :]
+    text += '[calibration]\nmethod = "none"\n[forward]\nmodel = "python"\n'
+    (tmp_path / "small.toml").write_text(text)
+    found = api.run(
+        tmp_path / "small.toml", data=make_data(tmp_path, ("M1",)), results=tmp_path / "results",
+        reports=tmp_path / "reports", forward=slow_at_first(tmp_path), version="1", jobs=2,
+        refine=False, timeout_s=15.0,
+    )  # type: ignore[arg-type]  # fmt: skip
+    assert found.cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
+    assert found.report is not None
+    page = found.report.read_text(encoding="utf-8")
+    assert "2 cases failed as designed and were computed with other settings" in page.replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
+    assert "a limit 4 times as long" in page
+    assert "stopped after 15 s" in page
+    csv = (found.report.parent / "small-data" / "table-retried.csv").read_text()
+    assert csv.count("\n") == 3
+
+
+@pytest.mark.parametrize(
+    ("policy", "said"),
+    [
+        ('not-converged = ["smaler-steps"]', "did you mean 'smaller-steps'"),
+        ('timeout = ["smaller-steps"]', "Valid: longer-limit"),
+        ('tired = ["longer-limit"]', "Valid: not-converged, unstable, mesh-failed"),
+        ("timeout = 4", "must be a text, got 4"),
+    ],
+)
+def test_a_policy_that_means_nothing_is_refused(policy: str, said: str) -> None:
+    with pytest.raises(InputError) as refused:
+        loads(design(policy), "small.toml")
+    assert said in str(refused.value)
+    assert "execution.retry" in str(refused.value)
