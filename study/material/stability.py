@@ -18,6 +18,7 @@ from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode
 from study.material.material import Material
+from study.material.relaxation import unphysical
 
 #: stretches judged where the caller has no range of its own
 USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
@@ -133,8 +134,8 @@ def check(
     Raises
     ------
     InputError
-        If a modulus is not positive, an exponent is zero, or the material is unstable on the
-        range.
+        If a modulus is not positive, an exponent is zero, a share of relaxation is negative or
+        they leave nothing, or the material is unstable on the range.
     """
     faults = []
     if not material.mu0 > 0:
@@ -143,6 +144,7 @@ def check(
         faults.append(Fault(where, rule, mend))
     for name, rule in material.energy.forbidden(material.constants).items():
         faults.append(Fault(f"{where}.{name}", rule))
+    faults += unphysical(material.relaxation, f"{where}.relaxation")
     if not faults and stretches is not None:
         verdict = stability(material, stretches)
         if not verdict.stable:
