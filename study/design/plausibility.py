@@ -95,6 +95,11 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
     if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
         rule = "bonded faces do not let a specimen deform the same everywhere"
         faults.add(f"{where}.interface", rule, "leave it out, or give a cylinder or block")
+    energy = ENERGIES.get(problem.material.model)
+    if energy is not None and not energy.splits and not is_gauge:
+        rule = f"{energy.name} has no isochoric part that finite elements could take for itself"
+        mend = 'write specimen.shape = "homogeneous", with area and length, or another energy'
+        faults.add(f"{places['material']}.model", rule, mend)
     rigid = kind.needs_homogeneous and kind.mode in ("confined", "volumetric")
     if rigid and problem.material.compressibility.incompressible:
         rule = f"{test.kind} of an incompressible material has no displacement"
@@ -186,15 +191,19 @@ def check_stability(problem: CellProblem, faults: Faults) -> None:
         return
     if depth is None or height is None or depth >= height:
         return
-    sentence = _unstable(problem.material.model, given, 1 - depth / height)
+    nu = problem.material.compressibility.poisson_ratio
+    sentence = _unstable(problem.material.model, given, 1 - depth / height, nu)
     if sentence:
         faults.add("material", sentence, f"give constants stable to stretch {1 - depth / height:g}")
 
 
 @lru_cache(maxsize=1024)
-def _unstable(model: str, constants: tuple[tuple[str, float], ...], stretch: float) -> str:
+def _unstable(
+    model: str, constants: tuple[tuple[str, float], ...], stretch: float, nu: float | None
+) -> str:
     """Verdict on uniaxial loading down to a stretch; empty if it is stable."""
-    material = Material(model, dict(constants), poisson_ratio=0.4)  # K does not enter
+    # K enters where the volume change belongs to all of the energy, and nowhere else
+    material = Material(model, dict(constants), poisson_ratio=0.4 if nu is None else nu)
     verdict = stability(material, [stretch, 1.0])
     return verdict.sentence if "uniaxial" in verdict.limits else ""
 

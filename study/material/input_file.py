@@ -112,8 +112,6 @@ def _abaqus_values(material: Material, found: Converted) -> tuple[str, list[floa
     """Keyword line and data of a material, a volumetric constant for every term."""
     constants = dict(found.constants)
     volume = constants.pop("D1", constants.pop("D", None))
-    if volume is None:
-        return found.keyword, list(constants.values())
     keyword, terms = found.keyword, 1
     if keyword.endswith("polynomial"):
         terms = material.energy.order_of(constants)
@@ -126,6 +124,8 @@ def _abaqus_values(material: Material, found: Converted) -> tuple[str, list[floa
     if terms > MOST_OF_ABAQUS:
         rule = f"Abaqus takes {MOST_OF_ABAQUS} terms of this energy at most, got {terms}"
         raise InputError(Fault("material.order", rule, "calibrate fewer terms"))
+    if volume is None:
+        return keyword, list(constants.values())
     return keyword, [*constants.values(), volume, *[0.0] * (terms - 1)]
 
 

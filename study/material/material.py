@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from study.arrays import Array
 from study.errors import Fault, InputError, nearest
 from study.material.compressibility import Compressibility
-from study.material.energy import Energy, IsochoricEnergy, Law
+from study.material.energy import CompressibleEnergy, Energy, IsochoricEnergy, Law
 from study.material.registry import energy_named
 from study.material.relaxation import RelaxationTerm, faults, long_term_share
 
@@ -54,6 +54,9 @@ class Material:
     def __post_init__(self) -> None:
         found = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
         found += faults(self.relaxation)
+        energy = self.energy
+        if isinstance(energy, CompressibleEnergy) and self.poisson_ratio is None:
+            found.append(energy.without_poisson_ratio())
         if found:
             raise InputError(found)
         names = self.energy.ordered(self.constants)
@@ -77,6 +80,12 @@ class Material:
         if not isinstance(energy, IsochoricEnergy):
             raise TypeError(f"{self.model} has no energy of isochoric principal stretches")
         return energy
+
+    @property
+    def compressible(self) -> CompressibleEnergy | None:
+        """The energy, if its volume change belongs to all of it."""
+        energy = self.energy
+        return energy if isinstance(energy, CompressibleEnergy) else None
 
     @property
     def small_strain(self) -> bool:

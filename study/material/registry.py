@@ -9,6 +9,7 @@ from study.material.energies.fung import Fung
 from study.material.energies.gent import Gent
 from study.material.energies.linear_elastic import LinearElastic
 from study.material.energies.ogden import Ogden
+from study.material.energies.ogden_hill import OgdenHill
 from study.material.energies.polynomial import (
     MooneyRivlin,
     NeoHookean,
@@ -37,6 +38,7 @@ ENERGIES: dict[str, Energy] = {
         VanDerWaals(),
         VerondaWestmann(),
         Fung(),
+        OgdenHill(),
     )
 }
 

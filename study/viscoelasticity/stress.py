@@ -82,9 +82,9 @@ def _relaxation_names(material: Material) -> list[str]:
 
 
 def _check(material: Material, loading: str, time: Array, measure: Array) -> None:
-    if material.small_strain:
-        rule = f"relaxation is one of a hyperelastic energy, which {material.model} is not"
-        mend = 'write model = "neo-hookean": the same at small strain'
+    if material.small_strain or material.compressible is not None:
+        rule = f"relaxation is one of an isochoric energy, which {material.model} is not"
+        mend = 'write model = "neo-hookean", or another energy with an isochoric part'
         raise InputError(Fault("material.relaxation", rule, mend))
     if time.shape != measure.shape or time.ndim != 1 or not time.size:
         raise InputError(f"{time.size} times do not belong to {measure.size} deformations")

@@ -12,7 +12,7 @@ from typing import Annotated
 from study.design.diagnostics import Faults, Table, noted, read_table
 from study.design.sections.relaxation import relaxation_from
 from study.errors import InputError
-from study.material.energy import Energy
+from study.material.energy import CompressibleEnergy, Energy
 from study.material.registry import ENERGIES, MODELS, constant_names, is_constant_key
 from study.setup.material_section import Compressibility, MaterialSection
 from study.setup.quantity import integer, number, quantity
@@ -78,9 +78,13 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     order = _order(energy, found.order, values, faults, path)
     where = f"{path}.relaxation"
     fading = relaxation_from(found.relaxation, faults, where)
-    if fading and energy.small_strain:
-        rule = f"is one of a hyperelastic energy, which {energy.name} is not"
-        faults.add(where, rule, 'write model = "neo-hookean": the same at small strain')
+    if fading and (energy.small_strain or not energy.splits):
+        rule = f"is one of an isochoric energy, which {energy.name} is not"
+        mend = 'write model = "neo-hookean", or another energy with an isochoric part'
+        faults.add(where, rule, mend)
+    if isinstance(energy, CompressibleEnergy) and volume.poisson_ratio is None:
+        fault = energy.without_poisson_ratio()
+        faults.add(f"{path}.poisson_ratio", fault.rule, fault.mend)
     return MaterialSection(energy.name, order, values, volume, fading)
 
 
