@@ -72,6 +72,12 @@ def test_constants_shares_and_times_come_back_through_the_command(tmp_path: Path
     text = study("calibrate", str(path), "--data", str(tmp_path), "--results", str(tmp_path))
     assert "40 kPa at once, 20 kPa after all relaxation" in text.out
     assert "time (s)" in (tmp_path / "case" / "calibration.svg").read_text()
+    fitted = str(tmp_path / "case" / "calibration.json")
+    written = study("export", fitted, "--as", "abaqus", "--reports", str(tmp_path), "--json")
+    assert written.code == 0, written.err
+    prony = written.json["text"].split("*Viscoelastic, time=prony\n")[1].splitlines()
+    rows = [[float(v) for v in line.split(",")] for line in prony]
+    assert np.array(rows) == pytest.approx(np.array([[0.3, 0, 1], [0.2, 0, 20]]), rel=1e-5)
 
 
 def test_shares_on_a_fixed_grid_of_times(tmp_path: Path) -> None:

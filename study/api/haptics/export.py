@@ -8,7 +8,7 @@ from pathlib import Path
 
 from study.api.folders import REPORTS
 from study.api.haptics.material import PROGRAMS, MaterialExport, export_material
-from study.api.haptics.problem import source_of
+from study.api.haptics.problem import material_of, source_of
 from study.errors import Fault, InputError, nearest
 from study.haptics.export import document, files, sentences
 from study.haptics.force_law import ForceLaw
@@ -97,9 +97,10 @@ def export(
     if not 0 < tolerance < 1:
         rule = f"must be a share between 0 and 1, got {tolerance:g}"
         raise InputError(Fault("--tolerance", rule, "for example 0.002"))
-    found = source_of(Path(source), case, test, overrides)
     if form in PROGRAMS:
-        return export_material(found, form, Path(out))
+        name, material = material_of(Path(source), case, test, overrides)
+        return export_material(name, material, form, Path(out))
+    found = source_of(Path(source), case, test, overrides)
     check(found.problem.material, None)
     wanted = Wanted(tolerance, found.half_ranges, found.covariance)
     law = solved_force_law(found.name, found.problem, wanted, progress)

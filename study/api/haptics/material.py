@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from study.api.haptics.problem import Source
 from study.material import conversions
 from study.material.convention import Converted
 from study.material.input_file import abaqus_text, febio_text, material_name, remarks
@@ -66,13 +65,15 @@ class MaterialExport:
         return (f"{self.name}: {self.converted.keyword}", *self.remarks)
 
 
-def export_material(source: Source, program: str, folder: Path) -> MaterialExport:
-    """Write the material of a problem for another program.
+def export_material(title: str, material: Material, program: str, folder: Path) -> MaterialExport:
+    """Write a material for another program.
 
     Parameters
     ----------
-    source : Source
-        With its constants.
+    title : str
+        Of the problem that it is of; its name and that of its file follow.
+    material : Material
+        With numbers.
     program : {"abaqus", "febio"}
         Which.
     folder : Path
@@ -83,7 +84,7 @@ def export_material(source: Source, program: str, folder: Path) -> MaterialExpor
     InputError
         If the constants make no material, or the program has no such energy; nothing is written.
     """
-    material, name = source.problem.material, material_name(source.name)
+    name = material_name(title)
     check(material, None)
     write, ending = PROGRAMS[program]
     text, converted = write(material, name), conversions.convert(material, program)
