@@ -104,7 +104,12 @@ class Memory:
     @cached_property
     def weight(self) -> Array:
         """Shape (terms, intervals, 2, 3)."""
-        return _weights(self.reduced)[0]
+        return self._weights_and_slopes[0]
+
+    @cached_property
+    def _weights_and_slopes(self) -> tuple[Array, Array]:
+        """Weights, and their derivatives by the reduced duration."""
+        return _weights(self.reduced)
 
     def memories(self, values: Array) -> Array:
         """Every term's memory of stresses, (parts, nodes) to (terms, parts, nodes)."""
@@ -120,7 +125,7 @@ class Memory:
     def memory_rate(self, term: int, values: Array, memory: Array) -> Array:
         """Differentiate one memory (parts, nodes) by its time, MPa/s."""
         x, time = self.reduced[term], self.material.relaxation[term].time_s
-        by_x = np.einsum("njk,pnk->pnj", _weights(x)[1], _by_interval(values))
+        by_x = np.einsum("njk,pnk->pnj", self._weights_and_slopes[1][term], _by_interval(values))
         by_x -= (np.array([0.5, 1.0]) * self.decay[term]) * memory[:, :-1:2, None]
         source = (-x / time)[:, None] * by_x
         first = np.zeros((1, values.shape[0]))
