@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,9 @@ class Curve:
     work_Nmm : ndarray, shape (n,), optional
         Work done from the unloaded state; with it each interval's polynomial is one of fourth
         degree that does just this work.
+    time_s : ndarray, shape (n,), optional
+        Increasing times of the rows of a test whose course matters. Displacements may then stand
+        still and go back, so that the force is known at the rows themselves and nowhere between.
     """
 
     displacement_mm: Array
@@ -36,6 +39,12 @@ class Curve:
     stiffness_N_per_mm: Array | None = None
     force_gradient: Mapping[str, Array] = field(default_factory=dict)
     work_Nmm: Array | None = None
+    time_s: Array | None = None
+
+    @property
+    def places(self) -> Array:
+        """Where the rows stand in order: times in s of a course, else displacements in mm."""
+        return self.displacement_mm if self.time_s is None else self.time_s
 
     def __len__(self) -> int:
         return int(self.displacement_mm.size)
@@ -46,9 +55,13 @@ class Curve:
         Raises
         ------
         ValueError
-            If a displacement lies beyond the end of the curve.
+            If a displacement lies beyond the end of the curve, or a course in time is asked for
+            anything but its own rows.
         """
         d = np.asarray(displacement_mm, dtype=float)
+        if self.time_s is not None:
+            self._check_rows(d)
+            return self.force_N
         knots, force, slope = self._with_origin()
         if d.size and (d.min() < -1e-12 or d.max() > knots[-1] * (1 + 1e-9) + 1e-12):
             raise ValueError(
@@ -158,18 +171,20 @@ class Curve:
             None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[kept],
             {name: slope[kept] for name, slope in self.force_gradient.items()},
             None if self.work_Nmm is None else self.work_Nmm[kept],
+            None if self.time_s is None else self.time_s[kept],
         )
 
     def without_gradients(self) -> Curve:
         """Return the curve without its derivatives by the constants."""
-        return Curve(
-            self.displacement_mm, self.force_N, self.stiffness_N_per_mm, work_Nmm=self.work_Nmm
-        )
+        return replace(self, force_gradient={})
 
     def gradient_at(self, name: str, displacement_mm: ArrayLike) -> Array:
         """dF/dtheta at given displacements (cubic spline through the solved steps)."""
         from scipy.interpolate import CubicSpline
 
+        if self.time_s is not None:
+            self._check_rows(np.asarray(displacement_mm, dtype=float))
+            return self.force_gradient[name]
         knots, values = self.displacement_mm, self.force_gradient[name]
         if knots[0] > 0:
             knots, values = np.r_[0.0, knots], np.r_[0.0, values]
@@ -188,6 +203,8 @@ class Curve:
             out["stiffness_N_per_mm"] = self.stiffness_N_per_mm.tolist()
         if self.work_Nmm is not None:
             out["work_Nmm"] = self.work_Nmm.tolist()
+        if self.time_s is not None:
+            out["time_s"] = self.time_s.tolist()
         if self.force_gradient:
             out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
         return out
@@ -196,13 +213,22 @@ class Curve:
     def from_dict(cls, data: Mapping[str, Any]) -> Curve:
         """Inverse of :meth:`as_dict`."""
         stiffness, work = data.get("stiffness_N_per_mm"), data.get("work_Nmm")
+        time = data.get("time_s")
         return cls(
             np.asarray(data["displacement_mm"], float),
             np.asarray(data["force_N"], float),
             None if stiffness is None else np.asarray(stiffness, float),
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
             None if work is None else np.asarray(work, float),
+            None if time is None else np.asarray(time, float),
         )
+
+    def _check_rows(self, d: Array) -> None:
+        """Refuse places that are not the rows of this course."""
+        own = self.displacement_mm
+        span = float(np.abs(own).max(initial=0.0))
+        if d.shape != own.shape or not np.allclose(d, own, rtol=0, atol=1e-6 * span):
+            raise ValueError("a course in time has forces at its own rows alone")
 
     def _with_origin(self) -> tuple[Array, Array, Array | None]:
         d, f, s = self.displacement_mm, self.force_N, self.stiffness_N_per_mm

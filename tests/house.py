@@ -23,7 +23,7 @@ IMPORTED_AS = {"scikit-fem": "skfem"}
 #: extras of what the package itself never imports: tests, and the documentation site
 OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late
-COMPILED = {"fem", "surface"}
+COMPILED = {"fem", "surface", "viscoelasticity"}
 #: read the environment: the command line, and those who cap the threads of workers
 MAY_READ_ENVIRONMENT = {"cli", "runner", "execution"}
 

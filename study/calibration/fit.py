@@ -357,7 +357,17 @@ def _curve_faults(measured: MeasuredCurve) -> list[Fault]:
         return [Fault(where, "weights must be finite and not negative")]
     used = weights > 0
     if measured.role == "fit" and np.count_nonzero(used) > 1:
-        return _force_faults(where, d[used], force[used])
+        if measured.curve.time_s is None:
+            return _force_faults(where, d[used], force[used])
+        return _course_faults(where, d[used], force[used])
+    return []
+
+
+def _course_faults(where: str, d: Array, force: Array) -> list[Fault]:
+    """Say that a course in time does not resist: its force may fall while it is held."""
+    if float(d @ force) <= 0:
+        mend = "a force that resists is positive: see `sign` of the measurements"
+        return [Fault(where, "the force does not resist the displacement", mend)]
     return []
 
 

@@ -101,14 +101,14 @@ def _series(found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str])
         used = one.weights > 0
         # estimates move by minus this times a change of the measured forces at the points, N
         by_point = inverse @ (jacobian * one.weights[used][:, None]).T
-        places = one.curve.displacement_mm[used]
-        recordings = one.recordings or (Curve(places, one.curve.force_N[used]),)
+        places = one.curve.places[used]
+        recordings = one.recordings or (one.curve.at_points(np.flatnonzero(used)),)
         for recording in recordings:
             made = _recorded(one, recording, len(recordings), predicted, names)
             if made is None:
                 continue
-            weight, d, residual, gradient = made
-            own = interpolation_transposed(by_point, places, d) / len(recordings)
+            weight, where, residual, gradient = made
+            own = interpolation_transposed(by_point, places, where) / len(recordings)
             out.append(Series(residual, gradient, own / weight))
     return out
 
@@ -123,25 +123,27 @@ def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -
 def _recorded(
     measured: MeasuredCurve, recording: Curve, repeats: int, predicted: Curve, names: Sequence[str]
 ) -> tuple[Array, Array, Array, Array] | None:
-    """Weight, displacement, weighted residual and gradient of the rows in the fitted range."""
-    d, force = recording.displacement_mm, recording.force_N
-    places = measured.curve.displacement_mm[measured.weights > 0]
-    inside = (d >= places[0]) & (d <= places[-1])
-    d, force = d[inside], force[inside]
-    if d.size == 0:
+    """Weight, place, weighted residual and gradient of the rows in the fitted range."""
+    places = measured.curve.places[measured.weights > 0]
+    inside = (recording.places >= places[0]) & (recording.places <= places[-1])
+    if not inside.any():
         return None
     # the mean of k repeats scatters by one over root k of one of them
-    weights = np.interp(d, measured.curve.displacement_mm, measured.weights) / math.sqrt(repeats)
-    used = weights > 0
-    d, force, weights = d[used], force[used], weights[used]
+    weights = np.interp(recording.places, measured.curve.places, measured.weights)
+    weights /= math.sqrt(repeats)
+    used = inside & (weights > 0)
+    rows = recording.at_points(np.flatnonzero(used))
+    d, weights = rows.displacement_mm, weights[used]
     slopes = np.array([predicted.gradient_at(name, d) for name in names]).T
-    return weights, d, weights * (_force_at(predicted, d) - force), weights[:, None] * slopes
+    residual = weights * (_force_at(predicted, d) - rows.force_N)
+    return weights, rows.places, residual, weights[:, None] * slopes
 
 
 def _force_at(predicted: Curve, d: Array) -> Array:
     """Predicted force at the rows, N; chords between few points would pass for misfit."""
     knots, force = predicted.displacement_mm, predicted.force_N
-    if predicted.stiffness_N_per_mm is not None or knots.size < 3:
+    is_course = predicted.time_s is not None
+    if predicted.stiffness_N_per_mm is not None or is_course or knots.size < 3:
         return predicted.force_at(d)
     from scipy.interpolate import CubicSpline
 

@@ -14,6 +14,7 @@ from study.cli.studies import REPORTS, Jobs, Json, Reports, Set
 
 if TYPE_CHECKING:
     from study.api.haptics.export import Export
+    from study.api.haptics.material import MaterialExport
     from study.api.haptics.require import Required
 
 
@@ -22,7 +23,9 @@ def export(
         Path,
         typer.Argument(help="Problem file, calibration.json, or results of a study (--case)."),
     ],
-    form: Annotated[str, typer.Option("--as", help="What it becomes: force-law.")] = "force-law",
+    form: Annotated[
+        str, typer.Option("--as", help="What it becomes: force-law, abaqus or febio.")
+    ] = "force-law",
     case: Annotated[str, typer.Option(help="Case of a study: the beginning of its id.")] = "",
     test: Annotated[int, typer.Option(min=1, help="Test of a calibration, from 1.")] = 1,
     tolerance: Annotated[
@@ -32,7 +35,7 @@ def export(
     reports: Reports = REPORTS,
     as_json: Json = False,
 ) -> None:
-    """Turn a simulated test into a function: JSON, CSV, Python and C, with its error bound."""
+    """Turn a simulated test into a function, or its material into input of Abaqus or FEBio."""
     from study import api
 
     found = api.export(
@@ -50,10 +53,8 @@ def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _print_export(found: Export) -> None:
-    from study.haptics.export import sentences
-
-    for line in sentences(found.law):
+def _print_export(found: Export | MaterialExport) -> None:
+    for line in found.sentences():
         output.paragraph(line)
     for path in found.paths:
         print(f"written: {path}")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from study.errors import Fault, InputError, StudyError
 
 if TYPE_CHECKING:
+    from study.curve import Curve
     from study.runner.batch import Progress
 
 
@@ -184,3 +185,16 @@ def counts(cases: Mapping[str, int]) -> str:
         f"{cases['total']} cases: {cases['done']} done, {cases['failed']} failed, "
         f"{cases['missing']} missing"
     )
+
+
+def curve_rows(curve: Curve) -> list[list[str]]:
+    """Rows of a table of the quantities that a curve has."""
+    every = {
+        "time [s]": curve.time_s,
+        "displacement [mm]": curve.displacement_mm,
+        "force [N]": curve.force_N,
+        "stiffness [N/mm]": curve.stiffness_N_per_mm,
+    }
+    known = {head: values for head, values in every.items() if values is not None}
+    rows = zip(*known.values(), strict=True)
+    return [list(known), *([f"{v:.6g}" for v in row] for row in rows)]

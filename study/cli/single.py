@@ -16,7 +16,7 @@ from study.cli.indentation import closed_form
 from study.cli.output import Document
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
-from study.material.registry import is_dimensionless
+from study.material.registry import is_dimensionless, unit_shown
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -49,10 +49,7 @@ def solve(
     if as_json:
         output.print_json(solution_json(solution))
     else:
-        rows = [["displacement [mm]", "force [N]", "stiffness [N/mm]"]]
-        columns = (curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm)
-        rows += [[f"{v:.6g}" for v in row] for row in zip(*columns, strict=True)]
-        output.table(rows)
+        output.table(output.curve_rows(curve))
         print(f"{solution.status}: {solution.message}")
         total = solution.seconds["total"]
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
@@ -210,7 +207,9 @@ class _Line:
         """Show an accepted iteration."""
         it = step.iteration
         values = ", ".join(
-            f"{n} {v:.5g}" if is_dimensionless(n) else f"{n} {1e3 * v:.5g} kPa"
+            f"{n} {v:.5g} {unit_shown(n)}".rstrip()
+            if is_dimensionless(n)
+            else f"{n} {1e3 * v:.5g} kPa"
             for n, v in zip(step.names, it.x, strict=True)
         )
         text = f"{step.stage}: iteration {it.iteration}, cost {it.cost:.6g}, {values}"
@@ -237,6 +236,10 @@ def _print_calibration(found: Document) -> None:
     if not found["profiles"]:
         rows = [row[:-1] for row in rows]
     output.table(rows, found["model"])
+    if "shear_moduli" in found:
+        both = found["shear_moduli"]
+        print(f"shear modulus at small strain: {both['instantaneous']:.5g} kPa at once, "
+              f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
     if "converted" in found:
         _print_converted(found["converted"])
     if found["serial_correlation"]:

@@ -33,6 +33,7 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, faults)
     if not found and cells:
+        _check_courses(cells, faults)
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
 
@@ -69,6 +70,20 @@ def _check_left(design: Design, faults: Faults) -> None:
         if count < 2 <= len(factor.levels):
             rule = f"leaves {count} of the {len(factor.levels)} levels of {factor.name!r}"
             faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
+
+
+def _check_courses(cells: Sequence[Cell], faults: Faults) -> None:
+    """Keep courses that stand still or go back out of designs, whose curves are over distance."""
+    for cell in cells:
+        for problem in (cell.problem, cell.fitted):
+            test, spec = problem.test, problem.measurements
+            mend = "responses compare curves over displacement: `study solve` follows a course"
+            for key, value in (("hold", test.hold_s), ("cycles", test.cycles)):
+                if value is not None:
+                    faults.add(f"test.{key}", "has no place in a design", mend)
+            if spec is not None and spec.columns.time is not None:
+                mend = "give test.speed, or fit the course by `study calibrate`"
+                faults.add("measurements.columns.time", "has no place in a design", mend)
 
 
 def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:

@@ -40,6 +40,7 @@ def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> No
     _check_moduli(problem.material, faults, places)
     _check_displacement(problem, faults, places)
     _check_gauge_section(problem, faults, places)
+    _check_course(problem, faults, places)
     _check_model(problem, faults, places)
     if problem.test.indenter is not None:
         _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
@@ -95,10 +96,54 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
     if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
         rule = "bonded faces do not let a specimen deform the same everywhere"
         faults.add(f"{where}.interface", rule, "leave it out, or give a cylinder or block")
+    energy = ENERGIES.get(problem.material.model)
+    if energy is not None and not energy.splits and not is_gauge:
+        rule = f"{energy.name} has no isochoric part that finite elements could take for itself"
+        mend = 'write specimen.shape = "homogeneous", with area and length, or another energy'
+        faults.add(f"{places['material']}.model", rule, mend)
     rigid = kind.needs_homogeneous and kind.mode in ("confined", "volumetric")
     if rigid and problem.material.compressibility.incompressible:
         rule = f"{test.kind} of an incompressible material has no displacement"
         faults.add(f"{places['material']}.incompressible", rule, "give poisson_ratio instead")
+
+
+def _check_course(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    """Check what a course in time needs, and that something knows what to do with one."""
+    test, at = problem.test, places["test"]
+    relaxes = bool(problem.material.relaxation)
+    timed = problem.measurements is not None and problem.measurements.columns.time is not None
+    given = [key for key in ("speed_mm_per_s", "hold_s", "cycles") if getattr(test, key)]
+    words = {"speed_mm_per_s": "speed", "hold_s": "hold"}
+    told = [f"{at}.{words.get(key, key)}" for key in given]
+    told += [f"{places['material']}.relaxation"] if relaxes else []
+    told += [f"{places['measurements']}.columns.time"] if timed else []
+    if told and problem.specimen.shape not in (None, "homogeneous"):
+        rule = "is of a test in closed form: finite elements know no time"
+        mend = 'write specimen.shape = "homogeneous", with area and length, or leave it out'
+        faults.add(told[0], rule, mend)
+        return
+    if relaxes and problem.forward is not None and problem.forward.model != "closed-form":
+        rule = f"is no part of what {problem.forward.model} is told of a material"
+        faults.add(f"{places['material']}.relaxation", rule, "give it in [parameters]")
+    _check_speed(problem, [told[0]] if given else [], relaxes, timed, faults, at)
+
+
+def _check_speed(
+    problem: CellProblem, told: list[str], relaxes: bool, timed: bool, faults: Faults, at: str
+) -> None:
+    """Check that the times of a test are given once."""
+    test = problem.test
+    if timed and told:
+        rule = "stands beside a column of time, which says how the test went"
+        faults.add(told[0], rule, "leave it out")
+    elif (relaxes and not timed or told) and not test.speed_mm_per_s:
+        rule = "is missing: a material that relaxes resists a fast test more than a slow one"
+        if not relaxes:
+            rule = "is missing: what is held or repeated has a speed"
+        faults.add(f"{at}.speed", rule, 'write speed = "10 mm/min", or name a column of time')
+    if test.hold_s and test.cycles:
+        rule = "stands beside hold"
+        faults.add(f"{at}.cycles", rule, "give one of the two, and the other in a test of its own")
 
 
 def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
@@ -147,15 +192,19 @@ def check_stability(problem: CellProblem, faults: Faults) -> None:
         return
     if depth is None or height is None or depth >= height:
         return
-    sentence = _unstable(problem.material.model, given, 1 - depth / height)
+    nu = problem.material.compressibility.poisson_ratio
+    sentence = _unstable(problem.material.model, given, 1 - depth / height, nu)
     if sentence:
         faults.add("material", sentence, f"give constants stable to stretch {1 - depth / height:g}")
 
 
 @lru_cache(maxsize=1024)
-def _unstable(model: str, constants: tuple[tuple[str, float], ...], stretch: float) -> str:
+def _unstable(
+    model: str, constants: tuple[tuple[str, float], ...], stretch: float, nu: float | None
+) -> str:
     """Verdict on uniaxial loading down to a stretch; empty if it is stable."""
-    material = Material(model, dict(constants), poisson_ratio=0.4)  # K does not enter
+    # K enters where the volume change belongs to all of the energy, and nowhere else
+    material = Material(model, dict(constants), poisson_ratio=0.4 if nu is None else nu)
     verdict = stability(material, [stretch, 1.0])
     return verdict.sentence if "uniaxial" in verdict.limits else ""
 

@@ -116,7 +116,12 @@ def _check_displacement(
     """Note a displacement that nothing gives, unless what would give it is faulty itself."""
     test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
     written = isinstance(test, Mapping) and "displacement" in test
-    unread = measured and (spec is None or spec.range is not None or spec.points == "raw")
+    unread = measured and (
+        spec is None
+        or spec.range is not None
+        or spec.points == "raw"
+        or spec.columns.time is not None
+    )
     if high is None and not written and not unread:
         mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
         faults.add(where, "is missing", mend)
@@ -161,6 +166,9 @@ def _check_method(cell: Cell, faults: Faults) -> None:
         if not material.constants and material.model:
             mend = "give them, or let [calibration] find them"
             faults.add("material", "has no constants, and calibration.method is none", mend)
+        if any(term.share is None or term.range_s for term in material.relaxation):
+            rule = "has shares or times to be found, and calibration.method is none"
+            faults.add("material.relaxation", rule, "give them, or let [calibration] find them")
         plausibility.check_stability(cell.problem, faults)
         return
     if cell.fitted.measurements is None:

@@ -16,7 +16,7 @@ from study.design import overlay
 from study.design.sections.calibration import Fitting
 from study.design.toml_document import flatten
 from study.errors import nearest
-from study.material.registry import is_constant, is_dimensionless
+from study.material.registry import is_constant, unit_shown
 from study.setup.quantity import Duration, Length, integer, number, shown
 from study.setup.section import AsWritten, Bad, Reads, Rows, as_written, section
 from study.setup.text import choice, slug, text
@@ -94,7 +94,7 @@ def response_unit(name: str) -> str | None:
         return SIMULATED[simulated_at(name)[0]]
     if not is_constant(name):
         return None
-    return "" if is_dimensionless(name) else "kPa"
+    return unit_shown(name)
 
 
 def simulated_at(name: str) -> tuple[str, float | None]:

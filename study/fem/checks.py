@@ -34,6 +34,9 @@ def _material(problem: Problem) -> Iterator[Fault]:
     if problem.material.incompressible and problem.model.formulation == "displacement":
         mend = "use formulation = mixed, or a finite bulk_modulus or poisson_ratio"
         yield Fault("model.formulation", "needs a finite bulk modulus", mend)
+    if problem.material.relaxation:
+        rule = "is of a test in closed form: finite elements know no time"
+        yield Fault("material.relaxation", rule, 'write specimen.shape = "homogeneous"')
 
 
 def _loading(setup: Setup) -> Iterator[Fault]:

@@ -20,6 +20,7 @@ from study.errors import Fault, InputError
 from study.forward import halfspace
 from study.material.loading import LOADINGS
 from study.material.material import Material
+from study.setup.course import course_of
 from study.setup.geometry import Specimen, Surface
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, ResolvedTables, Setup
@@ -76,13 +77,97 @@ def homogeneous(
     """
     height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
-    if sense < 0 and d.max(initial=0.0) >= height:
-        rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
-        raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
+    _check_height(height, d, sense)
     loading = LOADINGS[mode]
     state = loading.nominal(material, loading.measure(sense * d / height))
     gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
     return Curve(d, sense * area * state.stress, force_gradient=gradient)
+
+
+def over_time(setup: Setup, material: Material, displacement_mm: Array, time_s: Array) -> Curve:
+    """Force of a specimen that deforms the same everywhere and relaxes.
+
+    Parameters
+    ----------
+    setup : Setup
+        Whose specimen, and kind of test, count.
+    material : Material
+        With its relaxation.
+    displacement_mm, time_s : ndarray, shape (n,)
+        Linear between the rows. A specimen was at rest and unloaded before the first one; where
+        that one is loaded, its load came at once.
+
+    Returns
+    -------
+    Curve
+        A course in time, with ``force_gradient`` in N per MPa, N, and N/s of times.
+
+    Raises
+    ------
+    InputError
+        If a displacement reaches the height of a specimen that is shortened, or times do not
+        increase.
+    """
+    # it loads compiled kernels
+    from study.viscoelasticity.stress import relaxing
+
+    height, area = height_and_area(setup.specimen)
+    d, kind = np.asarray(displacement_mm, dtype=float), setup.kind
+    _check_height(height, d, kind.sense)
+    measure = LOADINGS[kind.mode].measure(kind.sense * d / height)
+    state = relaxing(material, kind.mode, np.asarray(time_s, float), measure)
+    factor = kind.sense * area
+    gradient = {name: factor * slope for name, slope in state.gradient.items()}
+    return Curve(d, factor * state.stress, force_gradient=gradient, time_s=time_s)
+
+
+def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
+    """Force at the rows of another curve: over their times, at the speed of the test, or elastic.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of a homogeneous test.
+    material : Material
+        Of the specimen.
+    rows : Curve
+        Whose displacements, and times where it has any, count.
+
+    Raises
+    ------
+    InputError
+        If the material relaxes and nothing says how fast the test was.
+    """
+    d, kind = rows.displacement_mm, setup.kind
+    if not material.relaxation:
+        elastic = homogeneous(setup.specimen, material, d, kind.mode, kind.sense)
+        return replace(elastic, time_s=rows.time_s)
+    if rows.time_s is not None:
+        return over_time(setup, material, d, rows.time_s)
+    if setup.test.speed_mm_per_s is None:
+        raise InputError(_no_speed())
+    return _ramp(setup, material, d)
+
+
+def _ramp(setup: Setup, material: Material, d: Array) -> Curve:
+    """Force of a test at its speed, at increasing displacements: a curve over these."""
+    speed = setup.test.speed_mm_per_s or 1.0
+    begins = d.size > 0 and d[0] > 0
+    rows = np.append(0.0, d) if begins else d
+    course = over_time(setup, material, rows, rows / speed)
+    kept = course.at_points(np.arange(int(begins), rows.size))
+    return replace(kept, time_s=None)
+
+
+def _no_speed() -> Fault:
+    rule = "is missing: a material that relaxes resists a fast test more than a slow one"
+    return Fault("test.speed", rule, 'write speed = "10 mm/min", or name a column of time')
+
+
+def _check_height(height: float, d: Array, sense: float) -> None:
+    if sense < 0 and d.max(initial=0.0) >= height:
+        rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
+        raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
 
 
 def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
@@ -156,17 +241,11 @@ def solution(problem: Problem) -> Solution:
     # it loads compiled kernels
     from study.fem.solver.solution import without_answer
 
-    began, test = time.perf_counter(), problem.test
-    kind = problem.setup.kind
-    d = np.linspace(0.0, test.depth_mm, test.steps + 1)[1:]
-    curve = homogeneous(problem.specimen, problem.material, d, kind.mode, kind.sense)
-    reached = np.isfinite(curve.force_N)
+    began = time.perf_counter()
+    curve = _prescribed(problem)
+    d, reached = curve.displacement_mm, np.isfinite(curve.force_N)
     count = int(d.size if reached.all() else np.argmin(reached))
-    kept = Curve(
-        d[:count],
-        curve.force_N[:count],
-        force_gradient={n: g[:count] for n, g in curve.force_gradient.items()},
-    )
+    kept = curve.at_points(np.arange(count))
     status, message = "converged", "closed form of a homogeneous deformation"
     if count < d.size:
         end = d[count - 1] if count else 0.0
@@ -174,3 +253,21 @@ def solution(problem: Problem) -> Solution:
     empty = without_answer(problem, status, message, time.perf_counter() - began)
     reached_mm = float(kept.displacement_mm[-1]) if count else 0.0
     return replace(empty, curve=kept, reached_mm=reached_mm, solver="closed form")
+
+
+def _prescribed(problem: Problem) -> Curve:
+    """Curve at the steps of a test, over the course that it prescribes where that matters."""
+    setup, material, test = problem.setup, problem.material, problem.test
+    course = course_of(test)
+    if material.relaxation and course is None:
+        raise InputError(_no_speed())
+    if course is None:
+        rows = Curve(np.linspace(0.0, test.depth_mm, test.steps + 1)[1:], np.empty(0))
+        return at_rows(setup, material, rows)
+    if test.hold_s is None and test.cycles is None:  # a curve over displacement
+        return at_rows(setup, material, Curve(course.displacement_mm, np.empty(0)))
+    begun = Curve(
+        np.append(0.0, course.displacement_mm), np.empty(0), time_s=np.append(0.0, course.time_s)
+    )
+    found = at_rows(setup, material, begun)
+    return found.at_points(np.arange(1, len(found)))

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from study.forward import closed_form
 from study.forward.model import Prediction
 from study.setup.load_steps import StepSettings
 from study.setup.setup import Problem, ResolvedTables, problem_of
@@ -105,6 +106,8 @@ _LOADED: set[tuple[str, ...]] = set()
 
 def load_compiled(problem: Problem) -> None:
     """Solve a small relative of a problem, once for each kind."""
+    if problem.setup.has_no_elements:
+        return
     key = (problem.model.space, problem.material.law().kind.name, problem.test.kind)
     if key in _LOADED:
         return
@@ -122,7 +125,7 @@ def solve(
     cutbacks: float | None = None,
     options: Options | None = None,
 ) -> Solution:
-    """Forward solution; the solver is loaded on first use.
+    """Forward solution, in closed form of a gauge section; the solver is loaded on first use.
 
     Parameters
     ----------
@@ -140,6 +143,8 @@ def solve(
     from study.fem.solver.options import Options
     from study.fem.solver.solve import solve as forward_solve
 
+    if problem.setup.has_no_elements:
+        return closed_form.solution(problem)
     options = options or Options()
     if cutbacks is not None:
         options = replace(options, steps=StepSettings(smallest=cutbacks), snaps=False)

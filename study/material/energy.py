@@ -72,6 +72,8 @@ class Energy(ABC):
     #: Whether stress is linear in the displacement gradient and contact belongs to the
     #: reference state.
     small_strain: ClassVar[bool] = False
+    #: Whether it is an isochoric part and K/2 (J - 1)^2, which finite elements need.
+    splits: ClassVar[bool] = True
     #: Whether the number of terms is the user's choice.
     has_order: ClassVar[bool] = False
     #: Whether constants may be left out (they are then zero).
@@ -250,6 +252,49 @@ class IsochoricEnergy(Energy):
         """Sum of the constants times their share of mu0, where W is linear in its moduli."""
         gradient = self.initial_shear_modulus_gradient(constants, compressibility)
         return float(sum(w * constants[n] for n, w in gradient.items()))
+
+
+class CompressibleEnergy(Energy):
+    """Energy of principal stretches whose volume change belongs to all of it.
+
+    Stresses are principal Kirchhoff stresses tau_i = dW/dln l_i in MPa, derivatives those by
+    logarithmic stretches.
+    """
+
+    splits = False
+
+    @abstractmethod
+    def kirchhoff(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> Array:
+        """Return tau_i at principal stretches, both of shape (3, ...)."""
+
+    @abstractmethod
+    def kirchhoff_slope(
+        self,
+        constants: Constants,
+        compressibility: Compressibility,
+        stretch: Array,
+        direction: Array,
+    ) -> Array:
+        """Differentiate tau_i along a direction (3,) of ln l; stretches of shape (3, n)."""
+
+    @abstractmethod
+    def kirchhoff_gradient(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> dict[str, Array]:
+        """Differentiate tau_i by every constant, each of shape (3, ...)."""
+
+    @abstractmethod
+    def energy_density(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> Array:
+        """Strain energy in MPa, shape (...)."""
+
+    def without_poisson_ratio(self) -> Fault:
+        """Return the fault of a material whose compressibility is given another way."""
+        rule = f"is missing: {self.name} changes its volume by it in every term"
+        return Fault("material.poisson_ratio", rule, "write poisson_ratio = 0.1, and nothing else")
 
 
 @dataclass(frozen=True)

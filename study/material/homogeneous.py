@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from study.arrays import Array
 from study.errors import InputError, nearest
 from study.material.compressibility import poisson_from_bulk
+from study.material.energy import CompressibleEnergy
 from study.material.material import Material
 from study.material.stress import deviator, first_piola
 
@@ -144,7 +145,38 @@ def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Respon
         return _linear(material, mode, stretches)
     # unstable constants may overflow or have no equilibrium: NaN says so
     with np.errstate(all="ignore"):
+        if (foam := material.compressible) is not None:
+            return _compressible(material, foam, mode, stretches)
         return _hyperelastic(material, mode, stretches)
+
+
+def _compressible(
+    material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
+) -> Response:
+    """Test of an energy whose volume change belongs to all of it."""
+    x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    known = material.constants, material.compressibility
+
+    def at(z: Array) -> Array:
+        return np.asarray(np.exp(a[:, None] * x + v[:, None] * z))
+
+    def lateral(z: Array) -> tuple[Array, Array]:
+        sides = at(z)
+        return energy.kirchhoff(*known, sides)[t], energy.kirchhoff_slope(*known, sides, v)[t]
+
+    nu = poisson_from_bulk(material.mu0, material.bulk)
+    loaded = a.sum()  # one or two directions: the strain of small ones begins the search
+    narrower = -nu * loaded / (1 - nu * (2 - v.sum()))
+    z = np.zeros_like(x) if mode is CONFINED else _safeguarded_newton(lateral, narrower * x)
+    sides = at(z)
+    tau, partial = energy.kirchhoff(*known, sides), energy.kirchhoff_gradient(*known, sides)
+    along_x = energy.kirchhoff_slope(*known, sides, a)
+    along_z = energy.kirchhoff_slope(*known, sides, v)
+    gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
+    gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
+    slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2
+    return Response(tau[0] / stretch, slope, np.exp(z), sides.prod(0), gradient)
 
 
 def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:

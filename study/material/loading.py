@@ -13,6 +13,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.errors import Fault, InputError
+from study.material.energy import CompressibleEnergy
 from study.material.homogeneous import CONFINED, EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
 from study.material.material import Material
 from study.material.stress import first_piola_gradient
@@ -82,8 +83,12 @@ def _sheared(material: Material, shear: Array) -> Array:
         return np.asarray(material.mu0 * shear)
     longest = 0.5 * (np.abs(shear) + np.sqrt(shear**2 + 4))
     bar = np.stack([longest, np.ones_like(longest), 1 / longest])
+    constants, foam = material.constants, material.compressible
     with np.errstate(all="ignore"):
-        principal = material.isochoric.principal_stress(material.constants, bar)
+        if foam is None:
+            principal = material.isochoric.principal_stress(constants, bar)
+        else:
+            principal = foam.kirchhoff(constants, material.compressibility, bar)
     # tau_12 = (tau_1 - tau_3) / (l + 1/l), and P_12 = tau_12 where F^-T leaves it
     return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + 1 / longest))
 
@@ -93,9 +98,19 @@ def _volumetric(material: Material, stretch: Array) -> Loaded:
     if material.incompressible:
         rule = "an incompressible material cannot change its volume"
         raise InputError(Fault("material", rule, "give poisson_ratio or bulk_modulus"))
+    if (foam := material.compressible) is not None:
+        return _swollen(material, foam, stretch)
     shape = (stretch**3 - 1) * stretch**2
     slopes = material.bulk_gradient()
     return Loaded(material.bulk * shape, {n: slopes[n] * shape for n in material.names})
+
+
+def _swollen(material: Material, foam: CompressibleEnergy, stretch: Array) -> Loaded:
+    """Equal stretches of an energy whose volume change belongs to all of it."""
+    all_sides, volume = np.stack([stretch] * 3), material.compressibility
+    tau = foam.kirchhoff(material.constants, volume, all_sides)[0]
+    slopes = foam.kirchhoff_gradient(material.constants, volume, all_sides)
+    return Loaded(tau / stretch, {name: slope[0] / stretch for name, slope in slopes.items()})
 
 
 #: every loading by its name

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 from study.arrays import Array
 from study.errors import Fault, InputError, nearest
 from study.material.compressibility import Compressibility
-from study.material.energy import Energy, IsochoricEnergy, Law
+from study.material.energy import CompressibleEnergy, Energy, IsochoricEnergy, Law
 from study.material.registry import energy_named
+from study.material.relaxation import RelaxationTerm, faults, long_term_share
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class Material:
         Initial Poisson's ratio; K then follows mu0 whenever the constants change.
     incompressible : bool
         K is infinite.
+    relaxation : tuple of RelaxationTerm
+        How the isochoric stress fades; the constants are then those of a load that comes at once.
 
     Raises
     ------
@@ -46,11 +49,16 @@ class Material:
     bulk_modulus: float | None = None
     poisson_ratio: float | None = None
     incompressible: bool = False
+    relaxation: tuple[RelaxationTerm, ...] = ()
 
     def __post_init__(self) -> None:
-        faults = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
-        if faults:
-            raise InputError(faults)
+        found = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
+        found += faults(self.relaxation)
+        energy = self.energy
+        if isinstance(energy, CompressibleEnergy) and self.poisson_ratio is None:
+            found.append(energy.without_poisson_ratio())
+        if found:
+            raise InputError(found)
         names = self.energy.ordered(self.constants)
         object.__setattr__(self, "constants", {n: float(self.constants[n]) for n in names})
 
@@ -72,6 +80,12 @@ class Material:
         if not isinstance(energy, IsochoricEnergy):
             raise TypeError(f"{self.model} has no energy of isochoric principal stretches")
         return energy
+
+    @property
+    def compressible(self) -> CompressibleEnergy | None:
+        """The energy, if its volume change belongs to all of it."""
+        energy = self.energy
+        return energy if isinstance(energy, CompressibleEnergy) else None
 
     @property
     def small_strain(self) -> bool:
@@ -97,6 +111,11 @@ class Material:
     def mu0(self) -> float:
         """Initial shear modulus in MPa: 2 (C10 + C01), sum mu_i, or E / 2(1 + nu)."""
         return self.energy.initial_shear_modulus(self.constants, self.compressibility)
+
+    @property
+    def long_term_mu(self) -> float:
+        """Shear modulus at small strain after all relaxation, MPa."""
+        return self.mu0 * long_term_share(self.relaxation)
 
     def mu0_gradient(self) -> dict[str, float]:
         """Differentiate mu0 with respect to every constant."""

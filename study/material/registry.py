@@ -9,6 +9,7 @@ from study.material.energies.fung import Fung
 from study.material.energies.gent import Gent
 from study.material.energies.linear_elastic import LinearElastic
 from study.material.energies.ogden import Ogden
+from study.material.energies.ogden_hill import OgdenHill
 from study.material.energies.polynomial import (
     MooneyRivlin,
     NeoHookean,
@@ -19,6 +20,7 @@ from study.material.energies.polynomial import (
 from study.material.energies.van_der_waals import VanDerWaals
 from study.material.energies.veronda_westmann import VerondaWestmann
 from study.material.energy import Energy
+from study.material.relaxation import is_of_relaxation, is_time
 
 ENERGIES: dict[str, Energy] = {
     energy.name: energy
@@ -36,6 +38,7 @@ ENERGIES: dict[str, Energy] = {
         VanDerWaals(),
         VerondaWestmann(),
         Fung(),
+        OgdenHill(),
     )
 }
 
@@ -92,8 +95,9 @@ def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
 
 
 def is_constant(name: str) -> bool:
-    """Whether any energy has a constant of this name."""
-    return any(energy.has_constant(name) for energy in ENERGIES.values())
+    """Whether any energy, or a relaxation, has a constant of this name."""
+    known = any(energy.has_constant(name) for energy in ENERGIES.values())
+    return known or is_of_relaxation(name)
 
 
 def is_constant_key(key: str) -> bool:
@@ -114,6 +118,23 @@ def is_dimensionless(name: str) -> bool:
     --------
     >>> is_dimensionless("alpha2"), is_dimensionless("mu2")
     (True, False)
+
+    A share or time of relaxation counts as one too: neither is a modulus.
     """
+    if is_of_relaxation(name):
+        return True
     having = (e for e in ENERGIES.values() if e.has_constant(name) or e.has_key(name))
     return any(energy.is_dimensionless(name) for energy in having)
+
+
+def unit_shown(name: str) -> str:
+    """Return the unit in which people are told a constant: kPa, s, or none of a plain number.
+
+    Examples
+    --------
+    >>> unit_shown("C10"), unit_shown("time1"), unit_shown("alpha1")
+    ('kPa', 's', '')
+    """
+    if is_time(name):
+        return "s"
+    return "" if is_dimensionless(name) else "kPa"

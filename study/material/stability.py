@@ -3,7 +3,8 @@
 Drucker: the incompressible tangent between principal Kirchhoff stresses and logarithmic
 strains, ``D_ij = H_ij - H_i3 - H_3j + H_33`` with ``H = d2W / dln l_i dln l_j`` and
 i, j = 1, 2, must be positive definite along uniaxial, equibiaxial and planar loading (the
-check that Abaqus prints; Abaqus Theory Guide, hyperelastic stability).
+check that Abaqus prints; Abaqus Theory Guide, hyperelastic stability). Of a foam it is H itself,
+with the volume change that its free sides allow.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode
+from study.material.energy import CompressibleEnergy
+from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
 from study.material.material import Material
+from study.material.relaxation import unphysical
 
 #: stretches judged where the caller has no range of its own
 USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
@@ -133,8 +136,8 @@ def check(
     Raises
     ------
     InputError
-        If a modulus is not positive, an exponent is zero, or the material is unstable on the
-        range.
+        If a modulus is not positive, an exponent is zero, a share of relaxation is negative or
+        they leave nothing, or the material is unstable on the range.
     """
     faults = []
     if not material.mu0 > 0:
@@ -143,6 +146,7 @@ def check(
         faults.append(Fault(where, rule, mend))
     for name, rule in material.energy.forbidden(material.constants).items():
         faults.append(Fault(f"{where}.{name}", rule))
+    faults += unphysical(material.relaxation, f"{where}.relaxation")
     if not faults and stretches is not None:
         verdict = stability(material, stretches)
         if not verdict.stable:
@@ -174,7 +178,8 @@ def _failure(material: Material, mode: Mode, limit: float) -> str:
     if limit == 1:
         return f"in {mode.name} loading from the start"
     side = "below" if limit < 1 else "above"
-    ends = np.isnan(tangent(material, mode, limit)).any()
+    splits = material.compressible is None
+    ends = splits and np.isnan(tangent(material, mode, limit)).any()
     why = ", where its chains end" if ends else ""
     return f"in {mode.name} loading {side} stretch {limit:.4f}{why}"
 
@@ -201,6 +206,26 @@ def _bisect(material: Material, mode: Mode, good: float, bad: float) -> float:
 
 
 def _stable(material: Material, mode: Mode, stretch: Array) -> NDArray[np.bool_]:
+    if material.compressible is not None:
+        return _stable_in_volume(material, material.compressible, mode, stretch)
     d = tangent(material, mode, stretch)
     determinant = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
     return np.asarray((d[0, 0] + d[1, 1] > 0) & (determinant > 0))
+
+
+def _stable_in_volume(
+    material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
+) -> NDArray[np.bool_]:
+    """Whether dtau . dln l is positive for every change, volume included (Abaqus' hyperfoam)."""
+    free = response(material, mode, stretch).free_stretch
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    sides = stretch ** a[:, None] * free ** v[:, None]
+    with np.errstate(all="ignore"):
+        slopes = [
+            energy.kirchhoff_slope(material.constants, material.compressibility, sides, unit)
+            for unit in np.eye(3)
+        ]
+    hessian = np.moveaxis(np.array(slopes), -1, 0)
+    known = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
+    values = np.linalg.eigvalsh(np.where(known[:, None, None], hessian, 0.0))
+    return np.asarray(known & (values[:, 0] > 0))

@@ -36,6 +36,9 @@ def strain_energy(material: Material, F: Array) -> Array:
         dev = strain - trace / 3 * _identity(F)
         return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
     stretch, _, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        found = foam.energy_density(material.constants, material.compressibility, stretch)
+        return _reached(material, found)
     bar = stretch / np.cbrt(J)
     energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
     return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
@@ -52,6 +55,9 @@ def first_piola(material: Material, F: Array) -> Array:
     if material.small_strain:
         return _linear_stress(F, material.mu0, _finite(material.bulk))
     stretch, axes, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        tau = foam.kirchhoff(material.constants, material.compressibility, stretch)
+        return _assemble(F, stretch, axes, _reached(material, tau))
     bar = stretch / np.cbrt(J)
     stress = _reached(material, material.isochoric.principal_stress(material.constants, bar))
     kirchhoff = deviator(stress)
@@ -65,6 +71,9 @@ def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
         dmu = material.mu0_gradient()
         return {n: _linear_stress(F, dmu[n], dbulk[n]) for n in material.names}
     stretch, axes, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        slopes = foam.kirchhoff_gradient(material.constants, material.compressibility, stretch)
+        return {name: _assemble(F, stretch, axes, slope) for name, slope in slopes.items()}
     partial = material.isochoric.principal_stress_gradient(material.constants, stretch / np.cbrt(J))
     return {
         name: _assemble(F, stretch, axes, deviator(value) + dbulk[name] * J * (J - 1))

@@ -142,6 +142,43 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded, offset)
 
 
+def condition_course(
+    displacement_mm: Array, force_N: Array, time_s: Array, rules: Rules, where: str
+) -> Conditioned:
+    """Apply the rules that a course in time leaves: sign, and the load cell's first reading.
+
+    Parameters
+    ----------
+    displacement_mm, force_N, time_s : ndarray, shape (rows,)
+        The test as recorded, times increasing.
+    rules : Rules
+        What to apply; every row counts. No file gives others to a course.
+    where : str
+        Name of the test, for messages.
+
+    Raises
+    ------
+    InputError
+        If there are too few rows, or the test does not resist.
+    """
+    if displacement_mm.size < MIN_ROWS:
+        rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
+        raise InputError(Fault(where, rule))
+    turn = -1.0 if rules.sign == "negative" else 1.0
+    # a shortened specimen is recorded with both signs turned, or with that of the force alone
+    backwards = turn < 0 and displacement_mm.min() < -displacement_mm.max()
+    d = -displacement_mm if backwards else displacement_mm
+    f = turn * force_N
+    zero = float(f[0]) if rules.zero == "first" else 0.0
+    f = f - zero
+    if float(d @ f) <= 0:
+        other = "negative" if rules.sign == "positive" else "positive"
+        rule = f"the force does not resist with the declared sign ({rules.sign})"
+        raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
+    course = Curve(d, f, time_s=time_s)
+    return Conditioned(d, f, Counter(), zero, 0.0, d.size, course)
+
+
 def _slack(rules: Rules) -> float:
     """Return the rounding of the ends of a range, mm."""
     return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)

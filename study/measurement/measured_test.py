@@ -85,6 +85,8 @@ class Measurements:
         Counted report of every rule that touched the data.
     files : mapping of str to str
         Name of each file and its sha256.
+    time_s : ndarray, shape (points,), optional
+        Common times of the rows, where the tests are courses in time.
     """
 
     tests: tuple[SingleTest, ...]
@@ -96,6 +98,7 @@ class Measurements:
     swap: bool = False
     notes: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
+    time_s: Array | None = None
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -147,7 +150,7 @@ class Measurements:
             )
         forces = np.array([test.force_N for test in chosen])
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
-        curve = Curve(self.displacement_mm.copy(), forces.mean(axis=0))
+        curve = Curve(self.displacement_mm.copy(), forces.mean(axis=0), time_s=self.time_s)
         notes = tuple(note for test in chosen for note in test.notes)
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
         return MeasuredTest(curve, scatter, len(chosen), shared, notes, recordings)

@@ -73,7 +73,14 @@ class Gauge:
 
 
 def displacement_and_force(
-    kinematic: str, deformed: Array, kinetic: str, resisted: Array, gauge: Gauge | None, where: str
+    kinematic: str,
+    deformed: Array,
+    kinetic: str,
+    resisted: Array,
+    gauge: Gauge | None,
+    where: str,
+    *,
+    in_order: bool = False,
 ) -> tuple[Array, Array]:
     """Curve of a test as it was recorded.
 
@@ -87,11 +94,14 @@ def displacement_and_force(
         Needed where they are not displacement and force.
     where : str
         Name of the table, for messages.
+    in_order : bool
+        Whether the rows are those of a course in time, which stay as they are.
 
     Returns
     -------
     displacement_mm, force_N : ndarray, shape (rows,)
-        Rows of a simple shear to the left are turned to the right: its law is odd.
+        Rows of a simple shear to the left are turned to the right, unless they are a course:
+        its law is odd.
 
     Raises
     ------
@@ -105,7 +115,7 @@ def displacement_and_force(
         shear = deformed / known.length_mm if kinematic == "displacement" else deformed
         force = resisted if kinetic == "force" else known.area_mm2 * resisted
         turned = np.where(shear < 0, -1.0, 1.0)
-        if (turned > 0).all():
+        if in_order or (turned > 0).all():
             return shear * known.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * known.length_mm, (turned * force)[order]

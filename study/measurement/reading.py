@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.curve import Curve
 from study.errors import Fault, InputError, nearest
-from study.measurement.conditioning import OFFSET, SIGNS, ZERO_RULES, Conditioned, Rules, condition
+from study.measurement.conditioning import (
+    OFFSET,
+    SIGNS,
+    ZERO_RULES,
+    Conditioned,
+    Rules,
+    condition,
+    condition_course,
+)
 from study.measurement.measured_test import Measurements, SingleTest
 from study.measurement.quantities import Gauge, displacement_and_force
 from study.measurement.recording import Recordings, capped, read_recordings
@@ -60,9 +69,12 @@ def read_measurements(
         try:
             d, f = displacement_and_force(
                 spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
-                gauge, one.where,
+                gauge, one.where, in_order=one.time_s is not None,
             )  # fmt: skip
-            result = condition(d, f, rules, one.where)
+            if one.time_s is None:
+                result = condition(d, f, rules, one.where)
+            else:
+                result = condition_course(d, f, one.time_s, rules, one.where)
         except InputError as error:
             faults.extend(error.faults)
             continue
@@ -73,9 +85,10 @@ def read_measurements(
     if faults:
         raise InputError(capped(faults))
     notes += _summary(done, rules)
+    displacement, time = _common_grid(done, rules)
     found = Measurements(
         tuple(tests),
-        _common_grid(done, rules),
+        displacement,
         getattr(spec, "block", None),
         tuple(spec.average or ()),
         spec.fit,
@@ -83,22 +96,35 @@ def read_measurements(
         bool(spec.swap),
         tuple(notes),
         dict(recorded.files),
+        time,
     )
     _check_selections(found)
     return found
 
 
-def _common_grid(done: Sequence[Conditioned], rules: Rules) -> Array:
-    """Displacements of all tests: rows as measured must be the same ones in each."""
+def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Array | None]:
+    """Displacements and times of all tests: rows as measured must be the same ones in each."""
     if not rules.is_raw:
-        return rules.grid()
-    first = done[0].displacement_mm
+        return rules.grid(), None
+    first = done[0].recorded
     for one in done[1:]:
-        if one.displacement_mm.shape != first.shape or not np.allclose(one.displacement_mm, first):
-            rule = "raw rows lie at other displacements in every test of these measurements"
+        own = one.recorded
+        same = own.displacement_mm.shape == first.displacement_mm.shape
+        if not same or not np.allclose(own.places, first.places):
+            what = "displacements" if first.time_s is None else "times"
+            rule = f"raw rows lie at other {what} in every test of these measurements"
             mend = "write a number of points, or a [[tests]] table for each test"
             raise InputError(Fault("measurements.points", rule, mend))
-    return first
+        if not np.allclose(own.displacement_mm, first.displacement_mm, atol=_same_mm(first)):
+            rule = "the displacements at these times are others in every test of a block"
+            mend = "write a [[tests]] table for each test: every course has an answer of its own"
+            raise InputError(Fault("measurements.average", rule, mend))
+    return done[0].displacement_mm, first.time_s
+
+
+def _same_mm(course: Curve) -> float:
+    """Return how far displacements may be apart and still be the same."""
+    return 1e-6 * float(np.abs(course.displacement_mm).max())
 
 
 def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None) -> Rules:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
+MAX_TIME_S = 1e10
 _UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,6})[\])]?$")
 
 
@@ -38,12 +39,15 @@ class Recording:
         Label of every grouping column.
     kinematic, kinetic : ndarray, shape (n,)
         How far and how hard: mm, N or MPa, or plain.
+    time_s : ndarray, shape (n,), optional
+        When, increasing; None where the file does not say.
     """
 
     where: str
     groups: Mapping[str, str]
     kinematic: Array
     kinetic: Array
+    time_s: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     else:
         found = locate_pattern(spec.files or "", root, citation=citation)
     columns, layout = spec.columns, Layout(spec.skip_lines, spec.comment, spec.delimiter)
-    required = [columns.column(columns.kinematic), columns.column(columns.kinetic)]
+    required = [columns.column(one) for one in _recorded(columns)]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
@@ -114,6 +118,11 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     return tables
 
 
+def _recorded(columns: Columns) -> list[str]:
+    """Quantities that have a column."""
+    return [columns.kinematic, columns.kinetic, *columns.named(["time"])]
+
+
 def _declared(spec: MeasurementSpec) -> list[str]:
     """Name the grouping columns of the specification, each once."""
     names = [spec.block] if spec.block else []
@@ -131,6 +140,8 @@ def _split(
     """Rows of each test of a table."""
     d = _quantity(table, spec, spec.columns.kinematic, MAX_TRAVEL_MM)
     f = _quantity(table, spec, spec.columns.kinetic, MAX_FORCE_N)
+    has_time = spec.columns.time is not None
+    time = _quantity(table, spec, "time", MAX_TIME_S) if has_time else None
     inside = [name for name in groups if name not in labels]
     for name, label in labels.items():
         if rule := label_fault(label):
@@ -154,8 +165,27 @@ def _split(
         ordered = {name: found[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
-        _check_one_test(table, members, d, where, groups, spec.columns)
-        yield Recording(where, ordered, d[members], f[members])
+        if time is None:
+            _check_one_test(table, members, d, where, groups, spec.columns)
+        else:
+            _check_time(table, members, time, where)
+        when = None if time is None else time[members]
+        yield Recording(where, ordered, d[members], f[members], when)
+
+
+def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
+    """Refuse times that do not increase: several tests in one, or rows out of order."""
+    back = np.flatnonzero(np.diff(time[list(members)]) <= 0)
+    if back.size:
+        line = table.lines[members[int(back[0]) + 1]]
+        raise InputError(
+            Fault(
+                f"{table.source}:{line}",
+                f"time does not increase from row to row ({where})",
+                "name the column that tells the tests apart in `average` or `block`, or keep one "
+                "of the rows of equal time",
+            )
+        )
 
 
 def _check_labels(table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]) -> None:
@@ -188,7 +218,7 @@ def _check_one_test(
     if not back or own.size < 5:
         return
     k, after = members[back[0]], members[back[0] + 1]
-    used = {*groups, columns.column(columns.kinematic), columns.column(columns.kinetic)}
+    used = {*groups, *(columns.column(one) for one in _recorded(columns))}
     changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
@@ -222,7 +252,7 @@ def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -
 def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     """Factor from the declared unit of a column to mm, N or MPa."""
     column, unit = spec.columns.column(what), spec.units.unit(what)
-    dimension = {**KINEMATIC, **KINETIC}[what]
+    dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[what]
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
     if suffix:

@@ -163,7 +163,7 @@ class Columns:
     """Columns of a measured file: one that says how far, one that says how hard.
 
     The pair is displacement and force, or measures of strain and stress
-    (:mod:`study.measurement.quantities`).
+    (:mod:`study.measurement.quantities`). A third one may say when.
     """
 
     displacement: Column = None
@@ -175,6 +175,7 @@ class Columns:
     stress: Column = None
     true_stress: Column = None
     pressure: Column = None
+    time: Column = None
 
     def named(self, quantities: Iterable[str]) -> list[str]:
         """Those of some quantities that have a column."""
@@ -212,6 +213,7 @@ class Units:
     stress: _STRESS = None
     true_stress: _STRESS = None
     pressure: _STRESS = None
+    time: Annotated[str | None, Reads(_unit("time"))] = None
 
     def unit(self, quantity: str) -> str:
         """Return the unit of the column of a quantity that has one."""

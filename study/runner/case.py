@@ -181,9 +181,7 @@ def _closed_form(
         raise Stopped("failed", "a fit in closed form needs a measured curve")
     setup = Setup.of(tables)
     material = MaterialSection.of(tables["material"]).material(constants)
-    curve = closed_form.homogeneous(
-        setup.specimen, material, measured.displacement_mm, setup.kind.mode, setup.kind.sense
-    )
+    curve = closed_form.at_rows(setup, material, measured)
     if not np.all(np.isfinite(curve.force_N)):
         raise Stopped("unstable", "the material has no equilibrium state in this range")
     return Predicted(Curve(curve.displacement_mm, curve.force_N), solver={"name": "closed form"})

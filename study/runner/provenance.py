@@ -42,6 +42,7 @@ _NUMERIC_ROOMS = (
     "setup",
     "surface",
     "units",
+    "viscoelasticity",
 )
 
 #: Modules that name results or foretell what they cost, and decide none of their numbers.

@@ -13,7 +13,7 @@ import numpy as np
 from study.arrays import Array
 from study.curve import Curve
 from study.design.study_file import RESPONSES, SIMULATED, is_simulated, simulated_at
-from study.material.registry import is_dimensionless
+from study.material.registry import is_dimensionless, unit_shown
 from study.record.document import Quantity
 
 #: kPa in one MPa: a fit is in MPa, a response in kPa
@@ -210,7 +210,7 @@ def work_of(curve: Curve) -> float:
 
 @dataclass(frozen=True)
 class ConstantResponse:
-    """A constant of the material in kPa; an exponent is a plain number."""
+    """A constant of the material in kPa; an exponent is a plain number, a time is in s."""
 
     name: str
     needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
@@ -218,7 +218,7 @@ class ConstantResponse:
     @property
     def unit(self) -> str:
         """Unit of its value."""
-        return "" if is_dimensionless(self.name) else "kPa"
+        return unit_shown(self.name)
 
     def compute(self, found: Scored) -> float:
         """Value of the constant."""

@@ -10,7 +10,7 @@ import numpy as np
 from study.arrays import Array
 from study.calibration.iteration import EvaluationFailed
 from study.curve import Curve
-from study.errors import InputError
+from study.errors import Fault, InputError
 from study.forward import finite_element
 from study.forward.closed_form import height_and_area
 from study.material.homogeneous import response
@@ -77,6 +77,9 @@ def force_model(tables: ResolvedTables, farthest_mm: float) -> ForceModel:
     """
     test = {**tables["test"], "displacement_mm": farthest_mm}
     problem = problem_of({**tables, "test": test})
+    if problem.material.relaxation:
+        rule = "is not known to sensors: their rows have positions and forces, and no times"
+        raise InputError(Fault("material.relaxation", rule, "leave it out"))
     if is_homogeneous(problem.test, problem.specimen.shape):
         return ClosedForm(problem)
     return Simulated(problem)

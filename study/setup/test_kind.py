@@ -37,6 +37,12 @@ class Test:
         Displacements at which the force is asked for.
     indenter : Flat, Cone or Sphere, optional
         Of a kind that takes one.
+    speed_mm_per_s : float, optional
+        Of the displacement; None where time does not matter.
+    hold_s : float, optional
+        How long the final displacement is held.
+    cycles : int, optional
+        How often it is reached and left again.
     """
 
     __test__ = False  # not a pytest class
@@ -47,6 +53,9 @@ class Test:
     base: Interface = "frictionless"
     steps: int = 10
     indenter: Indenter | None = None
+    speed_mm_per_s: float | None = None
+    hold_s: float | None = None
+    cycles: int | None = None
 
     @property
     def depth_mm(self) -> float:

@@ -11,7 +11,7 @@ from study.setup.compression import COMPRESSION
 from study.setup.gauge_section import GAUGE_SECTIONS
 from study.setup.geometry import Indenter
 from study.setup.indentation import INDENTATION
-from study.setup.quantity import Length, integer
+from study.setup.quantity import Duration, Length, integer, measured
 from study.setup.section import Reads, as_written, section
 from study.setup.test_kind import Interface, Test, TestKind
 from study.setup.text import word
@@ -45,6 +45,12 @@ class TestSection:
         Displacements at which the force is asked for.
     indenter : Flat, Cone or Sphere, optional
         Of an indentation.
+    speed_mm_per_s : float, optional
+        Of the displacement; a material that relaxes resists a fast test more.
+    hold_s : float, optional
+        How long the final displacement is held.
+    cycles : int, optional
+        How often it is reached and left again, at the same speed.
     """
 
     __test__ = False  # not a pytest class
@@ -57,6 +63,11 @@ class TestSection:
     displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
     steps: Annotated[int, Reads(integer(1, 10_000))] = 10
     indenter: Annotated[Indenter | None, as_written()] = None
+    speed_mm_per_s: Annotated[float, measured("speed")] | None = Field(
+        default=None, validation_alias="speed"
+    )
+    hold_s: Duration | None = Field(default=None, validation_alias="hold")
+    cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
 
     @property
     def held_below(self) -> Interface:
@@ -70,4 +81,7 @@ class TestSection:
         """Test that the section describes; its displacement may still be open."""
         pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
         depth = self.displacement_mm
-        return Test(self.kind, depth, self.interface, self.held_below, self.steps, pressed)
+        return Test(
+            self.kind, depth, self.interface, self.held_below, self.steps, pressed,
+            self.speed_mm_per_s, self.hold_s, self.cycles,
+        )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A problem, a calibration or a case of a study as a force law that a device can call."""
+"""A problem, a calibration or a case of a study for a device, or for another program."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from study.api.folders import REPORTS
-from study.api.haptics.problem import source_of
+from study.api.haptics.material import PROGRAMS, MaterialExport, export_material
+from study.api.haptics.problem import material_of, source_of
 from study.errors import Fault, InputError, nearest
-from study.haptics.export import document, files
+from study.haptics.export import document, files, sentences
 from study.haptics.force_law import ForceLaw
 from study.haptics.refinement import TOLERANCE, Wanted, solved_force_law
 from study.material.stability import check
@@ -17,7 +18,7 @@ from study.record.atomic_files import write_atomic
 from study.reporting.output.force_law_page import write_force_law
 
 #: What a result can be exported as.
-FORMS = ("force-law",)
+FORMS = ("force-law", *PROGRAMS)
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,10 @@ class Export:
     paths: tuple[Path, ...]
     warnings: tuple[str, ...]
 
+    def sentences(self) -> Sequence[str]:
+        """Say where the law holds, and how near it is."""
+        return sentences(self.law)
+
     def to_json(self) -> dict[str, object]:
         """Document of ``study export --json``."""
         written = {path.suffix.removeprefix("."): str(path) for path in self.paths}
@@ -54,15 +59,15 @@ def export(
     tolerance: float = TOLERANCE,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
-) -> Export:
-    """Turn a simulated test into a function of displacement and constants.
+) -> Export | MaterialExport:
+    """Turn a simulated test into a function, or its material into input of another program.
 
     Parameters
     ----------
     source : str or Path
         Problem file, ``calibration.json`` of a calibration, or the results of a study.
-    form : {"force-law"}
-        What it becomes.
+    form : {"force-law", "abaqus", "febio"}
+        What it becomes: a function of displacement and constants, or lines of an input file.
     case : str
         Case of a study, by the beginning of its id.
     test : int
@@ -78,19 +83,23 @@ def export(
 
     Returns
     -------
-    Export
-        The law, and the files that were written.
+    Export or MaterialExport
+        The law or the material, and the files that were written.
 
     Raises
     ------
     InputError
-        For a faulty source, or a simulation that does not reach its end; nothing is written.
+        For a faulty source, a simulation that does not reach its end, or a program that has no
+        such energy; nothing is written.
     """
     if form not in FORMS:
         raise InputError(Fault("--as", f"no form {form!r}", nearest(form, FORMS)))
     if not 0 < tolerance < 1:
         rule = f"must be a share between 0 and 1, got {tolerance:g}"
         raise InputError(Fault("--tolerance", rule, "for example 0.002"))
+    if form in PROGRAMS:
+        name, material = material_of(Path(source), case, test, overrides)
+        return export_material(name, material, form, Path(out))
     found = source_of(Path(source), case, test, overrides)
     check(found.problem.material, None)
     wanted = Wanted(tolerance, found.half_ranges, found.covariance)

@@ -15,9 +15,11 @@ from study.api.planning.why import why
 from study.arrays import Array
 from study.design import load
 from study.errors import Fault, InputError
+from study.material.material import Material
 from study.material.registry import is_dimensionless
 from study.record.store import Store
 from study.runner import provenance
+from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, ResolvedTables, problem_of
 
 #: Half ranges of calibrated constants over their standard errors.
@@ -74,6 +76,28 @@ def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> Sou
     return _recorded(path, case)
 
 
+def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> tuple[str, Material]:
+    """Read the name and the material of a problem; a calibrated one needs no displacement.
+
+    Parameters
+    ----------
+    path, case, test, overrides
+        As of :func:`source_of`.
+
+    Raises
+    ------
+    InputError
+        If it is none of these, or not finished.
+    """
+    if path.suffix != ".json":
+        found = source_of(path, case, test, overrides)
+        return found.name, found.problem.material
+    document = _document(path)
+    values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
+    tables = _test_of(document, path, test)
+    return str(document["name"]), MaterialSection.of(tables["material"]).material(values)
+
+
 def _written(path: Path, overrides: Sequence[str]) -> Source:
     """Problem of a file."""
     kind = load.file_kind(path)
@@ -92,10 +116,7 @@ def _written(path: Path, overrides: Sequence[str]) -> Source:
 def _calibrated(path: Path, number: int) -> Source:
     """Test of a finished calibration, with the constants and their covariance."""
     found = _document(path)
-    tests = cast("Sequence[ResolvedTables]", found["tests"])
-    if not 1 <= number <= len(tests):
-        rule = f"there is no test {number} in {path}, which has {len(tests)}"
-        raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
+    tables = _test_of(found, path, number)
     values, errors = _constants(cast("Mapping[str, Mapping[str, object]]", found["parameters"]))
     rows = cast("Sequence[Sequence[object]]", found["correlation"])
     correlation = np.array([[_float(value) for value in row] for row in rows])
@@ -103,11 +124,20 @@ def _calibrated(path: Path, number: int) -> Source:
     covariance = np.outer(size, size) * correlation
     name = str(found["name"])
     return Source(
-        f"{name}-test-{number}" if len(tests) > 1 else name,
-        problem_of(tests[number - 1], values),
+        f"{name}-test-{number}" if len(cast("list[object]", found["tests"])) > 1 else name,
+        problem_of(tables, values),
         _half_ranges(values, errors),
         covariance if np.isfinite(covariance).all() else None,
     )
+
+
+def _test_of(found: Mapping[str, object], path: Path, number: int) -> ResolvedTables:
+    """Tables of a test of a calibration, counted from 1."""
+    tests = cast("Sequence[ResolvedTables]", found["tests"])
+    if not 1 <= number <= len(tests):
+        rule = f"there is no test {number} in {path}, which has {len(tests)}"
+        raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
+    return tests[number - 1]
 
 
 def _constants(

@@ -18,12 +18,13 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
         FitPanel(
             curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
             curve.role == "fit",
-            curve.measured.curve.displacement_mm,
+            curve.measured.curve.places,
             curve.measured.curve.force_N,
             None
             if curve.predicted is None
             else curve.predicted.force_at(curve.measured.curve.displacement_mm),
             curve.measured.scatter_N,
+            curve.measured.curve.time_s is not None,
         )
         for curve in found.curves
     ]

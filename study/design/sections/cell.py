@@ -21,6 +21,9 @@ from study.setup.test_section import TestSection
 #: to be computed. Inside the room a cell is a value of the classes below.
 Config = dict[str, Any]
 
+#: keys of a test whose course in time matters; left out where they say nothing
+IN_TIME = ("speed_mm_per_s", "hold_s", "cycles")
+
 
 @dataclass(frozen=True)
 class CellProblem:
@@ -64,7 +67,8 @@ class CellProblem:
 
     def document(self) -> Config:
         """Plain values in internal units, without what is left open."""
-        test = values_of(self.test)
+        written = values_of(self.test)
+        test = {k: v for k, v in written.items() if k not in IN_TIME or v is not None}
         if self.test.indenter is None:
             del test["indenter"]
         else:
@@ -99,6 +103,8 @@ def _material(section: MaterialSection) -> Config:
         "order": section.order,
         "constants": dict(section.constants),
     }
+    if section.relaxation:
+        document["relaxation"] = [term.document() for term in section.relaxation]
     if volume.incompressible:
         return {**document, "incompressible": True}
     if volume.bulk_modulus_MPa is not None:

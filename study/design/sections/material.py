@@ -1,4 +1,4 @@
-"""The table ``[material]``: an energy, its constants as far as given, its compressibility.
+"""The table ``[material]``: an energy, its constants as far as given, compressibility, relaxation.
 
 Which constants there are says the energy; all other keys are declared here.
 """
@@ -10,12 +10,13 @@ from collections.abc import Callable, Mapping
 from typing import Annotated
 
 from study.design.diagnostics import Faults, Table, noted, read_table
+from study.design.sections.relaxation import relaxation_from
 from study.errors import InputError
-from study.material.energy import Energy
+from study.material.energy import CompressibleEnergy, Energy
 from study.material.registry import ENERGIES, MODELS, constant_names, is_constant_key
 from study.setup.material_section import Compressibility, MaterialSection
 from study.setup.quantity import integer, number, quantity
-from study.setup.section import Reads, section, written_keys
+from study.setup.section import AsWritten, Reads, section, written_keys
 from study.setup.text import choice
 
 #: keys of which a material has one
@@ -35,10 +36,13 @@ class MaterialTable:
         Name of the energy.
     order : int, optional
         Number of its terms.
+    relaxation
+        As written; see :func:`study.design.sections.relaxation.relaxation_from`.
     """
 
     model: Annotated[str, Reads(choice(*MODELS), mend=f"one of {', '.join(MODELS)}")]
     order: Annotated[int | None, Reads(integer(1, 9))] = None
+    relaxation: AsWritten = None
 
 
 def material_from(table: object, faults: Faults, path: str = "material") -> MaterialSection:
@@ -72,7 +76,16 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     read = _terms if listed else _moduli
     values = read(energy, {key: written[key] for key in constants}, faults, path)
     order = _order(energy, found.order, values, faults, path)
-    return MaterialSection(energy.name, order, values, volume)
+    where = f"{path}.relaxation"
+    fading = relaxation_from(found.relaxation, faults, where)
+    if fading and (energy.small_strain or not energy.splits):
+        rule = f"is one of an isochoric energy, which {energy.name} is not"
+        mend = 'write model = "neo-hookean", or another energy with an isochoric part'
+        faults.add(where, rule, mend)
+    if isinstance(energy, CompressibleEnergy) and volume.poisson_ratio is None:
+        fault = energy.without_poisson_ratio()
+        faults.add(f"{path}.poisson_ratio", fault.rule, fault.mend)
+    return MaterialSection(energy.name, order, values, volume, fading)
 
 
 def _compressibility(written: Table, faults: Faults, path: str) -> Compressibility:

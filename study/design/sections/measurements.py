@@ -46,6 +46,8 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
         wanted = given[0] if given else usual
         if isinstance(units, Mapping) and wanted not in units:
             fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+    if isinstance(units, Mapping) and "time" in columns and "time" not in units:
+        fault("units.time", "is missing", 'for example time = "s"')
 
 
 _UNITS = {
@@ -56,11 +58,29 @@ _UNITS = {
 }
 
 
+def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
+    """Keep rules that take rows out, or move them, from tests whose course in time matters."""
+    columns = table.get("columns")
+    if not isinstance(columns, Mapping) or "time" not in columns:
+        return
+    asked = {
+        "points": table.get("points", "raw") != "raw",
+        "range": "range" in table,
+        "toe": "toe" in table,
+        "zero": table.get("zero") == "fit",
+    }
+    mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
+    rule = "has no meaning for a test with a column of time, whose rows all count"
+    for key in (key for key, given in asked.items() if given):
+        fault(key, rule, mends.get(key, "leave it out"))
+
+
 def _check_together(table: Table, path: str, faults: Faults) -> None:
     def fault(key: str, rule: str, mend: str) -> None:
         faults.add(f"{path}.{key}", rule, mend)
 
     _check_columns(table, fault)
+    _check_course(table, fault)
     given = [key for key in ("file", "files") if key in table]
     if len(given) != 1:
         rule = "stands beside file" if given else "is missing"

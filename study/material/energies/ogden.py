@@ -11,7 +11,15 @@ from study.arrays import Array
 from study.errors import Fault, InputError
 from study.material.compressibility import Compressibility
 from study.material.convention import Converted, abaqus_hyperelastic, febio_hyperelastic
-from study.material.energy import FREE, Bounds, Constants, IsochoricEnergy, Law, PointLaw
+from study.material.energy import (
+    FREE,
+    Bounds,
+    Constants,
+    Energy,
+    IsochoricEnergy,
+    Law,
+    PointLaw,
+)
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
@@ -21,10 +29,9 @@ EXPONENT: Bounds = (-30.0, 30.0)
 STARTING_EXPONENTS = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
 
 
-class Ogden(IsochoricEnergy):
-    """Ogden's energy of any number of terms, moduli with sum mu0."""
+class OgdenSeries(Energy):
+    """Constants of an energy in terms, each with a modulus and an exponent."""
 
-    name = "ogden"
     has_order = True
     list_keys = ("mu", "alpha")
     shear_modulus_formula = "sum of mu"
@@ -59,6 +66,32 @@ class Ogden(IsochoricEnergy):
     ) -> dict[str, float]:
         """Return 1 for each modulus, 0 for each exponent."""
         return {n: 1.0 if n.startswith("mu") else 0.0 for n in constants}
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Equal moduli and alternating exponents."""
+        terms = self.order_of(names)
+        values = {f"mu{k}": shear_modulus / terms for k in range(1, terms + 1)}
+        exponents = STARTING_EXPONENTS
+        return values | {
+            f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
+        }
+
+    def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
+        """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.
+
+        Terms that begin alike merge, and the fit is then one of fewer terms.
+        """
+        drawn = dict(start)
+        for k in range(self.order_of(tuple(start))):
+            size = rng.uniform(1, 4) if k < 2 else rng.uniform(4, 10)
+            drawn[f"alpha{k + 1}"] = float(size if k % 2 == 0 else -size)
+        return drawn
+
+
+class Ogden(OgdenSeries, IsochoricEnergy):
+    """Ogden's energy of any number of terms, moduli with sum mu0."""
+
+    name = "ogden"
 
     def law(self, constants: Constants, compressibility: Compressibility) -> Law:
         """Rows (mu, alpha)."""
@@ -104,26 +137,6 @@ class Ogden(IsochoricEnergy):
         """Positive moduli and exponents of one and more, of either sign (Ball 1977)."""
         mu, alpha = ogden_terms(constants)
         return bool((mu > 0).all() and (np.abs(alpha) >= 1).all())
-
-    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
-        """Equal moduli and alternating exponents."""
-        terms = self.order_of(names)
-        values = {f"mu{k}": shear_modulus / terms for k in range(1, terms + 1)}
-        exponents = STARTING_EXPONENTS
-        return values | {
-            f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
-        }
-
-    def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
-        """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.
-
-        Terms that begin alike merge, and the fit is then one of fewer terms.
-        """
-        drawn = dict(start)
-        for k in range(self.order_of(tuple(start))):
-            size = rng.uniform(1, 4) if k < 2 else rng.uniform(4, 10)
-            drawn[f"alpha{k + 1}"] = float(size if k % 2 == 0 else -size)
-        return drawn
 
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
         """Abaqus has the same form."""

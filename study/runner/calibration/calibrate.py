@@ -19,8 +19,6 @@ from study.calibration.random_effects import population
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
-from study.material.energy import DeclaredConstants
-from study.material.registry import ENERGIES
 from study.material.stability import check, stability
 from study.measurement.conditioning import is_caution
 from study.runner.calibration.measured_tests import (
@@ -168,10 +166,8 @@ def _setting(
 
 def _bounds(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
     """Bounds of the file; else those beyond which an energy is not defined."""
-    energy, given = ENERGIES[config["material"]["model"]], config["calibration"]["bounds"]
-    free = (-np.inf, np.inf)
-    declared = isinstance(energy, DeclaredConstants)
-    return [given.get(n) or (energy.bounds(n) if declared else free) for n in names]
+    section, given = MaterialSection.of(config["material"]), config["calibration"]["bounds"]
+    return [given.get(n) or section.bounds(n) for n in names]
 
 
 def _outside(name: str, value: float, bounds: tuple[float, float]) -> Fault:

@@ -17,6 +17,7 @@ from study.calibration.fit import residual_function
 from study.calibration.iteration import EvaluationFailed
 from study.material.energy import Energy
 from study.material.registry import ENERGIES
+from study.material.relaxation import is_of_relaxation
 from study.runner.fitting.fit_task import model
 from study.runner.fitting.staged_fit import Part, Staged
 
@@ -88,8 +89,9 @@ def scattered(
     ndarray, shape (p,)
     """
     energy = ENERGIES[name]
-    drawn = energy.scattered(dict(zip(names, start.tolist(), strict=True)), rng)
-    values = _inside(np.array([drawn[n] for n in names]), bounds)
+    own = dict(zip(names, start.tolist(), strict=True))
+    drawn = energy.scattered({n: v for n, v in own.items() if not is_of_relaxation(n)}, rng)
+    values = _inside(np.array([{**own, **drawn}[n] for n in names]), bounds)
     closed = [part for part in parts if part.method == "closed-form"]
     if not closed:
         return values
@@ -112,7 +114,8 @@ def _with_moduli(
     energy: Energy, names: Sequence[str], values: Array, parts: Sequence[Part]
 ) -> Array:
     """Moduli that fit best beside these plain numbers; unchanged where the model has no answer."""
-    moduli = [k for k, n in enumerate(names) if not energy.is_dimensionless(n)]
+    moduli = [k for k, n in enumerate(names)
+              if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
     models = [model(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
     measured = [m for part in parts for m in part.measured]
     residual = residual_function(

@@ -196,6 +196,7 @@ class CalibrationResult:
             "model": self.model,
             "parameters": parameters(found),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
+            **_moduli(self.material),
             "rss": found.rss,
             "r_squared": found.r_squared,
             "aicc": found.aicc,
@@ -224,6 +225,14 @@ class CalibrationResult:
             "tests": [{name: dict(table) for name, table in one.items()} for one in self.tests],
         }
         return cast("dict[str, object]", plain(content, "calibration", {}))
+
+
+def _moduli(material: Material | None) -> dict[str, object]:
+    """Shear moduli of a material that relaxes, kPa: of a load that comes at once, and of old."""
+    if material is None or not material.relaxation:
+        return {}
+    found = {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
+    return {"shear_moduli": found}
 
 
 def parameters(fit: Fit) -> dict[str, ParameterDocument]:

@@ -32,8 +32,7 @@ from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
 from study.runner.tables import PROBLEM, CalibrationTable, Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Problem, Setup, problem_of, specimen_of
-from study.setup.test_section import TEST_KINDS
+from study.setup.setup import Problem, Setup, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -87,7 +86,10 @@ def fit_problem(tables: Tables) -> FitProblem:
         merged.pop("model", None)
         merged.pop("forward", None)
         # its depth, steps and base do not enter
-        merged["test"] = {"kind": merged["test"]["kind"], "interface": "frictionless"}
+        kept = {"kind": merged["test"]["kind"], "interface": "frictionless"}
+        if merged["material"].get("relaxation") and merged["test"].get("speed_mm_per_s"):
+            kept["speed_mm_per_s"] = merged["test"]["speed_mm_per_s"]
+        merged["test"] = kept
     return FitProblem(method, merged, shared)
 
 
@@ -138,7 +140,11 @@ def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
     measured : sequence of Curve
         The averaged curves that are fitted.
     """
-    data = [[c.displacement_mm.tolist(), c.force_N.tolist()] for c in measured]
+    data = [
+        [c.displacement_mm.tolist(), c.force_N.tolist()]
+        + ([] if c.time_s is None else [c.time_s.tolist()])
+        for c in measured
+    ]
     return digest([problem.method, named(problem.tables), data, code_version()], 32)
 
 
@@ -276,15 +282,17 @@ def start_values(
     specimen cannot be solved with them.
     """
     section = tables["material"]
-    names = MaterialSection.of(section).calibrated_names
+    known = MaterialSection.of(section)
+    names, fading = known.calibrated_names, known.starts_of_relaxation()
     given = section.get("constants")
     if given:
-        return names, np.array([float(given[n]) for n in names])
+        return names, np.array([float({**given, **fading}[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
         neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
     energy, shear_modulus = ENERGIES[section["model"]], 2 * float(neo_hookean["C10"])
-    values = {**neo_hookean, **energy.starting_values(names, shear_modulus)}
+    own = [name for name in names if name not in fading]
+    values = {**neo_hookean, **energy.starting_values(own, shear_modulus), **fading}
     return names, np.array([values.get(n, 0.0) for n in names])
 
 
@@ -298,8 +306,7 @@ def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequenc
 
 def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of a homogeneous test, for the optimizer."""
-    kind = TEST_KINDS[str(tables["test"]["kind"])]
-    specimen, section = specimen_of(tables["specimen"]), MaterialSection.of(tables["material"])
+    setup, section = Setup.of(tables), MaterialSection.of(tables["material"])
 
     def predict(values: Array) -> list[Curve]:
         constants = dict(zip(names, values.tolist(), strict=True))
@@ -307,12 +314,7 @@ def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence
             material = section.material(constants)
         except InputError as error:
             raise EvaluationFailed(str(error)) from error
-        curves = [
-            closed_form.homogeneous(
-                specimen, material, curve.displacement_mm, kind.mode, kind.sense
-            )
-            for curve in measured
-        ]
+        curves = [closed_form.at_rows(setup, material, curve) for curve in measured]
         if not all(np.all(np.isfinite(curve.force_N)) for curve in curves):
             raise EvaluationFailed("the material has no equilibrium state at these constants")
         return curves

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.arrays import Array
+from study.material.relaxation import is_of_relaxation
 
 #: what is kept of the higher constants, and how a message calls it
 _SHARES = (
@@ -77,7 +78,8 @@ def gentler(
 
 def _softened(names: Sequence[str], start: Array, share: float) -> Array:
     """Keep a share of the higher constants, and the initial shear modulus."""
-    old = dict(zip(names, start.tolist(), strict=True))
+    every = dict(zip(names, start.tolist(), strict=True))
+    old = {n: v for n, v in every.items() if not is_of_relaxation(n)}
     if "mu1" in old:
         new = _softened_ogden(old, share)
     elif "C10" in old:
@@ -86,7 +88,7 @@ def _softened(names: Sequence[str], start: Array, share: float) -> Array:
         new["C10"] = old["C10"] + (1 - share) * old.get("C01", 0.0)
     else:
         new = old
-    return np.array([new[n] for n in names]) + 0.0  # no minus zero
+    return np.array([{**every, **new}[n] for n in names]) + 0.0  # no minus zero
 
 
 def _softened_ogden(old: dict[str, float], share: float) -> dict[str, float]:

@@ -28,18 +28,21 @@ class FitPanel:
         File and specimen.
     fitted : bool
         False for a curve that was only predicted.
-    displacement_mm, measured_N : ndarray, shape (n,)
-        The curve.
+    places, measured_N : ndarray, shape (n,)
+        The curve: force over displacement in mm, or over time in s.
     predicted_N, scatter_N : ndarray or None
         Prediction and standard deviation of the repeats, where there are any.
+    over_time : bool
+        Whether it is a course in time.
     """
 
     title: str
     fitted: bool
-    displacement_mm: Array
+    places: Array
     measured_N: Array
     predicted_N: Array | None
     scatter_N: Array | None
+    over_time: bool = False
 
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
@@ -68,14 +71,22 @@ def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
         if c == 0:
             force.set_ylabel("force (N)")
             residual.set_ylabel("fit - meas. (N)")
-    figure.supxlabel("displacement (mm)", fontsize=8.5)
+    figure.supxlabel(_axis(panels), fontsize=8.5)
     more = f" (the first {len(panels)} of {total} curves)" if total > len(panels) else ""
     figure.suptitle(clean(title, 120) + more, fontsize=9)
     return figure
 
 
+def _axis(panels: Sequence[FitPanel]) -> str:
+    """Label of the common axis."""
+    kinds = {panel.over_time for panel in panels}
+    if len(kinds) > 1:
+        return "displacement (mm), or time (s) of a course"
+    return "time (s)" if kinds == {True} else "displacement (mm)"
+
+
 def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
-    d, thin = panel.displacement_mm, slice(None, None, max(1, panel.displacement_mm.size // 60))
+    d, thin = panel.places, slice(None, None, max(1, panel.places.size // 60))
     if panel.scatter_N is not None:
         s = panel.scatter_N
         low, high = panel.measured_N - s, panel.measured_N + s

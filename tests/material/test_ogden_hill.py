@@ -1,0 +1,248 @@
+"""Ogden and Hill's foam: the formula of Abaqus' manual, invariance, small strain, closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study import api
+from study.arrays import Array
+from study.errors import InputError
+from study.material.homogeneous import MODES, response
+from study.material.loading import LOADINGS
+from study.material.material import Material
+from study.material.stability import stability
+from study.material.stress import first_piola, first_piola_gradient, strain_energy
+from tests.cli.small import study
+
+NU = 0.2
+CONSTANTS = {"mu1": 0.03, "alpha1": 4.0, "mu2": 0.01, "alpha2": -2.5}
+FOAM = Material("ogden-hill", CONSTANTS, poisson_ratio=NU)
+RIGID = Material("ogden-hill", CONSTANTS, poisson_ratio=0.0)
+
+
+def states(count: int = 20) -> Array:
+    """Random deformation gradients, shape (3, 3, count)."""
+    rng = np.random.default_rng(11)
+    F = np.eye(3)[..., None] + rng.uniform(-0.3, 0.3, (3, 3, count))
+    assert (np.linalg.det(np.moveaxis(F, -1, 0)) > 0.1).all()
+    return F
+
+
+def manual(values: list[float], F: Array) -> float:
+    """W of *Hyperfoam from its data line (Abaqus Theory Guide, hyperfoam), stretches of C."""
+    terms = len(values) // 3
+    stretch = np.sqrt(np.linalg.eigvalsh(F.T @ F))
+    J, total = float(np.linalg.det(F)), 0.0
+    for k in range(terms):
+        mu, alpha, nu = values[2 * k], values[2 * k + 1], values[2 * terms + k]
+        beta = nu / (1 - 2 * nu)
+        swelling = (J ** (-alpha * beta) - 1) / beta if beta else -alpha * np.log(J)
+        total += 2 * mu / alpha**2 * ((stretch**alpha).sum() - 3 + swelling)
+    return total
+
+
+def by_differences(energy: Callable[[Array], float], F: Array, h: float = 1e-5) -> Array:
+    """Derivative by every component, of fourth order."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            step = np.zeros((3, 3))
+            step[i, j] = h
+            near = energy(F + step) - energy(F - step)
+            far = energy(F + 2 * step) - energy(F - 2 * step)
+            out[i, j] = (8 * near - far) / (12 * h)
+    return out
+
+
+@pytest.mark.parametrize("poisson_ratio", [NU, 0.0, 0.45, -0.2])
+def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: float) -> None:
+    """From the exported text."""
+    path = problem(tmp_path, nu=poisson_ratio)
+    answer = study("export", str(path), "--as", "abaqus", "--reports", str(tmp_path), "--json")
+    assert answer.code == 0, answer.err
+    lines = answer.json["text"].splitlines()
+    values = [float(v) for v in lines[lines.index("*Hyperfoam, n=2") + 1].split(",")]
+    assert len(values) == 6
+    foam, F = Material("ogden-hill", CONSTANTS, poisson_ratio=poisson_ratio), states()
+    ours, energy = first_piola(foam, F), strain_energy(foam, F)
+    for k in range(F.shape[-1]):
+        assert energy[k] == pytest.approx(manual(values, F[..., k]), rel=1e-11)
+        theirs = by_differences(lambda G: manual(values, G), F[..., k])
+        assert ours[..., k] == pytest.approx(theirs, rel=1e-8, abs=1e-10)
+
+
+def test_the_gradient_by_constants_is_that_of_differences() -> None:
+    F = states()
+    found = first_piola_gradient(FOAM, F)
+    for name, value in CONSTANTS.items():
+        h = 1e-6 * abs(value)
+        high, low = (first_piola(FOAM.with_constants({name: value + s * h}), F) for s in (1, -1))
+        assert found[name] == pytest.approx((high - low) / (2 * h), rel=1e-6, abs=1e-8)
+
+
+def test_turning_body_or_frame_changes_nothing() -> None:
+    rng, F = np.random.default_rng(5), states()
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    stress = first_piola(FOAM, F)
+    frame = first_piola(FOAM, np.einsum("ij,jkn->ikn", turn, F))
+    body = first_piola(FOAM, np.einsum("ijn,jk->ikn", F, turn))
+    assert frame == pytest.approx(np.einsum("ij,jkn->ikn", turn, stress), rel=1e-10, abs=1e-14)
+    assert body == pytest.approx(np.einsum("ijn,jk->ikn", stress, turn), rel=1e-10, abs=1e-14)
+    # and the Cauchy stress is symmetric
+    cauchy = np.einsum("ian,jan->ijn", stress, F)
+    assert cauchy == pytest.approx(np.swapaxes(cauchy, 0, 1), abs=1e-14)
+
+
+@pytest.mark.parametrize("foam", [FOAM, RIGID])
+def test_small_strain_is_hookes_law(foam: Material) -> None:
+    nu, mu = foam.poisson_ratio or 0.0, 0.04
+    young = 2 * mu * (1 + nu)
+    moduli = {
+        "uniaxial": young,
+        "equibiaxial": young / (1 - nu),
+        "planar": young / (1 - nu**2),
+        "confined": young * (1 - nu) / ((1 + nu) * (1 - 2 * nu)),
+        "volumetric": young / (1 - 2 * nu),
+    }
+    e = 1e-7
+    for name, modulus in moduli.items():
+        assert LOADINGS[name].nominal(foam, np.array([1 + e])).stress[0] == pytest.approx(
+            modulus * e, rel=1e-5
+        )
+    shear = LOADINGS["simple-shear"].nominal(foam, np.array([e])).stress[0]
+    assert shear == pytest.approx(mu * e, rel=1e-5)
+    assert foam.bulk == pytest.approx(young / (3 * (1 - 2 * nu)))
+
+
+@pytest.mark.parametrize("foam", [FOAM, RIGID])
+def test_uniaxial_stress_is_its_closed_form(foam: Material) -> None:
+    """One Poisson's ratio: l2 = l^-nu exactly, and P = sum 2 mu/alpha (l^a - J^-ab) / l."""
+    nu = foam.poisson_ratio or 0.0
+    stretch = np.linspace(0.3, 2.0, 9)
+    found = response(foam, "uniaxial", stretch)
+    assert found.free_stretch == pytest.approx(stretch**-nu, rel=1e-12)
+    J, b = stretch ** (1 - 2 * nu), nu / (1 - 2 * nu)
+    exact = sum(
+        2 * CONSTANTS[f"mu{k}"] / a * (stretch**a - J ** (-a * b)) / stretch
+        for k in (1, 2)
+        for a in (CONSTANTS[f"alpha{k}"],)
+    )
+    assert found.stress == pytest.approx(exact, rel=1e-10, abs=1e-15)
+
+
+@pytest.mark.parametrize("name", MODES)
+def test_slope_gradient_and_free_sides_of_every_mode(name: str) -> None:
+    stretch, h = np.array([0.6, 0.9, 1.3]), 1e-6
+    found = response(FOAM, name, stretch)
+    high, low = (response(FOAM, name, stretch + s * h).stress for s in (1, -1))
+    assert found.slope == pytest.approx((high - low) / (2 * h), rel=1e-7)
+    for constant, value in CONSTANTS.items():
+        step = h * abs(value)
+        moved = [
+            response(FOAM.with_constants({constant: value + s * step}), name, stretch).stress
+            for s in (1, -1)
+        ]
+        difference = (moved[0] - moved[1]) / (2 * step)
+        assert found.gradient[constant] == pytest.approx(difference, rel=1e-6, abs=1e-9)
+    mode = MODES[name]
+    for k, one in enumerate(stretch):
+        sides = one ** np.array(mode.loaded) * found.free_stretch[k] ** np.array(mode.free)
+        P = first_piola(FOAM, np.diag(sides))
+        assert P[0, 0] == pytest.approx(found.stress[k], rel=1e-9)
+        if any(mode.free):
+            assert abs(P[mode.free_axis, mode.free_axis]) < 1e-13
+
+
+def test_stability_counts_the_volume() -> None:
+    assert stability(FOAM, [0.5, 2.0]).stable
+    # negative exponents alone give way in tension: H loses its sign with l^alpha
+    soft = Material("ogden-hill", {"mu1": 0.05, "alpha1": 2.0, "mu2": -0.04, "alpha2": 8.0},
+                    poisson_ratio=0.1)  # fmt: skip
+    judged = stability(soft, [0.5, 2.0])
+    assert not judged.stable
+    limit = judged.limits["uniaxial"]
+    assert limit > 1
+    for side, wanted in ((limit * 0.99, True), (limit * 1.01, False)):
+        free = float(response(soft, "uniaxial", [side]).free_stretch[0])
+        sides, eye = np.array([[side], [free], [free]]), np.eye(3)
+        foam = soft.compressible
+        assert foam is not None
+        H = np.array(
+            [
+                foam.kirchhoff_slope(soft.constants, soft.compressibility, sides, u)[:, 0]
+                for u in eye
+            ]
+        )
+        assert bool(np.linalg.eigvalsh(H)[0] > 0) is wanted
+
+
+def problem(folder: Path, nu: float = NU, volume: str = "") -> Path:
+    path = folder / "foam.toml"
+    path.write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "100 mm^2"\nlength = "20 mm"\n'
+        '[test]\nkind = "compression"\ndisplacement = "10 mm"\nsteps = 5\n'
+        '[material]\nmodel = "ogden-hill"\nmu = ["30 kPa", "10 kPa"]\nalpha = [4.0, -2.5]\n'
+        + (volume or f"poisson_ratio = {nu}")
+    )
+    return path
+
+
+def test_a_foam_is_solved_and_calibrated(tmp_path: Path) -> None:
+    """Constants of two terms come back from compression, shear and tension of the same foam."""
+    answer = study("solve", str(problem(tmp_path)), "--json")
+    assert answer.code == 0, answer.err
+    stress = response(FOAM, "uniaxial", np.linspace(0.9, 0.5, 5)).stress
+    assert answer.json["force_N"] == pytest.approx(-100 * stress)
+    tests = ""
+    for kind, loading, measure in (
+        ("tension", "uniaxial", np.linspace(1, 1.6, 20)),
+        ("compression", "uniaxial", np.linspace(1, 0.4, 20)),
+        ("simple-shear", "simple-shear", np.linspace(0, 0.6, 20)),
+    ):
+        stress = 1e3 * LOADINGS[loading].nominal(FOAM, measure).stress
+        rows = [f"{m:.12g},{p:.12g}" for m, p in zip(measure, stress, strict=True)]
+        (tmp_path / f"{kind}.csv").write_text("\n".join(["m,P", *rows]) + "\n")
+        column = "strain" if kind == "simple-shear" else "stretch"
+        sign = "negative" if kind == "compression" else "positive"
+        tests += (
+            f'[[tests]]\ntest = {{ kind = "{kind}" }}\nmeasurements = {{ file = "{kind}.csv", '
+            f'columns = {{ {column} = "m", stress = "P" }}, '
+            f'units = {{ {column} = "1", stress = "kPa" }}, sign = "{sign}" }}\n'
+        )
+    path = tmp_path / "case.toml"
+    path.write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\n'
+        f'[material]\nmodel = "ogden-hill"\norder = 2\npoisson_ratio = {NU}\n{tests}'
+    )
+    found = api.calibrate(path, data=tmp_path)
+    assert found.converged, found.message
+    assert found.fit.constants() == pytest.approx(CONSTANTS, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("poisson_ratio = 0.2", "incompressible = true"), "poisson_ratio"),
+        (("poisson_ratio = 0.2", 'bulk_modulus = "1 MPa"'), "poisson_ratio"),
+        (('"homogeneous"\narea = "100 mm^2"\nlength', '"cylinder"\nradius = "5 mm"\nheight'),
+         "no isochoric part"),
+        (("alpha = [4.0, -2.5]", "alpha = [4.0, 0.0]"), "must not be zero"),
+        (("mu = [", 'relaxation = [{ share = 0.1, time = "1 s" }]\nmu = ['), "isochoric energy"),
+    ],
+)  # fmt: skip
+def test_what_a_foam_cannot_be_is_told(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+    path = problem(tmp_path)
+    path.write_text(path.read_text().replace(*change, 1))
+    with pytest.raises(InputError, match=words):
+        api.solve(path)
+
+
+def test_febio_has_no_such_foam(tmp_path: Path) -> None:
+    answer = study("export", str(problem(tmp_path)), "--as", "febio", "--reports", str(tmp_path))
+    assert answer.code == 2
+    assert "febio has no energy" in answer.err
