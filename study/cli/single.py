@@ -279,6 +279,7 @@ def _print_calibration(found: Document) -> None:
     if not found["profiles"]:
         rows = [row[:-1] for row in rows]
     output.table(rows, found["model"])
+    output.print_nuisance(found["nuisance"])
     if "converted" in found:
         _print_converted(found["converted"])
     if found["serial_correlation"]:

@@ -263,6 +263,7 @@ class TestTable:
     weight: Annotated[str | float, Reads(_weight)] = "equal"
     specimen: AsWritten = None
     model: AsWritten = None
+    nuisance: AsWritten = None
 
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
@@ -320,3 +321,4 @@ class CalibrationFile:
     model: AsWritten = None
     tests: _Tests = ()
     calibration: Fitting = Fitting()
+    nuisance: AsWritten = None

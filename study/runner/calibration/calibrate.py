@@ -21,8 +21,8 @@ from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.energy import DeclaredConstants
 from study.material.registry import ENERGIES
-from study.material.stability import check, stability
 from study.measurement.conditioning import SORTED
+from study.runner.calibration.judgement import plausible, range_stability
 from study.runner.calibration.measured_tests import (
     FitCurve,
     in_order,
@@ -34,6 +34,7 @@ from study.runner.calibration.measured_tests import (
     warnings_of,
 )
 from study.runner.calibration.multistart import Starts, best, scattered
+from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import (
@@ -48,12 +49,10 @@ from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
     from study.calibration.profile_likelihood import Profile
-    from study.material.material import Material
 
 
 #: correlation of neighboring rows from which a misfit is more likely than noise
@@ -81,7 +80,9 @@ class _Setting:
             progress=self.progress, checkpoint=checkpoint,
         )  # fmt: skip
         measured = [one for part in parts for one in part.measured]
-        return replace(done, fit=with_serial_correlation(done.fit, measured))
+        found = with_serial_correlation(done.fit, measured)
+        own = in_order(curves)
+        return replace(done, fit=with_nuisance(found, parts, self.tests, own, self.bounds))
 
 
 def calibrate(
@@ -303,20 +304,26 @@ def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None
 
 
 def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
-    parts = parts_of(setting.tests, in_order(curves))
+    own = in_order(curves)
+    parts = parts_of(setting.tests, own)
     models = [
         fit_task.model(p.method, p.tables, [m.curve for m in p.measured], setting.names)
         for p in parts
     ]
 
     def predict(values: Array) -> list[Curve]:
+        if found.joint is not None:
+            return predicted(parts, setting.tests, own, setting.names, values)
         return [curve for model in models for curve in model(values)]
 
+    whole = found.joint or found
+    free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
+    bounds = None if setting.bounds is None else [*setting.bounds, *free]
     measured = [m for part in parts for m in part.measured]
-    known = {n for n, e in zip(found.names, found.standard_error, strict=True) if e > 0}
+    known = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
     return {
-        name: profile(predict, measured, found, name, bounds=setting.bounds)
-        for name in found.names
+        name: profile(predict, measured, whole, name, bounds=bounds)
+        for name in whole.names
         if name in known
     }
 
@@ -329,8 +336,8 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
     cautions: list[str] = []
     if found.converged:
         material = MaterialSection.of(section).material(found.constants())
-        status, message, cautions = _plausible(material, message)
-        stable, stability = _stability(setting.tests, curves, material)
+        status, message, cautions = plausible(material, message)
+        stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     order = pattern([c.residual(p) for c, p in judged])
@@ -365,32 +372,3 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
             for test in setting.tests
         ),
     )
-
-
-def _plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
-    """Status of a converged fit by its initial shear modulus."""
-    if not material.mu0 > 0:
-        rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
-        return "unstable", rule, []
-    try:
-        found = list(check(material))
-    except InputError as error:
-        return "unstable", str(error), []
-    if found:
-        return "implausible", found[0], []
-    return "converged", message, []
-
-
-def _stability(
-    tests: Sequence[Tables], curves: Sequence[FitCurve], material: Material
-) -> tuple[bool, str]:
-    """Drucker's criterion over the compressions that were fitted, else over the usual range."""
-    strains = [
-        float(c.measured.curve.displacement_mm.max()) / height
-        for c in curves
-        if tests[c.test]["test"]["kind"] == "compression"
-        and (height := known_height_mm(tests[c.test]["specimen"])) is not None
-    ]
-    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
-    judged = stability(material, *range_of)
-    return bool(judged.stable), judged.sentence

@@ -22,6 +22,7 @@ from study.setup.setup import ResolvedTables
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
     from study.calibration.lack_of_fit import LackOfFit, Pattern
+    from study.calibration.nuisance import NuisanceEstimate
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
@@ -99,6 +100,7 @@ class PartialFit:
             "status": "converged" if self.fit.converged else "not-converged",
             "message": self.fit.message,
             "parameters": parameters(self.fit),
+            "nuisance": nuisance(self.fit),
             "rss": self.fit.rss,
             "identifiable": self.fit.identifiable,
             "curves": [curve.as_dict() for curve in self.curves],
@@ -195,6 +197,7 @@ class CalibrationResult:
             "message": self.message,
             "model": self.model,
             "parameters": parameters(found),
+            "nuisance": nuisance(found),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             "rss": found.rss,
             "r_squared": found.r_squared,
@@ -216,7 +219,7 @@ class CalibrationResult:
             "same_constants_p": self.same_constants_p,
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
-            "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
+            "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
@@ -239,6 +242,40 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
     }
 
 
+def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
+    """Nuisance parameters with errors, intervals and shares, in the units of the file."""
+    return {one.name: _nuisance(one) for one in fit.nuisance}
+
+
+def _nuisance(one: NuisanceEstimate) -> dict[str, object]:
+    unit, scale = _unit_of(one.key)
+    said = {
+        "fitted": "a pseudo-observation: one more row of the fit, and no measurement",
+        "propagated": "carried to the constants: the tests do not move it",
+    }[one.treated]
+    return {
+        "treated": one.treated,
+        "unit": unit,
+        "expected": scale * one.expected,
+        "uncertainty": None if one.uncertainty is None else scale * one.uncertainty,
+        "prior": "none: found from the tests alone" if one.uncertainty is None else said,
+        "value": scale * one.value,
+        "standard_error": scale * one.standard_error,
+        "ci95": [scale * v for v in one.ci95],
+        "shares": dict(one.shares),
+    }
+
+
+def _unit_of(key: str) -> tuple[str, float]:
+    """Give the unit of a nuisance parameter as it is shown, and the factor to it."""
+    plain = {"displacement_offset": "mm", "force_zero": "N", "friction": ""}
+    last = key.rpartition(".")[2]
+    if last == "bulk_modulus":
+        return "kPa", 1e3
+    others = {"poisson_ratio": "", "area": "mm^2", "half_angle": "deg"}
+    return plain.get(key, others.get(last, "mm")), 1.0
+
+
 def _population(found: Population) -> dict[str, object]:
     """Give one constant among specimens in kPa, exponents plain."""
     scale = scale_of(found.name)
@@ -253,6 +290,13 @@ def _population(found: Population) -> dict[str, object]:
     }
 
 
+def _scale(fit: Fit, name: str) -> float:
+    """Factor to the unit in which a constant or a nuisance parameter is shown."""
+    if name in fit.names:
+        return scale_of(name)
+    return _unit_of(next(one.key for one in fit.nuisance if one.name == name))[1]
+
+
 def _serial(fit: Fit) -> dict[str, object] | None:
     """Say what the correlation of recorded rows leaves of them; None without intervals."""
     if fit.serial is None:
@@ -265,9 +309,9 @@ def _serial(fit: Fit) -> dict[str, object] | None:
     }
 
 
-def _profile(name: str, found: Profile) -> dict[str, object]:
+def _profile(scale: float, found: Profile) -> dict[str, object]:
     return {
-        "interval": [scale_of(name) * v for v in found.interval],
-        "values": scale_of(name) * np.asarray(found.values),
+        "interval": [scale * v for v in found.interval],
+        "values": scale * np.asarray(found.values),
         "rss": found.rss,
     }
