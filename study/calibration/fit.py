@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.arrays import Array
-from study.calibration.covariance import Uncertainty, identifiability, uncertainty
+from study.calibration.covariance import Uncertainty, identifiability, influence, uncertainty
 from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
 from study.calibration.nuisance import NuisanceEstimate
@@ -290,7 +290,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
     force, weight = model.measured_forces()
     residual = result.residual[: force.size]
     rss = float(residual @ residual) if residual.size else 2 * result.cost
-    known = _known(result)
+    known = _known(result, weight * force)
     identifiable, reason = identifiability(model.names, result.x, known)
     if not result.converged:
         identifiable, reason = False, result.status.sentence
@@ -323,13 +323,13 @@ def _report(result: LMResult, model: _Model) -> Fit:
     )
 
 
-def _known(result: LMResult) -> Uncertainty:
+def _known(result: LMResult, force: Array) -> Uncertainty:
     """Uncertainty at the result; nothing is known about a fit that did not converge."""
-    p = result.x.size
     known = uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound)
+    known = replace(known, influence=influence(result.jacobian, force))
     if result.converged:
         return known
-    none = np.full((p, p), np.nan)
+    none = np.full((result.x.size,) * 2, np.nan)
     return replace(known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1))
 
 

@@ -14,7 +14,13 @@ from dataclasses import replace
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.covariance import Uncertainty, identifiability, scaled_inverse, student_t
+from study.calibration.covariance import (
+    Uncertainty,
+    identifiability,
+    influence,
+    scaled_inverse,
+    student_t,
+)
 from study.calibration.fit import Fit, MeasuredCurve, small_sample_aic
 from study.calibration.prior import known_covariance, pseudo_jacobian, pseudo_rows
 from study.calibration.serial_correlation import (
@@ -76,7 +82,11 @@ def with_serial_correlation(
         aicc=_aicc(from_rows, rows, found.values.size),
         serial=serial,
     )
-    return _judged(corrected, rows + len(found.priors) - free.size) if free.all() else corrected
+    return (
+        _judged(corrected, rows + len(found.priors) - free.size, measured)
+        if free.all()
+        else corrected
+    )
 
 
 def _correlation(covariance: Array) -> Array:
@@ -97,8 +107,12 @@ def _aicc(known: Intervals, rows: int, parameters: int) -> float:
     return small_sample_aic(known.deviance, rows, parameters + 1 + int(correlated))
 
 
-def _judged(found: Fit, degrees_of_freedom: int) -> Fit:
+def _judged(found: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
     """Fit with the verdict that its new intervals give."""
+    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    rows = np.concatenate([_gradient(m, c, found.names) for m, c in pairs])
+    force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
+    largest = influence(rows, force)
     known = Uncertainty(
         found.covariance,
         found.standard_error,
@@ -107,6 +121,7 @@ def _judged(found: Fit, degrees_of_freedom: int) -> Fit:
         found.condition,
         found.values.size,
         degrees_of_freedom,
+        largest,
     )
     identifiable, reason = identifiability(found.names, found.values, known)
     return replace(found, identifiable=identifiable, reason=reason)
@@ -201,8 +216,8 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))
     share = place - left
     out = np.zeros((by_point.shape[0], rows.size))
-    for k, influence in enumerate(by_point):
-        out[k] = np.bincount(left, influence * (1 - share), rows.size)
+    for k, own in enumerate(by_point):
+        out[k] = np.bincount(left, own * (1 - share), rows.size)
         right = np.minimum(left + 1, rows.size - 1)
-        out[k] += np.bincount(right, influence * share, rows.size)
+        out[k] += np.bincount(right, own * share, rows.size)
     return out

@@ -304,6 +304,8 @@ def _print_calibration(found: Document) -> None:
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
+    if found["identifiability"] and found["identifiability"]["sentence"]:
+        print(found["identifiability"]["sentence"])
     print(found["stability"])
     for note in found["notes"]:
         print(f"data: {note}")

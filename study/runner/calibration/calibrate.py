@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.identifiability import identify
 from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
@@ -51,7 +52,7 @@ from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 
 if TYPE_CHECKING:
-    from study.calibration.fit import Fit
+    from study.calibration.fit import Fit, MeasuredCurve
     from study.calibration.profile_likelihood import Profile
 
 
@@ -328,6 +329,11 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
     }
 
 
+def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
+    parts = parts_of(setting.tests, in_order(curves))
+    return [one for part in parts for one in part.measured]
+
+
 def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config["material"]
     predictions = _predictions(setting, curves, found)
@@ -366,6 +372,7 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
         seconds=0.0,
         lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
         pattern=order,
+        identified=identify(found, _measured(setting, curves)) if found.converged else None,
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {table: test[table] for table in ("specimen", "test", "material", "model")}

@@ -21,6 +21,7 @@ from study.setup.setup import ResolvedTables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
+    from study.calibration.identifiability import Direction, Identifiability
     from study.calibration.lack_of_fit import LackOfFit, Pattern
     from study.calibration.nuisance import NuisanceEstimate
     from study.calibration.profile_likelihood import Profile
@@ -147,6 +148,8 @@ class CalibrationResult:
         Resolved tables of every test (mm, N, MPa), so that what was fitted can be simulated again.
     starts : Starts, optional
         What fits from other starts found, where asked.
+    identified : Identifiability, optional
+        What the tests know of the constants, in the units of their curves.
     """
 
     name: str
@@ -171,6 +174,7 @@ class CalibrationResult:
     notes: tuple[str, ...] = ()
     tests: tuple[ResolvedTables, ...] = ()
     starts: Starts | None = None
+    identified: Identifiability | None = None
 
     @property
     def converged(self) -> bool:
@@ -208,6 +212,7 @@ class CalibrationResult:
             "condition": found.condition,
             "identifiable": found.identifiable,
             "reason": found.reason,
+            "identifiability": _identified(self.identified),
             "stable": self.stable,
             "stability": self.stability,
             "evaluations": self.evaluations,
@@ -240,6 +245,39 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
         }
         for i, name in enumerate(fit.names)
     }
+
+
+def _identified(found: Identifiability | None) -> dict[str, object] | None:
+    """Give combinations from the best known to the least, in kPa (exponents plain) and N."""
+    if found is None:
+        return None
+    return {
+        "sentence": found.sentence,
+        "noise_N": found.noise_N,
+        "directions": [
+            {
+                "combination": one.words,
+                "coefficients": {n: _in_kpa(n, one) * c for n, c in one.combination.items()},
+                "value": scale_of(first := next(iter(one.combination))) * one.value,
+                "unit": ConstantResponse(first).unit,
+                "standard_error": scale_of(first) * one.standard_error,
+                "relative": one.relative,
+                "known": one.is_known,
+            }
+            for one in found.directions
+        ],
+        "constants": {
+            one.name: {
+                "known": one.is_known, "alone_N": one.alone_N, "refitted_N": one.refitted_N
+            }
+            for one in found.constants
+        },
+    }  # fmt: skip
+
+
+def _in_kpa(name: str, one: Direction) -> float:
+    """Factor to a coefficient of constants in kPa from that of constants in MPa."""
+    return scale_of(next(iter(one.combination))) / scale_of(name)
 
 
 def nuisance(fit: Fit) -> dict[str, dict[str, object]]:

@@ -164,7 +164,7 @@ def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tu
 
 
 def _noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:
-    """Give the standard deviation that independent points would need to know as little, weighted."""
+    """Give the standard deviation with which independent points would know as little."""
     largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
     own = np.sqrt(found.rss / max(found.degrees_of_freedom, 1))
     if found.serial is not None:
