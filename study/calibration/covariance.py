@@ -168,6 +168,40 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
     return True, _caution(names, first, second, worst, known.condition)
 
 
+def verdict_at_end(
+    names: Sequence[str],
+    values: Array,
+    known: Uncertainty,
+    free: NDArray[np.bool_],
+    ended: str,
+) -> tuple[bool, str]:
+    """Verdict on a fit that ended at a kink, at an edge or at a bound.
+
+    Parameters
+    ----------
+    names, values, known
+        As for :func:`identifiability`; of the side on which the search ended.
+    free : ndarray of bool, shape (p,)
+        False for a constant held by a bound.
+    ended : str
+        Why the end is no smooth minimum; empty where it is one.
+
+    Returns
+    -------
+    identifiable : bool
+        Only of a smooth minimum without a bound.
+    reason : str
+        The end, and besides what the data leave undetermined there.
+    """
+    identifiable, reason = identifiability(names, values, known)
+    if ended:
+        return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
+    if not free.all():
+        held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
+        return False, f"{', '.join(held)} ended at a bound"
+    return identifiable, reason
+
+
 def _correlation(inverse: Array, free: NDArray[np.bool_]) -> Array:
     correlation = np.full((free.size, free.size), np.nan)
     scale = np.sqrt(np.diag(inverse))

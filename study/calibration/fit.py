@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.arrays import Array
-from study.calibration.covariance import Uncertainty, identifiability, influence, uncertainty
+from study.calibration.covariance import Uncertainty, influence, uncertainty, verdict_at_end
 from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
 from study.calibration.nuisance import NuisanceEstimate
@@ -290,13 +290,17 @@ def _report(result: LMResult, model: _Model) -> Fit:
     force, weight = model.measured_forces()
     residual = result.residual[: force.size]
     rss = float(residual @ residual) if residual.size else 2 * result.cost
-    known = _known(result, weight * force)
-    identifiable, reason = identifiability(model.names, result.x, known)
+    known = replace(
+        uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound),
+        influence=influence(result.jacobian, weight * force),
+    )
+    identifiable, reason = False, result.status.sentence
+    if result.status.usable:
+        ended = "" if result.converged else reason
+        free = ~result.at_bound
+        identifiable, reason = verdict_at_end(model.names, result.x, known, free, ended)
     if not result.converged:
-        identifiable, reason = False, result.status.sentence
-    elif np.any(result.at_bound):
-        held = [n for n, b in zip(model.names, result.at_bound, strict=True) if b]
-        identifiable, reason = False, f"{', '.join(held)} ended at a bound"
+        known = _without_errors(known)
     mean = float(weight**2 @ force / (weight @ weight))
     total = float(np.sum((weight * (force - mean)) ** 2))
     return Fit(
@@ -323,13 +327,9 @@ def _report(result: LMResult, model: _Model) -> Fit:
     )
 
 
-def _known(result: LMResult, force: Array) -> Uncertainty:
-    """Uncertainty at the result; nothing is known about a fit that did not converge."""
-    known = uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound)
-    known = replace(known, influence=influence(result.jacobian, force))
-    if result.converged:
-        return known
-    none = np.full((result.x.size,) * 2, np.nan)
+def _without_errors(known: Uncertainty) -> Uncertainty:
+    """Uncertainty of a fit that did not converge: nothing is known about its errors."""
+    none = np.full_like(known.covariance, np.nan)
     return replace(known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1))
 
 

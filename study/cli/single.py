@@ -191,7 +191,7 @@ def calibrate(
     )
     line.end()
     _show(found, convention, results / found.name, as_json)
-    if not found.converged:
+    if not found.usable:
         raise typer.Exit(1)
 
 

@@ -38,6 +38,7 @@ from study.runner.calibration.multistart import Starts, best, scattered
 from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import status_of
 from study.runner.fitting.staged_fit import (
     Checkpoint,
     Progress,
@@ -275,8 +276,8 @@ def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> t
     known = {id(c): next(fitted, None) for c in in_order(curves)}
     out = []
     for curve in curves:
-        predicted, message = known.get(id(curve)), "" if found.converged else found.message
-        if curve.role == "held-out" and found.converged:
+        predicted, message = known.get(id(curve)), "" if found.status.usable else found.message
+        if curve.role == "held-out" and found.status.usable:
             predicted, message = _predicted(setting, curve, found)
         out.append(
             CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
@@ -337,12 +338,14 @@ def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCur
 def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config["material"]
     predictions = _predictions(setting, curves, found)
-    status, message = "converged" if found.converged else "not-converged", done.message
+    status: str = status_of(found)
+    message = done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
-    if found.converged:
+    if found.status.usable:
         material = MaterialSection.of(section).material(found.constants())
-        status, message, cautions = plausible(material, message)
+        judged_as, message, cautions = plausible(material, message)
+        status = status if judged_as == "converged" else judged_as
         stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]

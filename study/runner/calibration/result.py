@@ -16,6 +16,7 @@ from study.measurement.measured_test import MeasuredTest
 from study.record.document import ParameterDocument
 from study.record.record import plain
 from study.runner.calibration.multistart import Starts
+from study.runner.fitting.fit_summary import WITH_CONSTANTS, status_of
 from study.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
 from study.setup.setup import ResolvedTables
 
@@ -98,7 +99,7 @@ class PartialFit:
         """Constants in kPa, and the errors of the curves."""
         return {
             "label": self.label,
-            "status": "converged" if self.fit.converged else "not-converged",
+            "status": status_of(self.fit),
             "message": self.fit.message,
             "parameters": parameters(self.fit),
             "nuisance": nuisance(self.fit),
@@ -117,7 +118,8 @@ class CalibrationResult:
     name, model : str
         Of the calibration and of the energy.
     status, message : str
-        ``converged``, ``not-converged``, ``implausible`` or ``unstable``, and why.
+        ``converged``, ``at-edge``, ``at-kink``, ``not-converged``, ``implausible`` or
+        ``unstable``, and why.
     fit : Fit
         Of :mod:`study.calibration`; constants in MPa.
     material : Material or None
@@ -178,8 +180,13 @@ class CalibrationResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the constants may be used."""
+        """Whether the constants may be used, with their intervals."""
         return self.status == "converged"
+
+    @property
+    def usable(self) -> bool:
+        """Whether there are constants, if without intervals."""
+        return self.status in WITH_CONSTANTS
 
     def converted(self, convention: str) -> Converted:
         """Constants in another code's convention.

@@ -26,7 +26,7 @@ from study.forward.external import External
 from study.material.registry import ENERGIES
 from study.runner.fitting.external_fit import InverseExternal
 from study.runner.fitting.external_model import named
-from study.runner.fitting.fit_summary import FitResult, described
+from study.runner.fitting.fit_summary import FitResult, described, status_of
 from study.runner.fitting.solution import Predicted
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
@@ -254,8 +254,7 @@ def fitted(task: FitTask) -> FitResult:
         predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
         found["solves"] = predict.solves
     found["seconds"] = time.perf_counter() - began
-    status = "converged" if done.fit.status.usable else "not-converged"
-    return FitResult(status, found, predicted, 0.0 if start is None else start.seconds)
+    return FitResult(status_of(done.fit), found, predicted, 0.0 if start is None else start.seconds)
 
 
 def parts_of(task: FitTask) -> list[Part]:
