@@ -29,6 +29,9 @@ class Curve:
     work_Nmm : ndarray, shape (n,), optional
         Work done from the unloaded state; with it each interval's polynomial is one of fourth
         degree that does just this work.
+    recorded : tuple of Curve
+        Rows that a measured curve was interpolated from, those of every repeat; none where its
+        points are the rows.
     """
 
     displacement_mm: Array
@@ -36,6 +39,7 @@ class Curve:
     stiffness_N_per_mm: Array | None = None
     force_gradient: Mapping[str, Array] = field(default_factory=dict)
     work_Nmm: Array | None = None
+    recorded: tuple[Curve, ...] = ()
 
     def __len__(self) -> int:
         return int(self.displacement_mm.size)
@@ -178,8 +182,8 @@ class Curve:
             return np.asarray(np.interp(d, knots, values))
         return np.asarray(CubicSpline(knots, values)(d))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain lists, for JSON."""
+    def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
+        """Plain lists, for JSON; with the recorded rows where asked."""
         out: dict[str, Any] = {
             "displacement_mm": self.displacement_mm.tolist(),
             "force_N": self.force_N.tolist(),
@@ -190,6 +194,8 @@ class Curve:
             out["work_Nmm"] = self.work_Nmm.tolist()
         if self.force_gradient:
             out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
+        if recorded and self.recorded:
+            out["recorded"] = [one.as_dict() for one in self.recorded]
         return out
 
     @classmethod
@@ -202,6 +208,7 @@ class Curve:
             None if stiffness is None else np.asarray(stiffness, float),
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
             None if work is None else np.asarray(work, float),
+            tuple(cls.from_dict(one) for one in data.get("recorded", ())),
         )
 
     def _with_origin(self) -> tuple[Array, Array, Array | None]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import MeasuredCurve
+from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.canonical import digest
 from study.curve import Curve
@@ -197,7 +198,7 @@ class FitTask:
             "kind": self.kind,
             "method": self.problem.method,
             "tables": dict(self.problem.tables),
-            "measured": [curve.as_dict() for curve in self.measured],
+            "measured": [curve.as_dict(recorded=True) for curve in self.measured],
             "start": None if self.start is None else self.start.to_json(),
             "noise": self.noise,
         }
@@ -236,16 +237,14 @@ def fitted(task: FitTask) -> FitResult:
         parts[0].tables, task.measured, None if start is None else start.constants
     )
     done = staged_fit(parts, names, first, model)
+    fitted_curves = [one for part in parts for one in part.measured]
     found = described(
-        done.fit, parts[0].tables, task.measured[:1] if len(parts) > 1 else task.measured
+        with_serial_correlation(done.fit, fitted_curves),
+        parts[0].tables,
+        task.measured[:1] if len(parts) > 1 else task.measured,
     )
-    found.update(
-        {
-            "message": done.message,
-            "evaluations": done.evaluations,
-            "method": task.problem.method,
-        }
-    )
+    asked = task.problem.method
+    found.update({"message": done.message, "evaluations": done.evaluations, "method": asked})
     predict, predicted = done.models[0], None
     if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
@@ -260,7 +259,10 @@ def fitted(task: FitTask) -> FitResult:
 def parts_of(task: FitTask) -> list[Part]:
     """Parts of a fit, each with the measured curves that belong to it."""
     tests = _tests_of(task.problem)
-    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(task.measured)]
+    data = [
+        MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
+        for k, curve in enumerate(task.measured)
+    ]
     if len(tests) == 1:
         return [Part(*tests[0], tuple(data))]
     return [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
