@@ -210,3 +210,26 @@ def test_what_means_nothing_is_refused_with_its_mend(tmp_path, text, said):
     tomllib.loads(path.read_text(encoding="utf-8"))
     with pytest.raises(InputError, match=said):
         api.calibrate(path, data=tmp_path)
+
+
+def test_a_radius_of_an_indenter_moves_the_modulus_as_hertz_says(tmp_path):
+    """F = 4/3 E* sqrt(R) d^1.5: 2 % of the radius is 1 % of C10, to the order of the strain."""
+    head = 'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"\n'
+    head += '[model]\nmesh = "coarse"\n[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.495\n'
+    loaded = 'kind = "indentation", interface = "frictionless", displacement = "0.6 mm"'
+    loaded = f'{{ {loaded}, indenter = {{ shape = "sphere", radius = "10 mm" }} }}'
+    (tmp_path / "p.toml").write_text(
+        head.replace("[material]", "[material]\nC10 = '7 kPa'") .replace(
+            "schema = 1\n", f"schema = 1\ntest = {loaded}\n"), encoding="utf-8")  # fmt: skip
+    curve = api.solve(tmp_path / "p.toml").curve
+    force = curve.force_N * (1 + 1e-4 * np.random.default_rng(1).normal(size=len(curve)))
+    rows = "".join(f"{x:.9f},{y:.9f}\n" for x, y in zip(curve.displacement_mm, force, strict=True))
+    (tmp_path / "a.csv").write_text("d,f\n" + rows, encoding="utf-8")
+    data = 'file = "a.csv", columns = { displacement = "d", force = "f" }, points = "raw"'
+    data += ', units = { displacement = "mm", force = "N" }'
+    declared = '[nuisance]\n"test.indenter.radius" = "0.2 mm"\n'
+    tests = f"[[tests]]\ntest = {loaded}\nmeasurements = {{ {data} }}\n"
+    (tmp_path / "c.toml").write_text(head + tests + declared, encoding="utf-8")
+    found = api.calibrate(tmp_path / "c.toml", data=tmp_path).fit
+    assert found.standard_error[0] / found.values[0] == pytest.approx(0.01, rel=0.1)
+    assert found.nuisance[0].shares["C10"] > 0.99
