@@ -32,6 +32,9 @@ class Curve:
     time_s : ndarray, shape (n,), optional
         Increasing times of the rows of a test whose course matters. Displacements may then stand
         still and go back, so that the force is known at the rows themselves and nowhere between.
+    recorded : tuple of Curve
+        Rows that a measured curve was interpolated from, those of every repeat; none where its
+        points are the rows.
     """
 
     displacement_mm: Array
@@ -40,6 +43,7 @@ class Curve:
     force_gradient: Mapping[str, Array] = field(default_factory=dict)
     work_Nmm: Array | None = None
     time_s: Array | None = None
+    recorded: tuple[Curve, ...] = ()
 
     @property
     def places(self) -> Array:
@@ -193,8 +197,8 @@ class Curve:
             return np.asarray(np.interp(d, knots, values))
         return np.asarray(CubicSpline(knots, values)(d))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Plain lists, for JSON."""
+    def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
+        """Plain lists, for JSON; with the recorded rows where asked."""
         out: dict[str, Any] = {
             "displacement_mm": self.displacement_mm.tolist(),
             "force_N": self.force_N.tolist(),
@@ -207,6 +211,8 @@ class Curve:
             out["time_s"] = self.time_s.tolist()
         if self.force_gradient:
             out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
+        if recorded and self.recorded:
+            out["recorded"] = [one.as_dict() for one in self.recorded]
         return out
 
     @classmethod
@@ -221,6 +227,7 @@ class Curve:
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
             None if work is None else np.asarray(work, float),
             None if time is None else np.asarray(time, float),
+            tuple(cls.from_dict(one) for one in data.get("recorded", ())),
         )
 
     def _check_rows(self, d: Array) -> None:

@@ -21,8 +21,8 @@ CAUTION_CONDITION = 100.0
 #: V39: not identifiable above this
 LIMIT_CORRELATION = 0.99
 
-#: a constant closer to zero than this share of the largest of its kind counts as near zero
-NEAR_ZERO = 0.05
+#: share of the largest force below which what an interval leaves open does not matter
+AS_GOOD_AS_ZERO = 0.01
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,8 @@ class Uncertainty:
     rank : int
         Numerical rank of the scaled Jacobian.
     degrees_of_freedom : int
+    influence : ndarray, shape (p,), optional
+        Largest change of a force by a constant, over the largest force.
     """
 
     covariance: Array
@@ -52,6 +54,7 @@ class Uncertainty:
     condition: float
     rank: int
     degrees_of_freedom: int
+    influence: Array | None = None
 
 
 def uncertainty(
@@ -95,6 +98,12 @@ def uncertainty(
     )
 
 
+def influence(jacobian: Array, force: Array) -> Array:
+    """Largest change of a force by every parameter, over the largest force; both weighted."""
+    largest = np.abs(jacobian).max(axis=0, initial=0.0)
+    return np.asarray(largest / np.abs(force).max())
+
+
 def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
     """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient."""
     p = jacobian.shape[1]
@@ -132,7 +141,8 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
     """Verdict of V39 on whether the data determine every constant, and why.
 
     Not identifiable: rank-deficient, two constants correlated beyond 0.99, or an interval
-    wider than twice the value of a constant that is not near zero. A correlation beyond 0.95
+    wider than twice the value of a constant, unless half of it changes no force by more than 1 %
+    of the largest: such a constant is known to be as good as zero. A correlation beyond 0.95
     or a scaled condition number above 100 is only a caution.
 
     Returns
@@ -148,13 +158,48 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
         )
     first, second, worst = _worst_pair(known.correlation)
     if abs(worst) > LIMIT_CORRELATION:
-        return False, _together(names[first], names[second], worst)
+        ratio = _ratio_of_errors(known, first, second)
+        return False, _together(names[first], names[second], worst, ratio)
     if known.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
     wide = _widest(names, values, known)
     if wide:
         return False, wide
     return True, _caution(names, first, second, worst, known.condition)
+
+
+def verdict_at_end(
+    names: Sequence[str],
+    values: Array,
+    known: Uncertainty,
+    free: NDArray[np.bool_],
+    ended: str,
+) -> tuple[bool, str]:
+    """Verdict on a fit that ended at a kink, at an edge or at a bound.
+
+    Parameters
+    ----------
+    names, values, known
+        As for :func:`identifiability`; of the side on which the search ended.
+    free : ndarray of bool, shape (p,)
+        False for a constant held by a bound.
+    ended : str
+        Why the end is no smooth minimum; empty where it is one.
+
+    Returns
+    -------
+    identifiable : bool
+        Only of a smooth minimum without a bound.
+    reason : str
+        The end, and besides what the data leave undetermined there.
+    """
+    identifiable, reason = identifiability(names, values, known)
+    if ended:
+        return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
+    if not free.all():
+        held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
+        return False, f"{', '.join(held)} ended at a bound"
+    return identifiable, reason
 
 
 def _correlation(inverse: Array, free: NDArray[np.bool_]) -> Array:
@@ -172,21 +217,27 @@ def _worst_pair(correlation: Array) -> tuple[int, int, float]:
     return min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
 
 
-def _together(first: str, second: str, correlation: float) -> str:
-    # a negative correlation leaves the sum determined, a positive one the difference
-    left = "sum" if correlation < 0 else "difference"
+def _together(first: str, second: str, correlation: float, ratio: float) -> str:
+    # errors that go together leave only first / s1 -+ second / s2 determined
+    sign, shown = ("+" if correlation < 0 else "-"), f"{ratio:.3g}"
+    also = second if shown == "1" else f"{shown} {second}"
     return (
         f"{first} and {second} move together: correlation {correlation:.4f}; "
-        f"only their {left} is determined"
+        f"only {first} {sign} {also} is determined"
     )
+
+
+def _ratio_of_errors(known: Uncertainty, first: int, second: int) -> float:
+    """Error of one constant over that of another: what the second weighs in what is known."""
+    return float(known.standard_error[first] / known.standard_error[second])
 
 
 def _widest(names: Sequence[str], values: Array, known: Uncertainty) -> str:
     width = known.ci95[:, 1] - known.ci95[:, 0]
-    kind = np.array([name.rstrip("0123456789") for name in names])
-    size = np.array([np.abs(values[kind == k]).max() for k in kind])
+    # an interval that changes no force by more than this says that the constant is zero
+    seen = np.inf if known.influence is None else 0.5 * width * known.influence
     ratio = np.zeros(values.size)
-    np.divide(width, np.abs(values), out=ratio, where=np.abs(values) > NEAR_ZERO * size)
+    np.divide(width, np.abs(values), out=ratio, where=(values != 0) & (seen > AS_GOOD_AS_ZERO))
     worst = int(np.argmax(np.nan_to_num(ratio)))
     if not ratio[worst] > 2:
         return ""

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.arrays import Array
-from study.calibration.covariance import Uncertainty, identifiability, uncertainty
+from study.calibration.covariance import Uncertainty, influence, uncertainty, verdict_at_end
 from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
+from study.calibration.nuisance import NuisanceEstimate
+from study.calibration.prior import Prior, pseudo_jacobian, pseudo_rows
 from study.calibration.serial_correlation import SerialCorrelation
 from study.curve import Curve
 from study.errors import Fault, InputError
@@ -96,6 +98,11 @@ class Fit:
     serial : SerialCorrelation, optional
         Where errors, intervals and AICc allow for the correlation of recorded rows
         (:func:`study.calibration.influence.with_serial_correlation`).
+    priors : tuple of Prior
+        Pseudo-observations that were fitted besides; no part of ``rss``, ``n`` and residuals.
+    joint : Fit, optional
+        Constants and fitted nuisance parameters together, of which this is the constants' part.
+    nuisance : tuple of NuisanceEstimate
     """
 
     names: tuple[str, ...]
@@ -118,6 +125,9 @@ class Fit:
     history: tuple[Iteration, ...] = ()
     failure: str = ""
     serial: SerialCorrelation | None = None
+    priors: tuple[Prior, ...] = ()
+    joint: Fit | None = None
+    nuisance: tuple[NuisanceEstimate, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -131,9 +141,19 @@ class Fit:
         return f"{self.status.sentence} ({told})" if told else self.status.sentence
 
     @property
+    def degrees_of_freedom(self) -> int:
+        """Points and pseudo-observations less parameters."""
+        return self.n + len(self.priors) - len(self.names)
+
+    @property
+    def penalized_rss(self) -> float:
+        """What the search minimized: ``rss`` and the squares of the pseudo-observations."""
+        return self.rss + float(np.sum(pseudo_rows(self.priors, self.names, self.values) ** 2))
+
+    @property
     def reduced_chi_square(self) -> float:
         """Residual variance rss / (n - p), near 1 where weights are one over the true scatter."""
-        return self.rss / dof if (dof := self.n - len(self.names)) > 0 else math.nan
+        return self.rss / dof if (dof := self.degrees_of_freedom) > 0 else math.nan
 
     def constants(self) -> dict[str, float]:
         """Name -> value."""
@@ -154,6 +174,7 @@ def fit(
     edge: float = 0.0,
     callback: Progress | None = None,
     resume: Iteration | None = None,
+    priors: Sequence[Prior] = (),
 ) -> Fit:
     """Fit constants to the measured curves whose role is ``fit``.
 
@@ -177,6 +198,8 @@ def fit(
         Gets every accepted iteration; returning True stops the fit.
     resume : Iteration, optional
         Last accepted iteration of an interrupted fit, to go on from instead of ``start``.
+    priors : sequence of Prior, optional
+        Pseudo-observations of some of the constants.
 
     Returns
     -------
@@ -190,7 +213,7 @@ def fit(
         resist, a number that is not finite; all at once.
     """
     _check(measured, names, start)
-    model = _Model(predict, measured, tuple(names))
+    model = _Model(predict, measured, tuple(names), tuple(priors))
     result = levenberg_marquardt(
         model, start, bounds=bounds, max_evaluations=max_evaluations,
         ftol=ftol, xtol=xtol, gtol=gtol, edge=edge, callback=model.watch(callback), resume=resume,
@@ -199,19 +222,24 @@ def fit(
 
 
 def residual_function(
-    predict: Predict, measured: Sequence[MeasuredCurve], names: Sequence[str]
+    predict: Predict,
+    measured: Sequence[MeasuredCurve],
+    names: Sequence[str],
+    priors: Sequence[Prior] = (),
 ) -> Function:
     """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them."""
-    return _Model(predict, measured, tuple(names))
+    return _Model(predict, measured, tuple(names), tuple(priors))
 
 
 class _Model:
     """Residual of a fit; remembers the curves of accepted points so that none is solved twice."""
 
     def __init__(
-        self, predict: Predict, measured: Sequence[MeasuredCurve], names: tuple[str, ...]
-    ) -> None:
+        self, predict: Predict, measured: Sequence[MeasuredCurve], names: tuple[str, ...],
+        priors: tuple[Prior, ...] = (),
+    ) -> None:  # fmt: skip
         self.predict, self.measured, self.names = predict, tuple(measured), names
+        self.priors, self.slopes = priors, pseudo_jacobian(priors, names)
         self.known: dict[bytes, tuple[Curve, ...]] = {}
         self.failure = ""
 
@@ -229,7 +257,8 @@ class _Model:
         self.known[values.tobytes()] = curves
         pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
         residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
-        return np.concatenate(residuals), np.concatenate(rows)
+        beside = pseudo_rows(self.priors, self.names, values)
+        return np.concatenate([*residuals, beside]), np.concatenate([*rows, self.slopes])
 
     def _one(self, measured: MeasuredCurve, predicted: Curve) -> tuple[Array, Array]:
         used = measured.weights > 0
@@ -251,23 +280,27 @@ class _Model:
 
     def measured_forces(self) -> tuple[Array, Array]:
         """Force and weight of every fitted point."""
-        fitted = [m for m in self.measured if m.role == "fit"]
-        used = [m.weights > 0 for m in fitted]
-        force = [m.curve.force_N[u] for m, u in zip(fitted, used, strict=True)]
-        weight = [m.weights[u] for m, u in zip(fitted, used, strict=True)]
+        fitted = [(m, m.weights > 0) for m in self.measured if m.role == "fit"]
+        force = [m.curve.force_N[used] for m, used in fitted]
+        weight = [m.weights[used] for m, used in fitted]
         return np.concatenate(force), np.concatenate(weight)
 
 
 def _report(result: LMResult, model: _Model) -> Fit:
     force, weight = model.measured_forces()
-    rss = 2 * result.cost
-    known = _known(result)
-    identifiable, reason = identifiability(model.names, result.x, known)
+    residual = result.residual[: force.size]
+    rss = float(residual @ residual) if residual.size else 2 * result.cost
+    known = replace(
+        uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound),
+        influence=influence(result.jacobian, weight * force),
+    )
+    identifiable, reason = False, result.status.sentence
+    if result.status.usable:
+        ended = "" if result.converged else reason
+        free = ~result.at_bound
+        identifiable, reason = verdict_at_end(model.names, result.x, known, free, ended)
     if not result.converged:
-        identifiable, reason = False, result.status.sentence
-    elif np.any(result.at_bound):
-        held = [n for n, b in zip(model.names, result.at_bound, strict=True) if b]
-        identifiable, reason = False, f"{', '.join(held)} ended at a bound"
+        known = _without_errors(known)
     mean = float(weight**2 @ force / (weight @ weight))
     total = float(np.sum((weight * (force - mean)) ** 2))
     return Fit(
@@ -286,20 +319,17 @@ def _report(result: LMResult, model: _Model) -> Fit:
         reason,
         result.status,
         result.evaluations,
-        result.residual,
+        residual,
         model.known.get(result.x.tobytes(), ()),
         result.history,
         model.failure,
+        priors=model.priors,
     )
 
 
-def _known(result: LMResult) -> Uncertainty:
-    """Uncertainty at the result; nothing is known about a fit that did not converge."""
-    p = result.x.size
-    known = uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound)
-    if result.converged:
-        return known
-    none = np.full((p, p), np.nan)
+def _without_errors(known: Uncertainty) -> Uncertainty:
+    """Uncertainty of a fit that did not converge: nothing is known about its errors."""
+    none = np.full_like(known.covariance, np.nan)
     return replace(known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1))
 
 

@@ -14,10 +14,18 @@ from dataclasses import replace
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.covariance import Uncertainty, identifiability, scaled_inverse, student_t
+from study.calibration.covariance import (
+    Uncertainty,
+    identifiability,
+    influence,
+    scaled_inverse,
+    student_t,
+)
 from study.calibration.fit import Fit, MeasuredCurve, small_sample_aic
+from study.calibration.prior import known_covariance, pseudo_jacobian, pseudo_rows
 from study.calibration.serial_correlation import (
     Intervals,
+    Pseudo,
     SerialCorrelation,
     Series,
     effective_rows,
@@ -26,7 +34,9 @@ from study.calibration.serial_correlation import (
 from study.curve import Curve
 
 
-def with_serial_correlation(found: Fit, measured: Sequence[MeasuredCurve]) -> Fit:
+def with_serial_correlation(
+    found: Fit, measured: Sequence[MeasuredCurve], known: Array | None = None
+) -> Fit:
     """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation.
 
     Parameters
@@ -35,6 +45,8 @@ def with_serial_correlation(found: Fit, measured: Sequence[MeasuredCurve]) -> Fi
         By least squares, with independent points.
     measured : sequence of MeasuredCurve
         What it was fitted to, in the order of its curves.
+    known : ndarray, shape (p, p), optional
+        Covariance of the estimates by what is no error of a row, nor of a prior of the fit.
 
     Returns
     -------
@@ -45,29 +57,48 @@ def with_serial_correlation(found: Fit, measured: Sequence[MeasuredCurve]) -> Fi
     free = np.isfinite(found.standard_error)
     if not found.converged or not free.any() or found.rss == 0:
         return found
-    names = [name for name, known in zip(found.names, free, strict=True) if known]
-    series = _series(found, measured, names)
-    known = intervals(series)
-    if known is None:
+    names = [name for name, is_free in zip(found.names, free, strict=True) if is_free]
+    series, beside = _series(found, measured, names)
+    if known is not None:
+        beside = beside + known[np.ix_(free, free)]
+    from_rows = intervals(series, _pseudo(found, names), beside)
+    if from_rows is None:
         return found
     rows = sum(one.residual.size for one in series)
     covariance = np.full_like(found.covariance, np.nan)
-    covariance[np.ix_(free, free)] = known.covariance
+    covariance[np.ix_(free, free)] = from_rows.covariance
     half = np.full(free.size, np.nan)
-    half[free] = known.half_width
-    independent = student_t(found.n - int(free.sum())) * found.standard_error
-    serial = SerialCorrelation(
-        rows, known.correlation, effective_rows(rows, known.correlation), half / independent
-    )
+    half[free] = from_rows.half_width
+    freedom = found.n + len(found.priors) - int(free.sum())
+    independent = student_t(freedom) * found.standard_error
+    rho = from_rows.correlation
+    serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent)
     corrected = replace(
         found,
         covariance=covariance,
         standard_error=np.sqrt(np.diag(covariance)),
         ci95=np.stack([found.values - half, found.values + half], axis=1),
-        aicc=_aicc(known, rows, found.values.size),
+        correlation=_correlation(covariance),
+        aicc=_aicc(from_rows, rows, found.values.size),
         serial=serial,
     )
-    return _judged(corrected, rows - free.size) if free.all() else corrected
+    return (
+        _judged(corrected, rows + len(found.priors) - free.size, measured)
+        if free.all()
+        else corrected
+    )
+
+
+def _correlation(covariance: Array) -> Array:
+    scale = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(scale, scale))
+
+
+def _pseudo(found: Fit, names: Sequence[str]) -> Pseudo:
+    """Pseudo-observations of the free parameters."""
+    priors = [one for one in found.priors if one.name in names]
+    values = np.array([found.values[found.names.index(name)] for name in names])
+    return Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names))
 
 
 def _aicc(known: Intervals, rows: int, parameters: int) -> float:
@@ -76,8 +107,12 @@ def _aicc(known: Intervals, rows: int, parameters: int) -> float:
     return small_sample_aic(known.deviance, rows, parameters + 1 + int(correlated))
 
 
-def _judged(found: Fit, degrees_of_freedom: int) -> Fit:
+def _judged(found: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
     """Fit with the verdict that its new intervals give."""
+    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    rows = np.concatenate([_gradient(m, c, found.names) for m, c in pairs])
+    force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
+    largest = influence(rows, force)
     known = Uncertainty(
         found.covariance,
         found.standard_error,
@@ -86,16 +121,20 @@ def _judged(found: Fit, degrees_of_freedom: int) -> Fit:
         found.condition,
         found.values.size,
         degrees_of_freedom,
+        largest,
     )
     identifiable, reason = identifiability(found.names, found.values, known)
     return replace(found, identifiable=identifiable, reason=reason)
 
 
-def _series(found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]) -> list[Series]:
-    """Every recording with the influence of its rows on the free constants."""
+def _series(
+    found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]
+) -> tuple[list[Series], Array]:
+    """Every recording with the influence of its rows on the free constants, and that of priors."""
     pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
     rows = [_gradient(m, c, names) for m, c in pairs]
-    inverse, _ = scaled_inverse(np.concatenate(rows))
+    priors = [one for one in found.priors if one.name in names]
+    inverse, _ = scaled_inverse(np.concatenate([*rows, pseudo_jacobian(priors, names)]))
     out = []
     for (one, predicted), jacobian in zip(pairs, rows, strict=True):
         used = one.weights > 0
@@ -110,7 +149,7 @@ def _series(found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str])
             weight, where, residual, gradient = made
             own = interpolation_transposed(by_point, places, where) / len(recordings)
             out.append(Series(residual, gradient, own / weight))
-    return out
+    return out, known_covariance(priors, names, inverse)
 
 
 def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -> Array:
@@ -179,8 +218,8 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))
     share = place - left
     out = np.zeros((by_point.shape[0], rows.size))
-    for k, influence in enumerate(by_point):
-        out[k] = np.bincount(left, influence * (1 - share), rows.size)
+    for k, own in enumerate(by_point):
+        out[k] = np.bincount(left, own * (1 - share), rows.size)
         right = np.minimum(left + 1, rows.size - 1)
-        out[k] += np.bincount(right, influence * share, rows.size)
+        out[k] += np.bincount(right, own * share, rows.size)
     return out

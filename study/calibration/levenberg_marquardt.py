@@ -56,6 +56,10 @@ STATIONARY = 1e-6
 #: of a flat indentation fitted to 1.3 % noise then scatters by 1e-9 of itself, which is the
 #: ``ftol`` of fits by simulation, and one specimen in six ended there with 1.5e-9 foretold.
 HIDDEN = 10.0
+
+#: Relative offset below which the rest of the way is a thousandth of the radius of a 95 % region,
+#: which a model that scatters by itself need not go (Bates and Watts 1981, Technometrics 23, 179)
+NEGLIGIBLE_OFFSET = 1e-3
 Callback = Callable[[Iteration], bool | None]
 
 
@@ -251,7 +255,7 @@ def _advance(
         trial = np.clip(state.x + step, low, high)
         length = length_of(state.scale * step)
         if negligible(state, trial - state.x):
-            return _no_step(state, linear, held, answered, ftol)
+            return _no_step(state, linear, held, answered, (ftol, edge))
         evaluated = evaluate(function, trial)
         state.evaluations += 1
         answered = answered or evaluated is not None
@@ -271,17 +275,22 @@ def _advance(
             if state.kink and _moved_along(function, state, held, after - before, limits, edge):
                 return None
         if state.kink and edge > 0:
-            return Status.at_kink
+            return Status.converged_cost if _is_near_enough(linear, edge) else Status.at_kink
     return Status.max_evaluations
 
 
 def _no_step(
-    state: State, linear: Linearization, held: NDArray[np.bool_], answered: bool, ftol: float
+    state: State,
+    linear: Linearization,
+    held: NDArray[np.bool_],
+    answered: bool,
+    tolerances: tuple[float, float],
 ) -> Status:
+    ftol, edge = tolerances
     if not answered and beside_failure(state):
         return Status.too_many_failures
     # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
-    if linear.offset**2 <= HIDDEN * ftol:
+    if linear.offset**2 <= HIDDEN * ftol or _is_near_enough(linear, edge):
         return Status.converged_cost
     if steepest(state, held) <= STATIONARY:
         return Status.converged_gradient
@@ -290,6 +299,11 @@ def _no_step(
     if beside_failure(state):
         return Status.at_edge
     return Status.at_kink if state.kink else Status.no_decrease
+
+
+def _is_near_enough(linear: Linearization, edge: float) -> bool:
+    """Whether a model whose evaluations scatter is as near to its minimum as matters."""
+    return edge > 0 and linear.offset <= NEGLIGIBLE_OFFSET
 
 
 def _moved_along(

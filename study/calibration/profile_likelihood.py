@@ -24,7 +24,8 @@ class Profile:
     name : str
         The constant.
     values, rss : ndarray, shape (m,)
-        Values tried, in order, and the sum of squares with the other constants refitted.
+        Values tried, in order, and the sum of squares with the other constants refitted, that
+        of pseudo-observations included.
     interval : tuple of float
         Where rss = rss_min (1 + t^2 / (n - p)), t times the inflation by serial correlation;
         infinite on a side that never gets there.
@@ -64,10 +65,11 @@ def profile(
     error = float(result.standard_error[index])
     if not result.converged or not error > 0:
         raise RefusedError(f"no profile of {name}: the fit has no standard error for it")
-    function = residual_function(predict, measured, result.names)
+    function = residual_function(predict, measured, result.names, result.priors)
     inflation = 1.0 if result.serial is None else float(result.serial.inflation[index])
-    limit = result.rss * (1 + (inflation * student_t(_dof(result))) ** 2 / _dof(result))
-    tried: dict[float, float] = {float(result.values[index]): result.rss}
+    freedom, least = result.degrees_of_freedom, result.penalized_rss
+    limit = least * (1 + (inflation * student_t(freedom)) ** 2 / freedom)
+    tried: dict[float, float] = {float(result.values[index]): least}
     sides = []
     for sign in (-1.0, 1.0):
         rss_at = _profiled(function, result, index, bounds, tried)
@@ -75,10 +77,6 @@ def profile(
     order = sorted(tried)
     rss = np.array([tried[v] for v in order])
     return Profile(name, np.array(order), rss, (sides[0], sides[1]))
-
-
-def _dof(result: Fit) -> int:
-    return result.n - len(result.names)
 
 
 def _profiled(

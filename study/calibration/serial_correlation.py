@@ -59,6 +59,42 @@ class Series:
 
 
 @dataclass(frozen=True)
+class Pseudo:
+    """Observations of the constants themselves, which no recording correlates.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (k,)
+        In units of the common standard deviation of the rows.
+    jacobian : ndarray, shape (k, p)
+        Its derivative by the constants.
+    """
+
+    residual: Array
+    jacobian: Array
+
+    @classmethod
+    def none(cls, constants: int) -> Pseudo:
+        """No observation."""
+        return cls(np.zeros(0), np.zeros((0, constants)))
+
+    def leverage(self, series: Sequence[Series]) -> float:
+        """Parameters that these observations determine, and not the rows: from 0 to k.
+
+        A prior that is as good as exact leaves its degree of freedom to the rows, a vague one
+        takes it (the trace of the hat matrix, Hastie and Tibshirani 1990, sec. 3.5).
+        """
+        if not self.residual.size:
+            return 0.0
+        whole = np.concatenate([one.jacobian for one in series] + [self.jacobian])
+        norms = np.linalg.norm(whole, axis=0)
+        if not np.all(norms > 0):
+            return 0.0
+        basis, _ = np.linalg.qr(whole / norms)
+        return float(np.sum(basis[-self.residual.size :] ** 2))
+
+
+@dataclass(frozen=True)
 class SerialCorrelation:
     """Correlation of the errors of neighboring rows, and what it leaves of them.
 
@@ -104,7 +140,9 @@ class Intervals:
     deviance: float
 
 
-def intervals(series: Sequence[Series]) -> Intervals | None:
+def intervals(
+    series: Sequence[Series], pseudo: Pseudo | None = None, known: Array | None = None
+) -> Intervals | None:
     """95 % intervals of least-squares estimates from serially correlated rows.
 
     Given rho, an estimate's error over its standard error has Student's t distribution with
@@ -114,6 +152,11 @@ def intervals(series: Sequence[Series]) -> Intervals | None:
     ----------
     series : sequence of Series
         All recordings; they share rho and the variance, and are independent of each other.
+    pseudo : Pseudo, optional
+        Observations of the constants themselves, that were fitted besides.
+    known : ndarray, shape (p, p), optional
+        Covariance besides that of the rows, whose size the residuals do not tell. Degrees of
+        freedom of the sum are those of Satterthwaite (1946, Biometrics Bull. 2, 110).
 
     Returns
     -------
@@ -121,22 +164,29 @@ def intervals(series: Sequence[Series]) -> Intervals | None:
         None without degrees of freedom, without residuals or with undetermined constants.
     """
     rows = sum(one.residual.size for one in series)
-    constants = series[0].jacobian.shape[1]
-    moments = _Moments.of(series)
-    if rows <= constants or moments is None:
+    beside = pseudo or Pseudo.none(series[0].jacobian.shape[1])
+    freedom = rows - series[0].jacobian.shape[1] + beside.leverage(series)
+    moments = _Moments.of(series, beside)
+    if freedom <= 0 or moments is None:
         return None
     rho, weight = np.zeros(1), np.ones(1)
     if rows >= FEWEST_ROWS:
-        rho, weight = _posterior(moments)
+        rho, weight = _posterior(moments, freedom)
     squares, determinant = moments.generalized(rho)
-    variance = squares / (rows - constants)
-    scaled = variance[:, None, None] * _propagated(series, rho)
-    errors = np.sqrt(np.diagonal(scaled, axis1=1, axis2=2))
-    half = np.array([_half_width(e, weight, rows - constants) for e in errors.T])
-    likely = -0.5 * (rows - constants) * np.log(squares) - determinant
+    scaled = (squares / freedom)[:, None, None] * _propagated(series, rho)
+    total = scaled if known is None else scaled + known
+    variances = np.diagonal(total, axis1=1, axis2=2).T
+    own = np.diagonal(scaled, axis1=1, axis2=2).T
+    half = np.array(
+        [
+            _half_width(np.sqrt(v), weight, freedom * float(weight @ (v / o)) ** 2)
+            for v, o in zip(variances, own, strict=True)
+        ]
+    )
+    likely = -0.5 * freedom * np.log(squares) - determinant
     deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho**2))
     return Intervals(
-        np.einsum("k,kij->ij", weight, scaled),
+        np.einsum("k,kij->ij", weight, total),
         half,
         float(rho[np.argmax(likely)]) if rows >= FEWEST_ROWS else math.nan,
         float(deviance.min()),
@@ -165,6 +215,8 @@ class _Moments:
     ----------
     all_rows, neighbors, interior : ndarray, shape (p + 1, p + 1)
         Sums over rows, over pairs of neighbors (both ways), and over rows that are no ends.
+    pseudo : ndarray, shape (p + 1, p + 1)
+        Sums over the pseudo-observations, which have the variance of a row.
     series, rows : int
         Number of recordings and of rows.
     """
@@ -172,14 +224,15 @@ class _Moments:
     all_rows: Array
     neighbors: Array
     interior: Array
+    pseudo: Array
     series: int
     rows: int
 
     @classmethod
-    def of(cls, series: Sequence[Series]) -> _Moments | None:
+    def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _Moments | None:
         """Moments of all series; None where the residual or a constant leaves nothing."""
-        jacobian = np.concatenate([one.jacobian for one in series])
-        residual = np.concatenate([one.residual for one in series])
+        jacobian = np.concatenate([one.jacobian for one in series] + [pseudo.jacobian])
+        residual = np.concatenate([one.residual for one in series] + [pseudo.residual])
         norms = np.linalg.norm(jacobian, axis=0)
         size = float(np.linalg.norm(residual))
         if not (np.all(norms > 0) and size > 0 and len(residual) >= len(norms)):
@@ -189,11 +242,14 @@ class _Moments:
         if np.abs(np.diag(triangle)).min() < _ROUNDING:
             return None
         joined = np.column_stack([basis, residual])
-        ends = np.cumsum([one.residual.size for one in series])[:-1]
-        parts = np.split(joined, ends)
+        ends = np.cumsum([one.residual.size for one in series])
+        *parts, beside = np.split(joined, ends)
+        rows = joined[: ends[-1]]
         cross = sum((z[1:].T @ z[:-1] for z in parts), np.zeros((len(norms) + 1,) * 2))
         inner = sum((z[1:-1].T @ z[1:-1] for z in parts), np.zeros_like(cross))
-        return cls(joined.T @ joined, cross + cross.T, inner, len(parts), len(residual))
+        return cls(
+            rows.T @ rows, cross + cross.T, inner, beside.T @ beside, len(parts), len(rows)
+        )  # fmt: skip
 
     def generalized(self, rho: Array) -> tuple[Array, Array]:
         """Residual sum of squares by generalized least squares, and the log determinants.
@@ -211,6 +267,7 @@ class _Moments:
         """
         r = rho[:, None, None]
         product = self.all_rows - r * self.neighbors + r**2 * self.interior
+        product = product + (1 - r**2) * self.pseudo
         normal, right, own = product[:, :-1, :-1], product[:, :-1, -1:], product[:, -1, -1]
         explained = (right * np.linalg.solve(normal, right)).sum(axis=(1, 2))
         squares = np.maximum(own - explained, _ROUNDING * self.all_rows[-1, -1])
@@ -218,22 +275,21 @@ class _Moments:
         return squares, 0.5 * (log_normal - self.series * np.log1p(-(rho**2)))
 
 
-def _posterior(moments: _Moments) -> tuple[Array, Array]:
+def _posterior(moments: _Moments, freedom: float) -> tuple[Array, Array]:
     """Values of rho, even in Fisher's z, and the weight of each; shapes (81,)."""
-    look = _log_weight(moments, _FIRST_LOOK)
+    look = _log_weight(moments, _FIRST_LOOK, freedom)
     counts = np.flatnonzero(look > look.max() - _NEGLIGIBLE)
     low, high = max(counts[0] - 1, 0), min(counts[-1] + 1, look.size - 1)
     z = np.linspace(_FIRST_LOOK[low], _FIRST_LOOK[high], _VALUES)
-    weight = _log_weight(moments, z)
+    weight = _log_weight(moments, z, freedom)
     weight = np.exp(weight - weight.max())
     return np.tanh(z), weight / weight.sum()
 
 
-def _log_weight(moments: _Moments, z: Array) -> Array:
+def _log_weight(moments: _Moments, z: Array, freedom: float) -> Array:
     """Log of restricted likelihood x reference prior x d rho / d z."""
     rho = np.tanh(z)
     squares, determinant = moments.generalized(rho)
-    freedom = moments.rows - moments.all_rows.shape[0] + 1
     prior_and_step = (1 - 0.5) * np.log1p(-(rho**2))
     return np.asarray(-0.5 * freedom * np.log(squares) - determinant + prior_and_step)
 
@@ -256,7 +312,7 @@ def _propagated(series: Sequence[Series], rho: Array) -> Array:
     return np.asarray(total / (1 - rho**2)[:, None, None])
 
 
-def _half_width(errors: Array, weight: Array, freedom: int) -> float:
+def _half_width(errors: Array, weight: Array, freedom: float) -> float:
     """Half width that holds 95 % of a mixture of Student's t of several scales; bisection."""
     from scipy.special import stdtr, stdtrit
 

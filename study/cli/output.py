@@ -198,3 +198,26 @@ def curve_rows(curve: Curve) -> list[list[str]]:
     known = {head: values for head, values in every.items() if values is not None}
     rows = zip(*known.values(), strict=True)
     return [list(known), *([f"{v:.6g}" for v in row] for row in rows)]
+
+
+def print_nuisance(found: Document) -> None:
+    """Show nuisance parameters and the share that each has in the variance of the constants."""
+    if not found:
+        return
+    constants = next(iter(found.values()))["shares"]
+    rows = [["nuisance parameter", "", "expected", "found", "unit", "95 % interval",
+             *(f"share in {name}" for name in constants)]]  # fmt: skip
+    for name, one in found.items():
+        before = number(one["expected"])
+        if one["uncertainty"] is not None:
+            before = f"{before} +- {number(one['uncertainty'])}"
+        low, high = (number(v) for v in one["ci95"])
+        shares = (f"{100 * share:.3g} %" for share in one["shares"].values())
+        rows.append([name, one["treated"], before, number(one["value"]), one["unit"],
+                     f"{low} to {high}", *shares])  # fmt: skip
+    table(rows, "nuisance parameters")
+    if any(one["treated"] == "fitted" and one["uncertainty"] for one in found.values()):
+        print(
+            "what was expected of a fitted one is a pseudo-observation: a row of the fit that "
+            "nobody measured"
+        )

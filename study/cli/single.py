@@ -146,7 +146,7 @@ def calibrate(
     )
     line.end()
     _show(found, convention, results / found.name, as_json)
-    if not found.converged:
+    if not found.usable:
         raise typer.Exit(1)
 
 
@@ -236,6 +236,7 @@ def _print_calibration(found: Document) -> None:
     if not found["profiles"]:
         rows = [row[:-1] for row in rows]
     output.table(rows, found["model"])
+    output.print_nuisance(found["nuisance"])
     if "shear_moduli" in found:
         both = found["shear_moduli"]
         print(f"shear modulus at small strain: {both['instantaneous']:.5g} kPa at once, "
@@ -264,6 +265,8 @@ def _print_calibration(found: Document) -> None:
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
+    if found["identifiability"] and found["identifiability"]["sentence"]:
+        print(found["identifiability"]["sentence"])
     print(found["stability"])
     for note in found["notes"]:
         print(f"data: {note}")

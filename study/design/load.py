@@ -21,6 +21,7 @@ from study.design.resolve import calibration_from, resolve_problem
 from study.design.sections.calibration import ANALYTIC_KEYS, Fitting, bounds_of
 from study.design.sections.cell import CellProblem, Config
 from study.design.sections.measurements import measurements_from
+from study.design.sections.nuisance import nuisance_from, of_test
 from study.design.spec import Design
 from study.design.statistics.hypotheses import expected_from
 from study.design.statistics.model import analysis_from
@@ -185,11 +186,17 @@ def loads_calibration(
             faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
     if asked.bounds is not None:
         bounds = noted(bounds_of(names), asked.bounds, "calibration.bounds", faults)
+    shared_nuisance = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
+    own_nuisance = [
+        nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
+        for i, test in enumerate(file.tests)
+    ]
     _refuse(faults, source)
     tests = [
-        {"role": test.role, "weight": test.weight, **problem.document()}
-        for test, problem in zip(file.tests, problems, strict=True)
-    ]
+        {"role": test.role, "weight": test.weight, **problem.document(),
+         "nuisance": of_test(shared_nuisance, own)}
+        for test, problem, own in zip(file.tests, problems, own_nuisance, strict=True)
+    ]  # fmt: skip
     shared = {key: tests[0][key] for key in ("specimen", "model", "material")}
     fitting = {**values_of(asked), "bounds": bounds or {}}
     name = file.study.name or default_name(source)

@@ -300,6 +300,7 @@ class TestTable:
     weight: Annotated[str | float, Reads(_weight)] = "equal"
     specimen: AsWritten = None
     model: AsWritten = None
+    nuisance: AsWritten = None
 
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
@@ -358,3 +359,4 @@ class CalibrationFile:
     model: AsWritten = None
     tests: _Tests = ()
     calibration: Fitting = Fitting()
+    nuisance: AsWritten = None

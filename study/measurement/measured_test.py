@@ -150,9 +150,14 @@ class Measurements:
             )
         forces = np.array([test.force_N for test in chosen])
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
-        curve = Curve(self.displacement_mm.copy(), forces.mean(axis=0), time_s=self.time_s)
-        notes = tuple(note for test in chosen for note in test.notes)
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
+        curve = Curve(
+            self.displacement_mm.copy(),
+            forces.mean(axis=0),
+            time_s=self.time_s,
+            recorded=recordings,
+        )
+        notes = tuple(note for test in chosen for note in test.notes)
         return MeasuredTest(curve, scatter, len(chosen), shared, notes, recordings)
 
     def curves(

@@ -188,3 +188,21 @@ def test_a_wrong_gradient_is_no_kink():
 
     for edge in (0.0, 1e-3):
         assert levenberg_marquardt(wrong, [3.0, 0.0], edge=edge).status is Status.no_decrease
+
+
+@pytest.mark.parametrize(("jump", "alike"), [(3e-4, True), (3e-2, False)])
+def test_a_kink_of_no_consequence_is_a_minimum(jump, alike):
+    """The gradient jumps from -jump to +jump of the residual, whose minimum is at the jump.
+
+    Bates and Watts's criterion calls a thousandth near enough where evaluations are dear.
+    """
+
+    def bent(x):
+        side = 1.0 if x[0] > 1 else -1.0
+        residual = np.array([x[0] - 1, 10 * (x[1] - 2), 1 + jump * abs(x[0] - 1)])
+        return residual, np.array([[1.0, 0.0], [0.0, 10.0], [side * jump, 0.0]])
+
+    dear = levenberg_marquardt(bent, [0.3, 1.0], edge=1e-3)
+    assert dear.x == pytest.approx([1, 2], abs=2 * jump)
+    assert dear.status is (Status.converged_cost if alike else Status.at_kink)
+    assert not levenberg_marquardt(bent, [0.3, 1.0]).converged

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,15 @@ import numpy as np
 import pytest
 
 from study import api
+from study.calibration.iteration import Status
 from study.cli.app import run
+from study.design.load import load_calibration
 from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
+from study.runner.calibration import calibrate, measured_tests
 from study.runner.calibration.result import CalibrationResult
+from study.runner.fitting import fit_task, staged_fit
 from study.setup.setup import specimen_of
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
@@ -115,7 +120,7 @@ def test_mooney_rivlin_at_14_percent_is_not_identifiable(tmp_path: Path) -> None
     assert found.converged
     assert not found.fit.identifiable
     assert "C10 and C01 move together: correlation -0.999" in found.fit.reason
-    assert "only their sum is determined" in found.fit.reason
+    assert "only C10 + 1.12 C01 is determined" in found.fit.reason
     assert sum(found.fit.values) == pytest.approx(8e-3, rel=5e-3)
 
 
@@ -398,3 +403,32 @@ def test_a_range_that_the_energy_cannot_reach_is_a_status(tmp_path: Path) -> Non
     assert not found.fit.identifiable
     assert found.to_json()["parameters"]["C10"]["standard_error"] is None
     assert found.curves[0].as_dict()["rms_force_error"] is None
+
+
+def test_a_kink_is_called_alike_in_every_verb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One search that ends at a kink, asked by `calibrate` and by the fit of a study."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    path = case(tmp_path, [{}])
+
+    def ended(*given: Any, **more: Any) -> Any:
+        done = staged_fit.staged_fit(*given, **more)
+        none = np.full_like(done.fit.covariance, np.nan)
+        kink = replace(done.fit, status=Status.at_kink, covariance=none, standard_error=none[0])
+        return replace(done, fit=kink)
+
+    monkeypatch.setattr(calibrate, "staged_fit", ended)
+    monkeypatch.setattr(fit_task, "staged_fit", ended)
+    arguments = ["calibrate", str(path), "--data", str(tmp_path)]
+    assert run([*arguments, "--results", str(tmp_path / "r"), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["status"] == "at-kink"
+    assert document["parameters"]["C10"]["standard_error"] is None
+    assert document["mu0"] == pytest.approx(14.0, abs=0.1)
+    tables = load_calibration(path)["tests"][0]
+    measured = api.calibrate(path, data=tmp_path).curves[0].measured.curve
+    found = fit_task.fitted(fit_task.FitTask(measured_tests.problem_of(tables), (measured,)))
+    assert found.status == document["status"]
+    assert found.converged  # there are constants, as before
+    assert found.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)

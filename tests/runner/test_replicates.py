@@ -216,10 +216,15 @@ def test_correlated_noise_is_drawn_in_blocks_and_scatters_more() -> None:
     found = [refit(FitTask(problem, (measured,), base, (2011, k))) for k in range(1, 101)]
     block = found[0]["resampling"][0]["block"]
     assert 5 < block <= 30
-    ratio = np.std([f["values"]["C10"] for f in found], ddof=1) / standard_error(base, "C10")
-    # the formula of the fit takes points for independent; for an AR(1) of 0.8 the mean of many
-    # scatters by sqrt(1.8 / 0.2) = 3 more, of which blocks of a tenth of the curve see a part
-    assert 1.5 < ratio < 3.5
+    # independent points: the force is of first degree in C10
+    slope = exact / 8e-3
+    independent = np.sqrt(base.fit["rss"] / (DEPTHS.size - 1) / (slope @ slope))
+    scatter = np.std([f["values"]["C10"] for f in found], ddof=1)
+    # for an AR(1) of 0.8 the mean of many scatters by sqrt(1.8 / 0.2) = 3 more, of which blocks
+    # of a tenth of the curve see a part
+    assert 1.5 < scatter / independent < 3.5
+    # the fit itself allows for a correlation that it does not know
+    assert standard_error(base, "C10") > scatter
 
 
 def test_a_fit_that_failed_is_not_resampled() -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.identifiability import identify
 from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
@@ -19,8 +20,8 @@ from study.calibration.random_effects import population
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
-from study.material.stability import check, stability
 from study.measurement.conditioning import is_caution
+from study.runner.calibration.judgement import plausible, range_stability
 from study.runner.calibration.measured_tests import (
     FitCurve,
     in_order,
@@ -32,8 +33,10 @@ from study.runner.calibration.measured_tests import (
     warnings_of,
 )
 from study.runner.calibration.multistart import Starts, best, scattered
+from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_summary import status_of
 from study.runner.fitting.staged_fit import (
     Checkpoint,
     Progress,
@@ -46,12 +49,10 @@ from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import known_height_mm
 
 if TYPE_CHECKING:
-    from study.calibration.fit import Fit
+    from study.calibration.fit import Fit, MeasuredCurve
     from study.calibration.profile_likelihood import Profile
-    from study.material.material import Material
 
 
 #: correlation of neighboring rows from which a misfit is more likely than noise
@@ -79,7 +80,9 @@ class _Setting:
             progress=self.progress, checkpoint=checkpoint,
         )  # fmt: skip
         measured = [one for part in parts for one in part.measured]
-        return replace(done, fit=with_serial_correlation(done.fit, measured))
+        found = with_serial_correlation(done.fit, measured)
+        own = in_order(curves)
+        return replace(done, fit=with_nuisance(found, parts, self.tests, own, self.bounds))
 
 
 def calibrate(
@@ -269,8 +272,8 @@ def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> t
     known = {id(c): next(fitted, None) for c in in_order(curves)}
     out = []
     for curve in curves:
-        predicted, message = known.get(id(curve)), "" if found.converged else found.message
-        if curve.role == "held-out" and found.converged:
+        predicted, message = known.get(id(curve)), "" if found.status.usable else found.message
+        if curve.role == "held-out" and found.status.usable:
             predicted, message = _predicted(setting, curve, found)
         out.append(
             CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
@@ -299,34 +302,47 @@ def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None
 
 
 def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
-    parts = parts_of(setting.tests, in_order(curves))
+    own = in_order(curves)
+    parts = parts_of(setting.tests, own)
     models = [
         fit_task.model(p.method, p.tables, [m.curve for m in p.measured], setting.names)
         for p in parts
     ]
 
     def predict(values: Array) -> list[Curve]:
+        if found.joint is not None:
+            return predicted(parts, setting.tests, own, setting.names, values)
         return [curve for model in models for curve in model(values)]
 
+    whole = found.joint or found
+    free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
+    bounds = None if setting.bounds is None else [*setting.bounds, *free]
     measured = [m for part in parts for m in part.measured]
-    known = {n for n, e in zip(found.names, found.standard_error, strict=True) if e > 0}
+    known = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
     return {
-        name: profile(predict, measured, found, name, bounds=setting.bounds)
-        for name in found.names
+        name: profile(predict, measured, whole, name, bounds=bounds)
+        for name in whole.names
         if name in known
     }
+
+
+def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
+    parts = parts_of(setting.tests, in_order(curves))
+    return [one for part in parts for one in part.measured]
 
 
 def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config["material"]
     predictions = _predictions(setting, curves, found)
-    status, message = "converged" if found.converged else "not-converged", done.message
+    status: str = status_of(found)
+    message = done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
-    if found.converged:
+    if found.status.usable:
         material = MaterialSection.of(section).material(found.constants())
-        status, message, cautions = _plausible(material, message)
-        stable, stability = _stability(setting.tests, curves, material)
+        judged_as, message, cautions = plausible(material, message)
+        status = status if judged_as == "converged" else judged_as
+        stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     order = pattern([c.residual(p) for c, p in judged])
@@ -355,38 +371,10 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
         seconds=0.0,
         lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
         pattern=order,
+        identified=identify(found, _measured(setting, curves)) if found.converged else None,
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {table: test[table] for table in ("specimen", "test", "material", "model")}
             for test in setting.tests
         ),
     )
-
-
-def _plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
-    """Status of a converged fit by its initial shear modulus."""
-    if not material.mu0 > 0:
-        rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
-        return "unstable", rule, []
-    try:
-        found = list(check(material))
-    except InputError as error:
-        return "unstable", str(error), []
-    if found:
-        return "implausible", found[0], []
-    return "converged", message, []
-
-
-def _stability(
-    tests: Sequence[Tables], curves: Sequence[FitCurve], material: Material
-) -> tuple[bool, str]:
-    """Drucker's criterion over the compressions that were fitted, else over the usual range."""
-    strains = [
-        float(c.measured.curve.displacement_mm.max()) / height
-        for c in curves
-        if tests[c.test]["test"]["kind"] == "compression"
-        and (height := known_height_mm(tests[c.test]["specimen"])) is not None
-    ]
-    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
-    judged = stability(material, *range_of)
-    return bool(judged.stable), judged.sentence

@@ -16,12 +16,15 @@ from study.measurement.measured_test import MeasuredTest
 from study.record.document import ParameterDocument
 from study.record.record import plain
 from study.runner.calibration.multistart import Starts
+from study.runner.fitting.fit_summary import WITH_CONSTANTS, status_of
 from study.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
 from study.setup.setup import ResolvedTables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
+    from study.calibration.identifiability import Direction, Identifiability
     from study.calibration.lack_of_fit import LackOfFit, Pattern
+    from study.calibration.nuisance import NuisanceEstimate
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
@@ -96,9 +99,10 @@ class PartialFit:
         """Constants in kPa, and the errors of the curves."""
         return {
             "label": self.label,
-            "status": "converged" if self.fit.converged else "not-converged",
+            "status": status_of(self.fit),
             "message": self.fit.message,
             "parameters": parameters(self.fit),
+            "nuisance": nuisance(self.fit),
             "rss": self.fit.rss,
             "identifiable": self.fit.identifiable,
             "curves": [curve.as_dict() for curve in self.curves],
@@ -114,7 +118,8 @@ class CalibrationResult:
     name, model : str
         Of the calibration and of the energy.
     status, message : str
-        ``converged``, ``not-converged``, ``implausible`` or ``unstable``, and why.
+        ``converged``, ``at-edge``, ``at-kink``, ``not-converged``, ``implausible`` or
+        ``unstable``, and why.
     fit : Fit
         Of :mod:`study.calibration`; constants in MPa.
     material : Material or None
@@ -145,6 +150,8 @@ class CalibrationResult:
         Resolved tables of every test (mm, N, MPa), so that what was fitted can be simulated again.
     starts : Starts, optional
         What fits from other starts found, where asked.
+    identified : Identifiability, optional
+        What the tests know of the constants, in the units of their curves.
     """
 
     name: str
@@ -169,11 +176,17 @@ class CalibrationResult:
     notes: tuple[str, ...] = ()
     tests: tuple[ResolvedTables, ...] = ()
     starts: Starts | None = None
+    identified: Identifiability | None = None
 
     @property
     def converged(self) -> bool:
-        """Whether the constants may be used."""
+        """Whether the constants may be used, with their intervals."""
         return self.status == "converged"
+
+    @property
+    def usable(self) -> bool:
+        """Whether there are constants, if without intervals."""
+        return self.status in WITH_CONSTANTS
 
     def converted(self, convention: str) -> Converted:
         """Constants in another code's convention.
@@ -195,6 +208,7 @@ class CalibrationResult:
             "message": self.message,
             "model": self.model,
             "parameters": parameters(found),
+            "nuisance": nuisance(found),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
             "rss": found.rss,
@@ -206,6 +220,7 @@ class CalibrationResult:
             "condition": found.condition,
             "identifiable": found.identifiable,
             "reason": found.reason,
+            "identifiability": _identified(self.identified),
             "stable": self.stable,
             "stability": self.stability,
             "evaluations": self.evaluations,
@@ -217,7 +232,7 @@ class CalibrationResult:
             "same_constants_p": self.same_constants_p,
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
-            "profiles": {n: _profile(n, p) for n, p in self.profiles.items()},
+            "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
@@ -248,6 +263,73 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
     }
 
 
+def _identified(found: Identifiability | None) -> dict[str, object] | None:
+    """Give combinations from the best known to the least, in kPa (exponents plain) and N."""
+    if found is None:
+        return None
+    return {
+        "sentence": found.sentence,
+        "noise_N": found.noise_N,
+        "directions": [
+            {
+                "combination": one.words,
+                "coefficients": {n: _in_kpa(n, one) * c for n, c in one.combination.items()},
+                "value": scale_of(first := next(iter(one.combination))) * one.value,
+                "unit": ConstantResponse(first).unit,
+                "standard_error": scale_of(first) * one.standard_error,
+                "relative": one.relative,
+                "known": one.is_known,
+            }
+            for one in found.directions
+        ],
+        "constants": {
+            one.name: {
+                "known": one.is_known, "alone_N": one.alone_N, "refitted_N": one.refitted_N
+            }
+            for one in found.constants
+        },
+    }  # fmt: skip
+
+
+def _in_kpa(name: str, one: Direction) -> float:
+    """Factor to a coefficient of constants in kPa from that of constants in MPa."""
+    return scale_of(next(iter(one.combination))) / scale_of(name)
+
+
+def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
+    """Nuisance parameters with errors, intervals and shares, in the units of the file."""
+    return {one.name: _nuisance(one) for one in fit.nuisance}
+
+
+def _nuisance(one: NuisanceEstimate) -> dict[str, object]:
+    unit, scale = _unit_of(one.key)
+    said = {
+        "fitted": "a pseudo-observation: one more row of the fit, and no measurement",
+        "propagated": "carried to the constants: the tests do not move it",
+    }[one.treated]
+    return {
+        "treated": one.treated,
+        "unit": unit,
+        "expected": scale * one.expected,
+        "uncertainty": None if one.uncertainty is None else scale * one.uncertainty,
+        "prior": "none: found from the tests alone" if one.uncertainty is None else said,
+        "value": scale * one.value,
+        "standard_error": scale * one.standard_error,
+        "ci95": [scale * v for v in one.ci95],
+        "shares": dict(one.shares),
+    }
+
+
+def _unit_of(key: str) -> tuple[str, float]:
+    """Give the unit of a nuisance parameter as it is shown, and the factor to it."""
+    plain = {"displacement_offset": "mm", "force_zero": "N", "friction": ""}
+    last = key.rpartition(".")[2]
+    if last == "bulk_modulus":
+        return "kPa", 1e3
+    others = {"poisson_ratio": "", "area": "mm^2", "half_angle": "deg"}
+    return plain.get(key, others.get(last, "mm")), 1.0
+
+
 def _population(found: Population) -> dict[str, object]:
     """Give one constant among specimens in kPa, exponents plain."""
     scale = scale_of(found.name)
@@ -262,6 +344,13 @@ def _population(found: Population) -> dict[str, object]:
     }
 
 
+def _scale(fit: Fit, name: str) -> float:
+    """Factor to the unit in which a constant or a nuisance parameter is shown."""
+    if name in fit.names:
+        return scale_of(name)
+    return _unit_of(next(one.key for one in fit.nuisance if one.name == name))[1]
+
+
 def _serial(fit: Fit) -> dict[str, object] | None:
     """Say what the correlation of recorded rows leaves of them; None without intervals."""
     if fit.serial is None:
@@ -274,9 +363,9 @@ def _serial(fit: Fit) -> dict[str, object] | None:
     }
 
 
-def _profile(name: str, found: Profile) -> dict[str, object]:
+def _profile(scale: float, found: Profile) -> dict[str, object]:
     return {
-        "interval": [scale_of(name) * v for v in found.interval],
-        "values": scale_of(name) * np.asarray(found.values),
+        "interval": [scale * v for v in found.interval],
+        "values": scale * np.asarray(found.values),
         "rss": found.rss,
     }

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import Fit
+from study.calibration.iteration import Status
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.material.stability import stability
@@ -19,6 +20,24 @@ from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 from study.setup.setup import known_height_mm
 
+FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
+
+#: ends of a fit that has constants
+WITH_CONSTANTS: Collection[str] = ("converged", "at-edge", "at-kink")
+
+
+def status_of(found: Fit) -> FitStatus:
+    """How a fit ended, in the words of every verb.
+
+    ``at-edge`` and ``at-kink`` are ends with constants that describe the data as well as the
+    model can, and without standard errors.
+    """
+    if found.status is Status.at_edge:
+        return "at-edge"
+    if found.status is Status.at_kink:
+        return "at-kink"
+    return "converged" if found.converged else "not-converged"
+
 
 @dataclass(frozen=True)
 class FitResult:
@@ -27,7 +46,7 @@ class FitResult:
     Parameters
     ----------
     status : str
-        ``"converged"``, or the reason why there are no constants.
+        ``"converged"``, ``"at-edge"``, ``"at-kink"``, or the reason why there are no constants.
     fit : FitDocument
         What is known of it; of a fit without constants its message alone.
     prediction : Predicted or None
@@ -48,8 +67,8 @@ class FitResult:
 
     @property
     def converged(self) -> bool:
-        """Whether it found constants."""
-        return self.status == "converged"
+        """Whether it found constants, if without standard errors."""
+        return self.status in WITH_CONSTANTS
 
     @property
     def usable(self) -> bool:
@@ -118,7 +137,7 @@ def described(found: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocum
         "aicc": _finite(found.aicc),
         "n": int(found.n),
         "identifiable": bool(found.identifiable) and found.converged,
-        "reason": str(found.reason) if found.converged else found.status.sentence,
+        "reason": str(found.reason),
         "evaluations": int(found.evaluations),
     }
     if found.status.usable:

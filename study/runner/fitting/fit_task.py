@@ -16,6 +16,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import MeasuredCurve
+from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.canonical import digest
 from study.curve import Curve
@@ -26,7 +27,7 @@ from study.forward.external import External
 from study.material.registry import ENERGIES
 from study.runner.fitting.external_fit import InverseExternal
 from study.runner.fitting.external_model import named
-from study.runner.fitting.fit_summary import FitResult, described
+from study.runner.fitting.fit_summary import FitResult, described, status_of
 from study.runner.fitting.solution import Predicted
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
 from study.runner.provenance import code_version
@@ -203,7 +204,7 @@ class FitTask:
             "kind": self.kind,
             "method": self.problem.method,
             "tables": dict(self.problem.tables),
-            "measured": [curve.as_dict() for curve in self.measured],
+            "measured": [curve.as_dict(recorded=True) for curve in self.measured],
             "start": None if self.start is None else self.start.to_json(),
             "noise": self.noise,
         }
@@ -242,16 +243,14 @@ def fitted(task: FitTask) -> FitResult:
         parts[0].tables, task.measured, None if start is None else start.constants
     )
     done = staged_fit(parts, names, first, model)
+    fitted_curves = [one for part in parts for one in part.measured]
     found = described(
-        done.fit, parts[0].tables, task.measured[:1] if len(parts) > 1 else task.measured
+        with_serial_correlation(done.fit, fitted_curves),
+        parts[0].tables,
+        task.measured[:1] if len(parts) > 1 else task.measured,
     )
-    found.update(
-        {
-            "message": done.message,
-            "evaluations": done.evaluations,
-            "method": task.problem.method,
-        }
-    )
+    asked = task.problem.method
+    found.update({"message": done.message, "evaluations": done.evaluations, "method": asked})
     predict, predicted = done.models[0], None
     if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
@@ -260,14 +259,16 @@ def fitted(task: FitTask) -> FitResult:
         predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
         found["solves"] = predict.solves
     found["seconds"] = time.perf_counter() - began
-    status = "converged" if done.fit.status.usable else "not-converged"
-    return FitResult(status, found, predicted, 0.0 if start is None else start.seconds)
+    return FitResult(status_of(done.fit), found, predicted, 0.0 if start is None else start.seconds)
 
 
 def parts_of(task: FitTask) -> list[Part]:
     """Parts of a fit, each with the measured curves that belong to it."""
     tests = _tests_of(task.problem)
-    data = [MeasuredCurve(f"measured {k}", curve) for k, curve in enumerate(task.measured)]
+    data = [
+        MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
+        for k, curve in enumerate(task.measured)
+    ]
     if len(tests) == 1:
         return [Part(*tests[0], tuple(data))]
     return [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]

@@ -23,7 +23,7 @@ from study.curve import Curve
 from study.execution.task import Received
 from study.record.document import FitDocument
 from study.runner.fitting import fit_task
-from study.runner.fitting.fit_summary import FitResult
+from study.runner.fitting.fit_summary import FitResult, status_of
 from study.runner.fitting.fit_task import FitTask
 from study.runner.fitting.staged_fit import Checkpoint, Part, Predict, single_stage
 from study.runner.tables import Tables
@@ -146,7 +146,7 @@ def refitted(task: FitTask) -> FitResult:
     )
     document = _described(done.fit, parts[0].tables, found)
     document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
-    return FitResult("converged" if done.fit.status.usable else "not-converged", document)
+    return FitResult(status_of(done.fit), document)
 
 
 def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocument:

@@ -1,0 +1,1 @@
+"""Nuisance parameters of a calibration: declared, predicted with, fitted or propagated."""

@@ -1,0 +1,235 @@
+"""Nuisance parameters: covariances by hand, coverage with nuisances drawn from their priors."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from study import api
+from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.influence import with_serial_correlation
+from study.calibration.prior import Prior
+from study.cli.app import run
+from study.curve import Curve
+from study.design.load import load_calibration
+from study.errors import InputError
+from study.forward import closed_form
+from study.material.material import Material
+from study.runner.calibration.calibrate import calibrate
+from study.setup.setup import specimen_of
+from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
+
+RAW = {"points": '"raw"', "range": '["1 %", "30 %"]'}
+
+
+def line(u, noise, rng, k=3.0, zero=0.0, rows=7):
+    """Fit slope and zero of a line; 7 rows count as independent, so all is known by hand."""
+    d = np.linspace(1.0, 4.0, rows)
+    force = k * d + zero + noise * rng.normal(size=rows)
+    grid = np.r_[0.0, d]
+
+    def predict(x):
+        one = {"k": grid, "zero": np.ones_like(grid)}
+        return [Curve(grid, x[0] * grid + x[1], force_gradient=one)]
+
+    measured = [MeasuredCurve("line", Curve(d, force))]
+    priors = [Prior("zero", 0.0, u, noise)]
+    plain = fit(predict, measured, ("k", "zero"), [1.0, 0.0], priors=priors)
+    return d, force, with_serial_correlation(plain, measured)
+
+
+def test_slope_and_zero_of_a_line_are_those_of_generalized_least_squares():
+    """Normal equations of the rows and the prior written out; s^2 from both."""
+    noise, u = 0.1, 0.05
+    d, force, found = line(u, noise, np.random.default_rng(3), zero=0.08)
+    design = np.stack([d, np.ones_like(d)], axis=1)
+    inverse = np.linalg.inv(design.T @ design + np.diag([0.0, (noise / u) ** 2]))
+    estimate = inverse @ design.T @ force
+    assert found.values == pytest.approx(estimate, rel=1e-9)
+    left = force - design @ estimate
+    penalty = (noise / u * estimate[1]) ** 2
+    # the prior determines this share of the zero, and leaves as much to the rows
+    leverage = (noise / u) ** 2 * inverse[1, 1]
+    variance = (left @ left + penalty) / (len(d) - 2 + leverage)
+    own = variance * inverse @ (design.T @ design) @ inverse
+    error = inverse[:, 1] * (noise / u) ** 2 * u
+    assert found.covariance == pytest.approx(own + np.outer(error, error), rel=1e-6)
+    assert found.rss == pytest.approx(left @ left, rel=1e-9)
+    assert found.degrees_of_freedom == 6
+
+
+def test_a_prior_that_is_exact_leaves_one_constant_and_none_leaves_two():
+    d, force, exact = line(1e-7, 0.1, np.random.default_rng(3))
+    assert exact.values[0] == pytest.approx(d @ force / (d @ d), rel=1e-6)
+    residual = force - exact.values[0] * d
+    by_hand = np.sqrt(residual @ residual / 6 / (d @ d))
+    assert exact.standard_error[0] == pytest.approx(by_hand, rel=1e-5)
+    d, force, vague = line(1e6, 0.1, np.random.default_rng(3))
+    slope, intercept = np.polyfit(d, force, 1)
+    assert vague.values == pytest.approx([slope, intercept], rel=1e-6)
+    residual = force - np.polyval([slope, intercept], d)
+    by_hand = np.sqrt(residual @ residual / 5 / np.sum((d - d.mean()) ** 2))
+    assert vague.standard_error[0] == pytest.approx(by_hand, rel=1e-5)
+
+
+def nuisance(tmp_path, text, rows=RAW, model="reduced-polynomial", order="order = 2"):
+    return case(tmp_path, [rows], model, order, f"[nuisance]\n{text}\n")
+
+
+def test_sizes_are_propagated_as_the_closed_form_says(tmp_path, capsys):
+    """C10 goes with 1 / r^2: 1 % of the radius is 2 % of C10, whatever the noise."""
+    write(tmp_path / "a.csv", "neo-hookean", {"C10": 7e-3}, noise=1e-4)
+    path = nuisance(tmp_path, 'specimen.radius = "1 %"', model="neo-hookean", order="")
+    arguments = ["calibrate", str(path), "--data", str(tmp_path)]
+    arguments += ["--results", str(tmp_path / "results")]
+    assert run([*arguments, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    found = document["parameters"]["C10"]
+    assert found["standard_error"] == pytest.approx(0.02 * found["value"], rel=1e-3)
+    one = document["nuisance"]["specimen.radius"]
+    assert one["treated"] == "propagated"
+    assert one["shares"]["C10"] == pytest.approx(1.0, abs=1e-4)
+    # of an uncertainty that is known, the interval is that of a normal error
+    assert found["ci95"][1] - found["value"] == pytest.approx(1.96 * 0.02 * 7.0, rel=3e-3)
+    assert run(arguments) == 0
+    said = capsys.readouterr().out
+    assert "specimen.radius" in said
+    assert "share in C10" in said
+
+
+def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
+    """A test begun 0.3 mm late by a cell that reads 0.2 N too much."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
+    d = np.linspace(0.0, 8.6, 173)
+    material = Material("reduced-polynomial", RP2, poisson_ratio=0.4995)
+    force = closed_form.compression(specimen_of(SPECIMEN), material, d + 0.3).force_N + 0.2
+    force += 0.02 * np.random.default_rng(7).normal(size=d.size)
+    rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
+    (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+    declared = 'displacement_offset = "0.3 mm"\nforce_zero = "0.3 N"'
+    path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})
+    found = api.calibrate(path, data=tmp_path, profiles=True)
+    assert found.converged
+    for one, true in zip(found.fit.nuisance, (0.3, 0.2), strict=True):
+        assert one.ci95[0] <= true <= one.ci95[1]
+        assert one.ci95 == pytest.approx(found.profiles[one.name].interval, abs=0.1 * abs(true))
+    for pair, true in zip(found.fit.ci95, RP2.values(), strict=True):
+        assert pair[0] <= true <= pair[1]
+    # without them the constants are beside the truth by many of their errors
+    path = case(tmp_path, [{**RAW, "range": '["1 %", "28 %"]'}])
+    blind = api.calibrate(path, data=tmp_path).fit
+    assert not blind.ci95[0, 0] <= 7e-3 <= blind.ci95[0, 1]
+    assert run(["calibrate", str(nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})),
+                "--data", str(tmp_path), "--results", str(tmp_path / "r")]) == 0  # fmt: skip
+    assert "pseudo-observation" in capsys.readouterr().out
+
+
+def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):
+    """Rows made of 70 % of the closed form and 30 % of a bonded simulation."""
+    write(tmp_path / "a.csv", "neo-hookean", {"C10": 7e-3}, depth=6.0)
+    text = case(tmp_path, [{**RAW, "range": '["1 %", "20 %"]'}], "neo-hookean", "").read_text()
+    problem = text[: text.index("[[tests]]")].replace(
+        '"neo-hookean"', '"neo-hookean"\nC10 = "7 kPa"'
+    )
+    problem += (
+        '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "6 mm"\nsteps = 40\n'
+    )
+    (tmp_path / "problem.toml").write_text(problem, encoding="utf-8")
+    bonded = api.solve(tmp_path / "problem.toml").curve
+    d = bonded.displacement_mm
+    material = Material("neo-hookean", {"C10": 7e-3}, poisson_ratio=0.4995)
+    free = closed_form.compression(specimen_of(SPECIMEN), material, d).force_N
+    force = 0.7 * free + 0.3 * bonded.force_N
+    force = force + 0.01 * np.random.default_rng(7).normal(size=d.size)
+    rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
+    (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+    declared = "friction = { value = 0.2, uncertainty = 0.2 }"
+    path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "20 %"]'}, "neo-hookean", "")
+    found = api.calibrate(path, data=tmp_path)
+    (friction,) = found.fit.nuisance
+    # a simulation of 10 steps interpolates one of 40; the rest is noise
+    assert friction.value == pytest.approx(0.3, abs=3 * friction.standard_error + 2e-3)
+    assert found.fit.ci95[0, 0] <= 7e-3 <= found.fit.ci95[0, 1]
+    assert friction.shares["C10"] > 0.5  # bonded plates and a stiffer solid are much alike
+
+
+def coverage(tmp_path, studies, seed=2011):
+    """Share of intervals that hold the truth, offset, zero and radius drawn from their priors."""
+    rng, hits = np.random.default_rng(seed), np.zeros(2)
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
+    declared = 'displacement_offset = "0.1 mm"\nforce_zero = "0.1 N"\nspecimen.radius = "0.1 mm"'
+    path = nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})
+    config, material = (
+        load_calibration(path),
+        Material("reduced-polynomial", RP2, poisson_ratio=0.4995),
+    )
+    d = np.linspace(0.0, 8.6, 60)
+    for _ in range(studies):
+        offset, zero, radius = rng.normal(size=3) * [0.1, 0.1, 0.1]
+        specimen = specimen_of({**SPECIMEN, "radius_mm": 25.0 + radius})
+        force = closed_form.compression(specimen, material, d + offset).force_N + zero
+        force = force + 0.1 * rng.normal(size=d.size)
+        rows = "".join(f"A,0,{x:.6f},{y:.9f}\n" for x, y in zip(d, force, strict=True))
+        (tmp_path / "a.csv").write_text("s,r,d,f\n" + rows, encoding="utf-8")
+        found = calibrate(config, tmp_path).fit
+        truth = np.array(list(RP2.values()))
+        hits += (found.ci95[:, 0] <= truth) & (truth <= found.ci95[:, 1])
+    return hits / studies
+
+
+def test_intervals_cover_with_nuisances_drawn_from_their_priors(tmp_path):
+    # 40 of 95 %: fewer than 34 in one of 300
+    assert np.all(coverage(tmp_path, 40) >= 34 / 40)
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_coverage_is_92_to_98_percent(tmp_path):
+    found = coverage(tmp_path, 1000)
+    assert np.all((found >= 0.92) & (found <= 0.98)), found
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('force_zer = "0.1 N"', "force_zero"),
+        ('force_zero = "0.1 mm"', "force"),
+        ('force_zero = "1 %"', "cannot be a share"),
+        ('displacement_offset = { treat = "propagated" }', "needs an uncertainty"),
+        ("friction = { uncertainty = 0.1 }", "0 as frictionless plates"),
+        ('material.C10 = "1 kPa"', "is no nuisance parameter"),
+        ('specimen.area = "1 %"', "is no input of this test"),
+        ("material.poisson_ratio = 0.001", "reaches 0.5"),
+        ('specimen.radius = { uncertainty = "1 %", value = "20 mm" }', "leave it out"),
+    ],
+)
+def test_what_means_nothing_is_refused_with_its_mend(tmp_path, text, said):
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
+    path = nuisance(tmp_path, text)
+    tomllib.loads(path.read_text(encoding="utf-8"))
+    with pytest.raises(InputError, match=said):
+        api.calibrate(path, data=tmp_path)
+
+
+def test_a_radius_of_an_indenter_moves_the_modulus_as_hertz_says(tmp_path):
+    """F = 4/3 E* sqrt(R) d^1.5: 2 % of the radius is 1 % of C10, to the order of the strain."""
+    head = 'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"\n'
+    head += '[model]\nmesh = "coarse"\n[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.495\n'
+    loaded = 'kind = "indentation", interface = "frictionless", displacement = "0.6 mm"'
+    loaded = f'{{ {loaded}, indenter = {{ shape = "sphere", radius = "10 mm" }} }}'
+    (tmp_path / "p.toml").write_text(
+        head.replace("[material]", "[material]\nC10 = '7 kPa'") .replace(
+            "schema = 1\n", f"schema = 1\ntest = {loaded}\n"), encoding="utf-8")  # fmt: skip
+    curve = api.solve(tmp_path / "p.toml").curve
+    force = curve.force_N * (1 + 1e-4 * np.random.default_rng(1).normal(size=len(curve)))
+    rows = "".join(f"{x:.9f},{y:.9f}\n" for x, y in zip(curve.displacement_mm, force, strict=True))
+    (tmp_path / "a.csv").write_text("d,f\n" + rows, encoding="utf-8")
+    data = 'file = "a.csv", columns = { displacement = "d", force = "f" }, points = "raw"'
+    data += ', units = { displacement = "mm", force = "N" }'
+    declared = '[nuisance]\n"test.indenter.radius" = "0.2 mm"\n'
+    tests = f"[[tests]]\ntest = {loaded}\nmeasurements = {{ {data} }}\n"
+    (tmp_path / "c.toml").write_text(head + tests + declared, encoding="utf-8")
+    found = api.calibrate(tmp_path / "c.toml", data=tmp_path).fit
+    assert found.standard_error[0] / found.values[0] == pytest.approx(0.01, rel=0.1)
+    assert found.nuisance[0].shares["C10"] > 0.99
