@@ -58,6 +58,7 @@ def open_study(path: str | Path, results: Path = RESULTS) -> StudyResult:
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
+        adaptive=tuple(store.read_rows("adaptive")),
     )  # fmt: skip
 
 

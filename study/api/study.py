@@ -13,6 +13,7 @@ from study.api.comparison.compare import compare
 from study.api.comparison.design_changes import read_truths
 from study.api.folders import REPORTS, RESULTS, data_root
 from study.api.opened_study import open_study
+from study.api.planning.adaptive import continued, run_adaptive
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
@@ -123,14 +124,18 @@ def run(
     allowed = Allowed(allow_commands, function)
     if reports is not None:
         checked_formats(formats or loaded.report.format)
-    work = expand(loaded, data_root(loaded.source, data), allowed)
-    check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
-    clock.mark("reading")
+    root = data_root(loaded.source, data)
     warnings: list[str] = []
     store = Store(results / loaded.name, warn=warnings.append)
+    work = expand(continued(loaded, store), root, allowed)
+    check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
+    clock.mark("reading")
     with store.lock():
         _write_manifest(store, work, {}, None)
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine)
+        work, summary = _compute(
+            work, store, clock, jobs, progress, timeout_s, refine,
+            lambda design: expand(design, root, allowed),
+        )  # fmt: skip
         _write_manifest(store, work, clock.parts, summary)
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
@@ -145,24 +150,32 @@ def _compute(
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
     refine: bool,
-) -> Summary:
+    expanded: Callable[[Design], Work],
+) -> tuple[Work, Summary]:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
-    workers, plain = jobs or default_jobs(), work.plain()
+    workers = jobs or default_jobs()
     finer = refinement_seconds(work, store, workers) if refine else 0.0
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
-    summary = run_batch(work, store, jobs=jobs, progress=noted, timeout_s=timeout_s)
+    work, summary = run_adaptive(
+        work,
+        store,
+        lambda part: run_batch(part, store, jobs=jobs, progress=noted, timeout_s=timeout_s),
+        expanded,
+        lambda part: _write_manifest(store, part, {}, None),
+    )
+    plain = work.plain()
     clock.mark("calibration and simulation")
     if not refine:
-        return summary
+        return work, summary
     noted = with_time_left(store, progress, spaces)
     credibility.refine(plain, store, jobs, noted, timeout_s)
     credibility.compare_spaces(plain, store, jobs, with_time_left(store, progress, 0.0))
     clock.mark("mesh refinement")
-    if work.design.uncertainty:
+    if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, jobs, progress, timeout_s)
         clock.mark("uncertain inputs")
-    return summary
+    return work, summary
 
 
 def _write_manifest(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,7 @@ from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
-from study.design.study_file import SCORED, Converge, Replicates, Report, is_simulated
+from study.design.study_file import SCORED, Converge, Replicates, Report, Sequential, is_simulated
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
@@ -29,11 +30,26 @@ class Level:
 
 @dataclass(frozen=True)
 class Span:
-    """Numeric range of a factor: ends in ``unit``, which may be empty."""
+    """Numeric range of a factor: ends in ``unit``, which may be empty.
+
+    Equal shares of a range with ``log`` are equal ratios.
+    """
 
     low: float
     high: float
     unit: str
+    log: bool = False
+
+    def at(self, share: float) -> float:
+        """Value at a share of the range, 0 its low and 1 its high end."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+    def step(self, value: float) -> float:
+        """Difference from a value that is a ten-thousandth of the range."""
+        whole = value * math.log(self.high / self.low) if self.log else self.high - self.low
+        return 1e-4 * whole
 
 
 @dataclass(frozen=True)
@@ -78,6 +94,8 @@ class Scheme:
         Such as ``"I = A:B:C"``.
     terms : tuple of str
         What it was made to tell apart; empty where its kind says so.
+    sequential : Sequential, optional
+        How cells are added while it runs.
     """
 
     kind: str = "full"
@@ -87,6 +105,7 @@ class Scheme:
     resolution: int | None = None
     defining_relation: str = ""
     terms: tuple[str, ...] = ()
+    sequential: Sequential | None = None
 
 
 @dataclass(frozen=True)

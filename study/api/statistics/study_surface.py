@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from study.record.record import Record
 
 #: kinds of a design whose settings are chosen for a surface
-_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol")
+_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
 
 #: what stands in the place of a table of levels
 SEE_SURFACE = "its factors are numbers: see the surface"
@@ -71,6 +71,23 @@ def settings_of(factor: Factor) -> dict[str, float]:
         label: units.split(value)[0] if isinstance(value, str) else float(str(value))
         for label, value in settings.items()
     }
+
+
+def runs_at(
+    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
+) -> Runs:
+    """Collect the runs of a response that have an answer, at one combination of the other levels.
+
+    Parameters
+    ----------
+    labels : mapping of str to str
+        Levels of the factors that are no ranges.
+    records : sequence of Record
+        Those that are computed; replicates are passed over.
+    """
+    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+    good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
+    return _runs(design, response, good, None)
 
 
 def _half_width(
@@ -123,7 +140,7 @@ def _runs(
 ) -> Runs:
     """Coded settings and responses; a numerical half-width is two standard uncertainties."""
     ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
-    factors = tuple(NumericFactor(f.name, span.low, span.high) for f, span in ranged)
+    factors = tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
     columns = []
     for (factor, _), numeric in zip(ranged, factors, strict=True):
         known = settings_of(factor)
