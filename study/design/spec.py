@@ -13,6 +13,7 @@ from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
+from study.design.sections.distribution import InputDistribution
 from study.design.study_file import SCORED, Converge, Replicates, Report, Sequential, is_simulated
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
@@ -218,6 +219,8 @@ class Design:
         The tables of these names.
     uncertainty : mapping of str to float
         Standard uncertainty of inputs, in internal units, by dotted key.
+    inputs : mapping of str to InputDistribution
+        Distributions of inputs that are ranges, by dotted key.
     scheme : Scheme
         Which combinations of the levels are run.
     expected : tuple of Expected
@@ -244,6 +247,7 @@ class Design:
     converge: Converge
     uncertainty: Mapping[str, float]
     report: Report
+    inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
     scheme: Scheme = field(default_factory=Scheme)
     replicates: Replicates = field(default_factory=Replicates)
     expected: tuple[Expected, ...] = ()

@@ -182,6 +182,18 @@ CONFLICTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"design.star": "faced"},
     ),
     "adaptive": (
+        {"uncertainty.specimen.radius.sd": ABSENT},
+        {"uncertainty.specimen.radius.sd": "9 mm"},
+        {"uncertainty.specimen.radius.distribution": "gamma"},
+        {"uncertainty.test.interface": "1 mm"},
+        {"uncertainty.specimen.height": {"distribution": "uniform"}},
+        {
+            "uncertainty.test.displacement": {
+                "distribution": "uniform",
+                "low": "5 mm",
+                "high": "4 mm",
+            }
+        },
         {"factors.specimen.radius.scale": "cubic"},
         {"factors.specimen.radius.low": "-1 mm"},
         {"design.start": 5},
