@@ -12,7 +12,7 @@ from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
 from study.design.overview import calibration_factors, equivalent_groups
 from study.material.registry import is_dimensionless
-from study.reporting.numbers import name_of
+from study.reporting.numbers import listing, name_of
 from study.runner.numerical.case_series import stored_convergence
 from study.runner.numerical.retry import notes_of
 from study.study_result.report_data import (
@@ -83,7 +83,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         data_notes=tuple(manifest["notes"]),
         warnings=study.warnings,
         design_text=manifest["text"] or manifest["design"],
-        scheme=design.scheme.summary,
+        scheme=_scheme(study),
         cells=None if design.scheme.rows is None else len(design.treatments),
         roles=design.roles,
         expected=design.expected,
@@ -94,10 +94,25 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     )
 
 
+def _scheme(study: StudyResult) -> str:
+    """Say which cells were run, and how those that were added came about."""
+    summary = study.design.scheme.summary
+    if not study.adaptive:
+        return summary
+    last = study.adaptive[-1]
+    known = [f"{name_of(name)} {q2:.3f}" for name, q2 in last["q2"].items()]
+    why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
+    told = f" (Q2: {listing(known)})" if known else ""
+    return f"{summary}; it ended with {last['cells']} cells{why}{told}"
+
+
 def _ranges(study: StudyResult) -> dict[str, str]:
     """Write the ends of the factors that are numbers, where surfaces answer the question."""
     spans = {f.name: f.span for f in study.design.factors if f.span is not None and study.surfaces}
-    return {name: f"{s.low:g} to {s.high:g} {s.unit}".strip() for name, s in spans.items()}
+    return {
+        name: f"{s.low:g} to {s.high:g} {s.unit}".strip() + (" (logarithm)" if s.log else "")
+        for name, s in spans.items()
+    }
 
 
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:

@@ -76,6 +76,7 @@ def open_study(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
         tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
+        adaptive=tuple(store.read_rows("adaptive")),
     )  # fmt: skip
 
 

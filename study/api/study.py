@@ -12,6 +12,7 @@ from study.api.assemble import report_data
 from study.api.comparison.compare import compare
 from study.api.folders import REPORTS, RESULTS, design_root
 from study.api.opened_study import open_study
+from study.api.planning.adaptive import continued, run_adaptive
 from study.api.planning.manifest import manifest_of
 from study.api.planning.remaining_time import (
     control_seconds,
@@ -178,19 +179,23 @@ def run(
     allowed = Allowed(allow_commands, function)
     if reports is not None:
         checked_formats(formats or loaded.report.format)
-    work = expand(loaded, design_root(loaded, data), allowed)
+    root = design_root(loaded, data)
+    warnings: list[str] = []
+    store = Store(Path(results) / loaded.name, warn=warnings.append)
+    work = expand(continued(loaded, store), root, allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
     executor = None
     if engine is not None:
         read = {path for job in work.jobs for path in surface_files(job.case.config)}
         executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
-    warnings: list[str] = []
-    store = Store(Path(results) / loaded.name, warn=warnings.append)
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
-        summary = _compute(work, store, clock, jobs, progress, timeout_s, refine, room, executor)
+        work, summary = _compute(
+            work, store, clock, jobs, progress, timeout_s, refine, room, executor,
+            lambda design: expand(design, root, allowed),
+        )  # fmt: skip
         _finish(store, work, clock.parts, summary)
         warnings += mixed_meshes(work, store)
     return report(
@@ -230,33 +235,36 @@ def _compute(
     refine: bool,
     memory_MB: float | None,  # noqa: N803
     executor: Executor | None,
-) -> Summary:
+    expanded: Callable[[Design], Work],
+) -> tuple[Work, Summary]:
     """Cases, then what says how far they can be trusted; every part knows what comes after it."""
-    workers, plain = jobs or default_jobs(), work.plain()
+    workers = jobs or default_jobs()
     finer = refinement_seconds(work, store, workers) if refine else 0.0
     spaces = control_seconds(controls_of(work, store) if refine else (), workers)
     noted = with_time_left(store, progress, finer + spaces)
-    summary = run_batch(
+    work, summary = run_adaptive(
         work,
         store,
-        jobs=jobs,
-        progress=noted,
-        timeout_s=timeout_s,
-        memory_MB=memory_MB,
-        executor=executor,
-    )
+        lambda part: run_batch(
+            part, store, jobs=jobs, progress=noted, timeout_s=timeout_s, memory_MB=memory_MB,
+            executor=executor,
+        ),
+        expanded,
+        lambda part: store.begin_run(manifest_of(part)),
+    )  # fmt: skip
+    plain = work.plain()
     clock.mark("calibration and simulation")
     if not refine:
-        return summary
+        return work, summary
     noted = with_time_left(store, progress, spaces)
     credibility.refine(plain, store, jobs, noted, timeout_s, executor)
     noted = with_time_left(store, progress, 0.0)
     credibility.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
-    if work.design.uncertainty:
+    if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, jobs, progress, timeout_s, executor)
         clock.mark("uncertain inputs")
-    return summary
+    return work, summary
 
 
 def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:

@@ -394,6 +394,8 @@ def _print_plan(found: Plan) -> None:
     if found.predicted_seconds is not None:
         time = output.seconds(found.predicted_seconds)
         print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
+    if found.most_seconds is not None:
+        print(f"with all cells that may be added: {output.seconds(found.most_seconds)}")
     output.warn(found.warnings)
 
 

@@ -15,7 +15,7 @@ from study.design.toml_document import flatten
 from study.errors import nearest
 from study.setup.quantity import number, shown
 from study.setup.section import Bad
-from study.setup.text import MAX_NAME, name, quoted
+from study.setup.text import MAX_NAME, choice, name, quoted
 from study.units import parse
 
 MAX_FACTORS = 20
@@ -238,11 +238,13 @@ def known_level(raw: object, factor: Factor) -> str:
 
 
 ENDS = ("low", "high")
+RANGE_KEYS = (*ENDS, "scale")
+SCALES = ("linear", "log")
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
 
 def grouped(table: Table) -> dict[str, object]:
-    """Join ``KEY.low`` and ``KEY.high``, which joining dotted keys took apart, to ``KEY``.
+    """Join the keys of a range, which joining dotted keys took apart, to ``KEY``.
 
     Examples
     --------
@@ -262,9 +264,9 @@ def grouped(table: Table) -> dict[str, object]:
 
 
 def _is_end(key: str) -> bool:
-    """Whether a joined key is that of an end of a range."""
+    """Whether a joined key is one of a range: an end, or how it is divided."""
     name, _, end = key.rpartition(".")
-    return bool(name) and end in ENDS
+    return bool(name) and end in RANGE_KEYS
 
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
@@ -277,17 +279,22 @@ def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
     if missing:
         faults.add(where, f"has no {missing[0]}", "write { low = .., high = .. }")
         return None
-    span = noted(lambda _: _span(value["low"], value["high"], dimension), value, where, faults)
+    scale = noted(choice(*SCALES), value.get("scale", "linear"), f"{where}.scale", faults)
+    log = scale == "log"
+    span = noted(lambda _: _span(value["low"], value["high"], dimension, log), value, where, faults)
     return None if span is None else Factor(key, levels_at(key, span, (0.0, 1.0)), span)
 
 
-def _span(low: object, high: object, dimension: str) -> Span:
+def _span(low: object, high: object, dimension: str, log: bool) -> Span:
     (first, unit), (last, other) = _end(low, dimension), _end(high, dimension)
     if unit != other:
         raise Bad(f"mixes {unit!r} and {other!r}", "write both ends in one unit")
     if not first < last:
         raise Bad(f"must rise, got {shown(low)} to {shown(high)}", "exchange low and high")
-    return Span(first, last, unit)
+    if log and first <= 0:
+        rule = f"has a logarithm of positive numbers alone, got {shown(low)}"
+        raise Bad(rule, 'begin above 0, or leave scale = "log" out')
+    return Span(first, last, unit, log)
 
 
 def _end(raw: object, dimension: str) -> tuple[float, str]:
@@ -308,12 +315,13 @@ def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...
     --------
     >>> [level.label for level in levels_at("a", Span(1.0, 2.0, "mm"), [0, 1 / 3, 1])]
     ['1 mm', '1.3333 mm', '2 mm']
+    >>> [level.label for level in levels_at("a", Span(1.0, 100.0, "", log=True), [0, 0.5, 1])]
+    ['1', '10', '100']
     """
-    values = [span.low + share * (span.high - span.low) for share in shares]
-    fine = 1e-4 * (span.high - span.low)
+    values = [span.at(share) for share in shares]
     for digits in range(1, 17):
         texts = [f"{value:.{digits}g}" for value in values]
-        near = all(math.isclose(float(t), v, rel_tol=0, abs_tol=fine)
+        near = all(math.isclose(float(t), v, rel_tol=0, abs_tol=span.step(v))
                    for t, v in zip(texts, values, strict=True))  # fmt: skip
         if near and len(set(texts)) == len(set(values)):
             break

@@ -26,6 +26,7 @@ from study.design.spec import Design
 from study.design.statistics.hypotheses import expected_from
 from study.design.statistics.model import analysis_from
 from study.design.statistics.response import responses_from
+from study.design.statistics.uncertainty import uncertainty_from
 from study.design.study_file import (
     RESPONSES_MEND,
     CalibrationFile,
@@ -36,7 +37,6 @@ from study.design.study_file import (
 from study.design.toml_document import Tables
 from study.errors import Fault, InputError
 from study.material.registry import is_constant_key
-from study.setup.quantity import number, quantity
 from study.setup.section import values_of
 
 File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)
@@ -134,7 +134,7 @@ def loads_problem(
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(ProblemFile, tables, source)
-    _uncertainty(file.uncertainty, faults)
+    uncertainty_from(file.uncertainty, (), tables, faults)
     problem = resolve_problem(tables, faults, file.converge.ratio)
     material = problem.material
     if (
@@ -326,6 +326,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     excluding = "exclude" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
     responses = responses_from(file.response, faults)
+    uncertain, inputs = uncertainty_from(file.uncertainty, factors, tables, faults)
     _check_asked(tables, faults)
     design = Design(
         name=name,
@@ -344,7 +345,8 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         retry=dict(file.execution.retry or ()),  # None where it is faulty
         expected=expected_from(file.expected, factors, responses, faults),
         converge=file.converge,
-        uncertainty=_uncertainty(file.uncertainty, faults),
+        uncertainty=uncertain,
+        inputs=inputs,
         report=file.report,
         source=source,
         text=text,
@@ -373,20 +375,6 @@ def _check_asked(tables: Table, faults: Faults) -> None:
         faults.add("replicates", rule, "give one of them, and the other in a study of its own")
     elif not replicates:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
-
-
-def _uncertainty(table: object, faults: Faults) -> dict[str, float]:
-    """Read ``[uncertainty]``: dotted key -> standard uncertainty in internal units."""
-    found: dict[str, float] = {}
-    for key, raw in entries(table, "uncertainty", faults).items():
-        where, kind = f"uncertainty.{key}", overlay.dimension(key)
-        if kind is None:
-            faults.add(where, "names no input with a value", overlay.suggestion(key))
-            continue
-        value = noted(number(0) if kind == "number" else quantity(kind), raw, where, faults)
-        if value is not None:
-            found[key] = value
-    return found
 
 
 def template(name: str = "template") -> str:

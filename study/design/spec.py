@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,7 +13,8 @@ from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
-from study.design.study_file import SCORED, Converge, Replicates, Report, is_simulated
+from study.design.sections.distribution import InputDistribution
+from study.design.study_file import SCORED, Converge, Replicates, Report, Sequential, is_simulated
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
@@ -29,11 +31,26 @@ class Level:
 
 @dataclass(frozen=True)
 class Span:
-    """Numeric range of a factor: ends in ``unit``, which may be empty."""
+    """Numeric range of a factor: ends in ``unit``, which may be empty.
+
+    Equal shares of a range with ``log`` are equal ratios.
+    """
 
     low: float
     high: float
     unit: str
+    log: bool = False
+
+    def at(self, share: float) -> float:
+        """Value at a share of the range, 0 its low and 1 its high end."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+    def step(self, value: float) -> float:
+        """Difference from a value that is a ten-thousandth of the range."""
+        whole = value * math.log(self.high / self.low) if self.log else self.high - self.low
+        return 1e-4 * whole
 
 
 @dataclass(frozen=True)
@@ -78,6 +95,8 @@ class Scheme:
         Such as ``"I = A:B:C"``.
     terms : tuple of str
         What it was made to tell apart; empty where its kind says so.
+    sequential : Sequential, optional
+        How cells are added while it runs.
     """
 
     kind: str = "full"
@@ -87,6 +106,7 @@ class Scheme:
     resolution: int | None = None
     defining_relation: str = ""
     terms: tuple[str, ...] = ()
+    sequential: Sequential | None = None
 
 
 @dataclass(frozen=True)
@@ -199,6 +219,8 @@ class Design:
         The tables of these names.
     uncertainty : mapping of str to float
         Standard uncertainty of inputs, in internal units, by dotted key.
+    inputs : mapping of str to InputDistribution
+        Distributions of inputs that are ranges, by dotted key.
     scheme : Scheme
         Which combinations of the levels are run.
     expected : tuple of Expected
@@ -227,6 +249,7 @@ class Design:
     converge: Converge
     uncertainty: Mapping[str, float]
     report: Report
+    inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
     scheme: Scheme = field(default_factory=Scheme)
     replicates: Replicates = field(default_factory=Replicates)
     retry: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

@@ -7,6 +7,7 @@ The declarations of a problem's tables stand in :mod:`study.setup`, those of mea
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import Field
@@ -237,6 +238,30 @@ class Replicates:
 
     mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
     noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """How cells are added to a design while it runs.
+
+    Parameters
+    ----------
+    start, batch, budget : int
+        Cells that it begins with, that are added at a time, and at most in all.
+    until : {"q2", "verdict"}
+        What ends it before its budget does.
+    q2 : float
+        Leave-one-out Q2 that is enough.
+    seed : int
+        Of the candidates.
+    """
+
+    start: int
+    batch: int
+    budget: int
+    until: str
+    q2: float
+    seed: int
 
 
 @section

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from study.response_surface.propagation import Propagated
     from study.response_surface.result import Sensitivity, SurfaceAnalysis
 
 
@@ -30,6 +31,10 @@ class FittedSurface:
         Bound of the numerical error of a difference of two settings, in the same unit.
     units : mapping of str to str
         Units of the factors that are numbers.
+    uncertain : Propagated, optional
+        The response's distribution where inputs are uncertain.
+    inputs : mapping of str to str
+        Distribution of each of them, in words.
     """
 
     response: str
@@ -40,6 +45,8 @@ class FittedSurface:
     practical: float | None = None
     bound: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    uncertain: Propagated | None = None
+    inputs: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def verdicts(self) -> list[dict[str, object]]:
@@ -58,7 +65,10 @@ class FittedSurface:
         }
         if self.found is None:
             return own | {"surface": None, "sensitivity": [], "refused": self.refused}
-        return own | self.found.to_json()
+        told = own | self.found.to_json()
+        if self.uncertain is not None:
+            told["uncertainty"] = self.uncertain.to_json() | {"distributions": dict(self.inputs)}
+        return told
 
     def _row(self, item: Sensitivity) -> dict[str, object]:
         effect = item.range

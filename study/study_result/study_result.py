@@ -51,6 +51,8 @@ class StudyResult:
         Which of its conclusions hold in another study too.
     surfaces : tuple of FittedSurface
         What responses do over the factors that are ranges; empty where there are none.
+    adaptive : tuple of mapping
+        What was known with so many cells, where cells were added while it ran.
     """
 
     design: Design
@@ -67,6 +69,7 @@ class StudyResult:
     spaces: tuple[Mapping[str, Any], ...] = ()
     beside: Beside | None = None
     surfaces: tuple[FittedSurface, ...] = ()
+    adaptive: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def table(self) -> pd.DataFrame:
@@ -133,6 +136,8 @@ class StudyResult:
             found["failures"] = self.failure_pattern.to_json()
         if self.surfaces:
             found["surfaces"] = [one.to_json() for one in self.surfaces]
+        if self.adaptive:
+            found["adaptive"] = [dict(step) for step in self.adaptive]
         if self.beside is not None:
             found["beside"] = document(self.beside)
         return found

@@ -26,6 +26,7 @@ LOADERS = {
     "design": loads,
     "fraction": loads,
     "sample": loads,
+    "adaptive": loads,
     "nested": loads,
     "calibration": loads_calibration,
 }
@@ -184,6 +185,29 @@ CONFLICTS: dict[str, tuple[dict[str, Any], ...]] = {
         {"design.kind": "listed"},
         {"design.runs": 1},
         {"design.star": "faced"},
+    ),
+    "adaptive": (
+        {"uncertainty.specimen.radius.sd": ABSENT},
+        {"uncertainty.specimen.radius.sd": "9 mm"},
+        {"uncertainty.specimen.radius.distribution": "gamma"},
+        {"uncertainty.test.interface": "1 mm"},
+        {"uncertainty.specimen.height": {"distribution": "uniform"}},
+        {
+            "uncertainty.test.displacement": {
+                "distribution": "uniform",
+                "low": "5 mm",
+                "high": "4 mm",
+            }
+        },
+        {"factors.specimen.radius.scale": "cubic"},
+        {"factors.specimen.radius.low": "-1 mm"},
+        {"design.start": 5},
+        {"design.start": 7},
+        {"design.budget": 8},
+        {"design.added": [[0.5]]},
+        {"design.added": [[0.25, 0.25, 2]]},
+        {"design.until": "verdict"},
+        {"analysis": {"surface": "quadratic"}},
     ),
     "nested": (
         {"design.zip": [["specimen.height", "model.mesh_size"]]},

@@ -16,7 +16,7 @@ from study.errors import Fault, InputError
 from study.setup.section import Bad
 
 #: kinds of a design whose factors are samples of ranges, not levels
-_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol")
+_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.api.comparison.design_changes import run_changes
 from study.api.folders import RESULTS, design_root, results_folder
+from study.api.planning.adaptive import continued
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
@@ -60,6 +61,8 @@ class Plan:
         What they run.
     digest : str
         Name of all of it, which ``study run --allow-digest`` takes.
+    most_seconds : float or None
+        Wall time if the whole budget of an adaptive design is spent; None for any other design.
     """
 
     design: Design
@@ -78,6 +81,7 @@ class Plan:
     program_calls: int = 0
     commands: tuple[str, ...] = ()
     digest: str = ""
+    most_seconds: float | None = None
 
     @property
     def counts(self) -> dict[str, int]:
@@ -106,7 +110,15 @@ class Plan:
             "commands": list(self.commands),
             "commands_digest": self.digest,
             "design": self.overview.to_json(),
+            **self._adaptive(),
         }
+
+    def _adaptive(self) -> dict[str, object]:
+        """How cells are added, where they are."""
+        rule = self.design.scheme.sequential
+        return (
+            {} if rule is None else {"adaptive": asdict(rule) | {"most_seconds": self.most_seconds}}
+        )
 
 
 def plan(
@@ -127,6 +139,7 @@ def plan(
         For a faulty design or faulty data.
     """
     loaded = design if isinstance(design, Design) else load(design, overrides)
+    loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
     described = overview(loaded)
     warnings = list(described.warnings)
     workers = jobs or default_jobs()
@@ -139,8 +152,19 @@ def plan(
         return Plan(
             loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
         )
-    return _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
-                    workers, warnings)  # fmt: skip
+    found = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
+                     workers, warnings)  # fmt: skip
+    return replace(found, most_seconds=_most_seconds(work, found.predicted_seconds, workers))
+
+
+def _most_seconds(work: Work, predicted: float | None, workers: int) -> float | None:
+    """Wall time with all cells that an adaptive design may add, each like those that it has."""
+    rule = work.design.scheme.sequential
+    if rule is None or predicted is None:
+        return None
+    own = Costs().total_seconds(work.fits.values(), work.jobs, workers)
+    more = rule.budget - len(work.design.treatments)
+    return predicted + own * more / len(work.design.treatments)
 
 
 def _counted(

@@ -11,18 +11,23 @@ import numpy as np
 from study import units
 from study.analysis.request import threshold
 from study.api.statistics.response_surface import fit_runs
+from study.design import overlay
+from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
 from study.response_surface.factors import NumericFactor, Runs
+from study.response_surface.propagation import propagate
 from study.study_result.response_surface import FittedSurface
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.design.spec import Design, Factor, Response
     from study.record.record import Record
+    from study.response_surface.propagation import Propagated
+    from study.response_surface.result import SurfaceAnalysis
 
 #: kinds of a design whose settings are chosen for a surface
-_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol")
+_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
 
 #: what stands in the place of a table of levels
 SEE_SURFACE = "its factors are numbers: see the surface"
@@ -73,6 +78,23 @@ def settings_of(factor: Factor) -> dict[str, float]:
     }
 
 
+def runs_at(
+    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
+) -> Runs:
+    """Collect the runs of a response that have an answer, at one combination of the other levels.
+
+    Parameters
+    ----------
+    labels : mapping of str to str
+        Levels of the factors that are no ranges.
+    records : sequence of Record
+        Those that are computed; replicates are passed over.
+    """
+    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+    good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
+    return _runs(design, response, good, None)
+
+
 def _half_width(
     response: str, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> float | None:
@@ -105,11 +127,31 @@ def _fitted(
             practical = limit.on_scale(float(runs.response.mean()), "none")
         found = fit_runs(runs, design.analysis.surface, practical, bound or 0.0)
         found = found.noted(*_left_out(len(here) - len(good)))
+        uncertain, refused = _propagated(design, found)
+        found = found.noted(refused) if refused else found
     except StudyError as error:
         return FittedSurface(
             response.name, response.unit, None, str(error), labels, practical, bound, told
         )
-    return FittedSurface(response.name, response.unit, found, "", labels, practical, bound, told)
+    words = {name: one.words(told[name]) for name, one in design.inputs.items()}
+    return FittedSurface(
+        response.name, response.unit, found, "", labels, practical, bound, told, uncertain, words
+    )
+
+
+def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | None, str]:
+    """Carry uncertain inputs through a surface; a refusal is a sentence."""
+    if not design.inputs:
+        return None, ""
+    fixed = {
+        f.name: usual_value(f.name, overlay.dimension(f.name) or "number", f.span, design.config)
+        for f in design.factors
+        if f.span is not None and f.name not in design.inputs
+    }
+    try:
+        return propagate(found, design.inputs, fixed, design.seed), ""
+    except StudyError as error:
+        return None, str(error)
 
 
 def _left_out(failed: int) -> tuple[str, ...]:
@@ -123,7 +165,7 @@ def _runs(
 ) -> Runs:
     """Coded settings and responses; a numerical half-width is two standard uncertainties."""
     ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
-    factors = tuple(NumericFactor(f.name, span.low, span.high) for f, span in ranged)
+    factors = tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
     columns = []
     for (factor, _), numeric in zip(ranged, factors, strict=True):
         known = settings_of(factor)

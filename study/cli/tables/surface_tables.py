@@ -166,6 +166,27 @@ def print_fitted(one: FittedSurface) -> None:
     unit = f" in {one.unit}" if one.unit else ""
     print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
     print_surface(one.found)
+    _print_uncertain(one)
+
+
+def _print_uncertain(one: FittedSurface) -> None:
+    """Print the response's distribution where inputs are uncertain."""
+    told = one.uncertain
+    if told is None:
+        return
+    ends = told.percentiles
+    print(
+        f"with uncertain inputs: mean {told.mean.value:.4g}, standard deviation "
+        f"{told.sd.value:.3g}, 95 % between {ends[2.5].value:.4g} and {ends[97.5].value:.4g}; the "
+        f"surface itself may err by {told.mean.own:.2g} in the mean"
+    )
+    rows = [["Uncertain input", "Distribution", "S", "T", "Gain if known twice as well"]]
+    for item in told.inputs:
+        index = item.index
+        shares = ["-", "-"] if index is None else [f"{index.first:.3f}", f"{index.total:.3f}"]
+        gain = f"{100 * told.gain(item):.1f} % of the sd"
+        rows.append([item.name, one.inputs.get(item.name, ""), *shares, gain])
+    output.table(rows)
 
 
 def print_surface(found: SurfaceAnalysis) -> None:

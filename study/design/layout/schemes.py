@@ -4,12 +4,18 @@
 
     [design]
     kind = "fractional"        # full | fractional | plackett-burman | central-composite
-                               # | box-behnken | latin-hypercube | sobol | d-optimal | listed
+                               # | box-behnken | latin-hypercube | sobol | adaptive
+                               # | d-optimal | listed
     generators = ["model.element_order = material:plates"]     # fractional; or
     resolution = 4                                             # the smallest fraction that has it
     star = "inscribed"         # central-composite: or "faced"
     runs = 32                  # latin-hypercube, sobol (a power of two), d-optimal
     seed = 7                   # of these three; that of [study] by default
+    start = 30                 # adaptive: cells of a Latin hypercube that it begins with,
+    batch = 4                  # cells added at a time,
+    budget = 60                # most cells in all,
+    until = "verdict"          # what ends it earlier: every factor has a verdict; or "q2":
+    q2 = 0.95                  # leave-one-out Q2 that is enough
     terms = 2                  # d-optimal: highest order of interaction, or a list of terms
     treatments = [{ material = "yeoh", plates = "bonded" }]    # listed: exactly these cells
     zip = [["specimen.height", "test.displacement"]]           # full: levels change together
@@ -25,6 +31,7 @@ import math
 from collections.abc import Mapping
 
 from study.design.diagnostics import Faults, noted, read_table
+from study.design.layout.adaptive import Adaptive
 from study.design.layout.factorial import Full, Listed
 from study.design.layout.fractional import Fractional, PlackettBurman
 from study.design.layout.optimal_section import DOptimal
@@ -43,6 +50,7 @@ LAYOUTS: Mapping[str, type[Layout]] = {
     "box-behnken": BoxBehnken,
     "latin-hypercube": LatinHypercube,
     "sobol": Sobol,
+    "adaptive": Adaptive,
     "d-optimal": DOptimal,
     "listed": Listed,
 }

@@ -58,6 +58,9 @@ def analysis_from(
     if table.surface in ("quadratic", "emulator") and all(f.span is None for f in factors):
         mend = 'write one as { low = "28 mm", high = "32 mm" }'
         faults.add("analysis.surface", "no factor is a range", mend)
+    if scheme.sequential is not None and table.surface in ("quadratic", "none"):
+        rule = "an adaptive design adds cells where an emulator is unsure"
+        faults.add("analysis.surface", rule, 'write surface = "emulator", or leave it out')
     for term in table.primary or ():
         noted(partial(_term, factors=declared), term, "analysis.primary", faults)
     return Analysis(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
+from study.reporting.content import uncertainty
 from study.reporting.content.table import Table
 from study.reporting.numbers import (
     MISSING,
@@ -122,7 +123,7 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         for item in found.sensitivity
         if item.range is not None and item.range.claims
     ]
-    return (accuracy(one), *_shape(one, data), *ends, *confirm)
+    return (accuracy(one), *_shape(one, data), *ends, *confirm, *uncertainty.lines(one, data))
 
 
 def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
@@ -221,7 +222,7 @@ def _answer(one: FittedSurface, data: ReportData) -> str:
             for place, (name, size) in enumerate(moved.items())
         ]
         said = f"over its range, {listing(sizes)}"
-    parts = (f"{named}: {said}.", _judged(one, data), accuracy(one))
+    parts = (f"{named}: {said}.", _judged(one, data), accuracy(one), *uncertainty.answer(one, data))
     return " ".join(text for text in parts if text)
 
 

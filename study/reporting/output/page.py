@@ -19,6 +19,7 @@ from study.reporting.content import (
     response_surface,
     sentences,
     tables,
+    uncertainty,
     verdicts,
 )
 from study.reporting.content.table import Table
@@ -65,6 +66,7 @@ class SurfaceSection:
     lines: tuple[str, ...]
     sensitivity: Table | None
     coefficients: Table | None
+    uncertain: Table | None
     figures: Mapping[str, Figure]
 
 
@@ -115,7 +117,9 @@ def prepare(data: ReportData) -> Contents:
     sections = tuple(_section(data, item) for item in found if item.terms or not data.surfaces)
     over = tuple(_surface(data, one) for one in data.surfaces)
     for one in over:
-        known |= {t.name: t for t in (one.sensitivity, one.coefficients) if t is not None}
+        known |= {
+            t.name: t for t in (one.sensitivity, one.coefficients, one.uncertain) if t is not None
+        }
     return Contents(data, found, sections, registry.of_study(data), known, over)
 
 
@@ -129,6 +133,7 @@ def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
         response_surface.lines(one, data),
         response_surface.sensitivity(one, data),
         response_surface.coefficients(one, data),
+        uncertainty.table(one, data),
         {
             kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
             for kind, (words, maker) in surface_figures.drawings(one, data).items()
