@@ -21,6 +21,7 @@ from study.reporting.figure.style import (
     WIDTH_IN,
     canvas,
     color_of,
+    log_ticks,
     plain_ticks,
     wrap,
 )
@@ -208,17 +209,14 @@ def _seen(corners: Array, window: Array) -> NDArray[np.bool_]:
 
 
 def _logarithmic(ax: Axes, x: str, y: str) -> None:
-    from matplotlib.ticker import FuncFormatter, NullFormatter
-
     ax.set_xscale("log")
     ax.set_yscale("log")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
     ax.grid(visible=True, color=RULE, linewidth=0.4)
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.margins(x=0.12)
+    log_ticks(ax, "x")
+    log_ticks(ax, "y")
 
 
 def _legend(ax: Axes) -> None:

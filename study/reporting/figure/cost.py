@@ -14,6 +14,7 @@ from study.reporting.figure.style import (
     WIDTH_IN,
     canvas,
     color_of,
+    log_ticks,
     name_rows,
     plain_ticks,
     wrap,
@@ -165,8 +166,12 @@ def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> N
 def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
     low, high = float(frame["seconds"].min()), float(frame["seconds"].max())
     ticks = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0]
-    inside = [t for t in ticks if low / 2 <= t <= high * 2] or [low]
-    ax.set_xticks(inside, [duration(t) for t in inside])
+    inside = [t for t in ticks if low / 2 <= t <= high * 2]
+    seen = [t for t in inside if ax.get_xlim()[0] <= t <= ax.get_xlim()[1]]
+    if len(seen) < 2:
+        log_ticks(ax, "x", duration)
+    else:
+        ax.set_xticks(inside, [duration(t) for t in inside])
     ax.set_xticks([], minor=True)
 
 

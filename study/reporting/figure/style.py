@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import textwrap
 import warnings
@@ -32,6 +33,8 @@ WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
 WIDTH_IN = 9.6
+#: labels of a logarithmic axis beyond which some are left out
+_MOST_TICKS = 9
 _RC: dict[str, Any] = {
     "svg.fonttype": "none",
     "text.parse_math": False,
@@ -246,3 +249,52 @@ def plain_ticks(ax: Axes, axis: str) -> None:
     formatter.set_scientific(False)
     target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
     target.set_major_formatter(formatter)
+
+
+def log_places(low: float, high: float) -> list[float]:
+    """Places of the ticks of a logarithmic axis: at least two, as round as that allows.
+
+    Parameters
+    ----------
+    low, high : float
+        Limits of the axis, 0 < low < high.
+
+    Returns
+    -------
+    list of float
+        Powers of ten where two of them are seen; else also 2 and 5 times these, then every
+        first digit, then equal steps.
+
+    Examples
+    --------
+    >>> log_places(0.02, 300.0)
+    [0.1, 1.0, 10.0, 100.0]
+    >>> log_places(1.5, 6.0)
+    [2.0, 5.0]
+    >>> log_places(2.1, 2.4)
+    [2.1, 2.2, 2.3, 2.4]
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for digits in ((1,), (1, 2, 5), range(1, 10)):
+        places = [float(f"{digit}e{exponent}") for exponent in exponents for digit in digits]
+        inside = [place for place in places if low <= place <= high]
+        if len(inside) >= 2:
+            return inside[:: -(-len(inside) // _MOST_TICKS)]
+    steps = MaxNLocator(4).tick_values(low, high)
+    rounded = [float(f"{place:.6g}") for place in steps]
+    return [place for place in rounded if low * (1 - 1e-9) <= place <= high * (1 + 1e-9)]
+
+
+def log_ticks(ax: Axes, axis: str, label: Callable[[float], str] = "{:g}".format) -> None:
+    """Label a logarithmic axis, whose limits are final, at two places at least."""
+    from matplotlib.ticker import NullFormatter
+
+    low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())
+    places = log_places(low, high)
+    if axis == "x":
+        ax.set_xticks(places, [label(place) for place in places])
+    else:
+        ax.set_yticks(places, [label(place) for place in places])
+    (ax.xaxis if axis == "x" else ax.yaxis).set_minor_formatter(NullFormatter())

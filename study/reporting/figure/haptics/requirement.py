@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of, plain_ticks
+from study.reporting.figure.style import (
+    INK,
+    MUTED,
+    WIDTH_IN,
+    canvas,
+    color_of,
+    log_ticks,
+    plain_ticks,
+)
 from study.sensors.requirement import MULTIPLES, SensorRequirement
 
 if TYPE_CHECKING:
@@ -35,8 +43,6 @@ def map_points(found: SensorRequirement) -> pd.DataFrame:
 
 def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
     """Draw lines of equal uncertainty over the errors of both sensors, for constants and force."""
-    from matplotlib.ticker import FuncFormatter
-
     figure = canvas(WIDTH_IN, 4.0)
     axes = figure.subplots(1, 2, sharey=True)
     n = MULTIPLES.size
@@ -56,8 +62,8 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         ax.clabel(wanted, fmt=lambda level: f"{level:g} %", fontsize=7.5)
         ax.plot([1], [1], "o", color=INK, markersize=5)
         ax.annotate("as given", (1, 1), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
-        for axis in (ax.xaxis, ax.yaxis):
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        log_ticks(ax, "x")
+        log_ticks(ax, "y")
         ax.set_title(title)
         ax.set_xlabel("position errors, multiple of those given")
     axes[0].set_ylabel("force errors, multiple of those given")
