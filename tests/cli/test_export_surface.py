@@ -34,7 +34,8 @@ def test_the_function_gives_what_the_surface_predicts(
     points = rng.uniform([5.4, 0.93, 18.4], [9.6, 1.07, 21.6], (50, 3))
     at = dict(zip(("material.C10", "specimen.radius", "specimen.height"), points.T, strict=True))
     (known,) = public.predict("ranges", at)
-    asked = "import sys; sys.path.insert(0, '.'); import {0} as m; print([m.peak_force(*p) for p in {1}])"
+    head = "import sys; sys.path.insert(0, '.'); import {0} as m; "
+    asked = head + "print([m.peak_force(*p) for p in {1}])"
     done = subprocess.run(
         [sys.executable, "-I", "-S", "-c", asked.format(module.stem, points.tolist())],
         cwd=module.parent, capture_output=True, text=True, check=True,
@@ -44,7 +45,7 @@ def test_the_function_gives_what_the_surface_predicts(
     exact = _force(points[:, 0], 10 * points[:, 1], points[:, 2])
     assert np.mean(np.abs(found - exact) <= told["error_bound"]) >= 0.95
     assert told["error_bound"] < 0.05 * exact.mean()
-    outside = "import sys; sys.path.insert(0, '.'); import {0} as m; m.peak_force(4.0, 1.0, 20.0)"
+    outside = head + "m.peak_force(4.0, 1.0, 20.0)"
     done = subprocess.run(
         [sys.executable, "-I", "-S", "-c", outside.format(module.stem)],
         cwd=module.parent, capture_output=True, text=True, check=False,
