@@ -21,6 +21,7 @@ _LAZY = {
     "contrasts": "study.api",
     "power": "study.api",
     "export": "study.api",
+    "export_surface": "study.api",
     "require": "study.api",
     "anova": "study.api",
     "mixed_model": "study.api",

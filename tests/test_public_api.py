@@ -26,6 +26,7 @@ PUBLIC = {
     "report",
     "power",
     "export",
+    "export_surface",
     "require",
     "anova",
     "ryan_joiner",

@@ -42,6 +42,7 @@ _HOME = {
     "converge": "study.api.convergence.problem",
     "virtual": "study.api.single.virtual",
     "export": "study.api.haptics.export",
+    "export_surface": "study.api.haptics.surface",
     "require": "study.api.haptics.require",
     "tracking": "study.api.accuracy.tracking",
     "shape": "study.api.accuracy.shape",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from study.cli import output
-from study.cli.studies import REPORTS, Jobs, Json, Reports, Set
+from study.cli.studies import REPORTS, RESULTS, Jobs, Json, Reports, Results, Set
 
 if TYPE_CHECKING:
     from study.api.haptics.export import Export
@@ -24,20 +24,35 @@ def export(
         typer.Argument(help="Problem file, calibration.json, or results of a study (--case)."),
     ],
     form: Annotated[
-        str, typer.Option("--as", help="What it becomes: force-law, abaqus or febio.")
+        str, typer.Option("--as", help="What it becomes: force-law, emulator, abaqus or febio.")
     ] = "force-law",
     case: Annotated[str, typer.Option(help="Case of a study: the beginning of its id.")] = "",
     test: Annotated[int, typer.Option(min=1, help="Test of a calibration, from 1.")] = 1,
     tolerance: Annotated[
         float, typer.Option(help="Wanted error bound over the largest force.")
     ] = 0.002,
+    response: Annotated[
+        str | None, typer.Option(help="With --as emulator: one response; all by default.")
+    ] = None,
     settings: Set = None,
     reports: Reports = REPORTS,
+    results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
-    """Turn a simulated test into a function, or its material into input of Abaqus or FEBio."""
+    """Turn a test or surfaces into functions, or a material into input of Abaqus or FEBio."""
     from study import api
 
+    if form == "emulator":
+        made = api.export_surface(source, response=response, out=reports, results=results)
+        output.warn(made.warnings)
+        if as_json:
+            output.print_json(made.to_json())
+            return
+        for line in (said for one in made.functions for said in one.sentences()):
+            output.paragraph(line)
+        for path in made.paths:
+            print(f"written: {path}")
+        return
     found = api.export(
         source, form=form, case=case, test=test, tolerance=tolerance, overrides=settings or (),
         out=reports, progress=_say,

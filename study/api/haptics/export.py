@@ -18,7 +18,7 @@ from study.record.atomic_files import write_atomic
 from study.reporting.output.force_law_page import write_force_law
 
 #: What a result can be exported as.
-FORMS = ("force-law", *PROGRAMS)
+FORMS = ("force-law", "emulator", *PROGRAMS)
 
 
 @dataclass(frozen=True)
@@ -94,6 +94,9 @@ def export(
     """
     if form not in FORMS:
         raise InputError(Fault("--as", f"no form {form!r}", nearest(form, FORMS)))
+    if form == "emulator":
+        rule = "is a function of the ranges of a study, not of one test"
+        raise InputError(Fault("--as", rule, "use study.export_surface"))
     if not 0 < tolerance < 1:
         rule = f"must be a share between 0 and 1, got {tolerance:g}"
         raise InputError(Fault("--tolerance", rule, "for example 0.002"))
