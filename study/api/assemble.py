@@ -20,6 +20,7 @@ from study.study_result.report_data import (
     CurvePair,
     Failure,
     FittedConstant,
+    MarkedCase,
     ReportData,
 )
 
@@ -43,21 +44,21 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows."""
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
-    spec = design.measurements
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        block=(spec.block or "") if spec is not None and blocks else "",
+        block=_block(design) if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
-        citation="" if spec is None else spec.citation,
+        citation=_citation(design),
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
+        markers=tuple(_marked(study.plain)),
         failures=tuple(_failures(study.records)),
         checks=tuple(_checks(study)),
         numerical=study.numerical,
@@ -82,6 +83,20 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         surfaces=study.surfaces,
         ranges=_ranges(study),
     )
+
+
+def _block(design: Design) -> str:
+    """What the blocks are: groups of the measurements, or states of marked specimens."""
+    spec = design.measurements
+    return "state" if spec is None else spec.block or ""
+
+
+def _citation(design: Design) -> str:
+    """Source of what was measured."""
+    marked = design.config.get("markers")
+    if design.measurements is None:
+        return str(marked.get("citation") or "") if isinstance(marked, Mapping) else ""
+    return design.measurements.citation
 
 
 def _ranges(study: StudyResult) -> dict[str, str]:
@@ -195,6 +210,13 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     _rms(fit.get("rss"), fit.get("n")),
                     fit.get("r_squared"),
                 )
+
+
+def _marked(records: tuple[Record, ...]) -> Iterator[MarkedCase]:
+    """Markers of every case that has some."""
+    for record in records:
+        for one in record.markers:
+            yield MarkedCase(record.levels, one["state"], one["floor_mm"], tuple(one["fits"]))
 
 
 def _levels_of_fits(

@@ -225,6 +225,36 @@ def _found(section: Tables, places: Sequence[Path]) -> Tables:
     return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
+def with_markers(config: Config, places: Sequence[Path]) -> Config:
+    """Copy a configuration with the file of its markers found.
+
+    Parameters
+    ----------
+    config : mapping
+        Resolved sections.
+    places : sequence of Path
+        Folders that the file may be below.
+
+    Raises
+    ------
+    InputError
+        If it is missing, with where it was looked for and what it is.
+    """
+    table = config.get("markers")
+    if not table:
+        return config
+    name, where, missing = str(table["file"]), "markers.file", list[Fault]()
+    for folder in places:
+        try:
+            path = locate(name, folder, citation=str(table["citation"]), where=where)
+        except MissingDataError as error:
+            missing += error.faults
+            continue
+        sha = hashlib.sha256(path.read_bytes()).hexdigest()
+        return {**config, "markers": {**table, "path": str(path), "sha256": sha}}
+    raise MissingDataError(missing[:1])
+
+
 def find(name: str, places: Sequence[Path]) -> Path:
     """Path of a surface file in or below one of some folders.
 
@@ -279,5 +309,6 @@ def _notes(config: Tables) -> Iterator[str]:
 def fingerprints(config: Tables) -> list[str]:
     """Hashes of the surfaces that a configuration uses."""
     own = CalibrationTable.of(config).problem or {}
-    sections = [config.get("specimen") or {}, own.get("specimen") or {}]
+    sections = [config.get(name) or {} for name in ("specimen", "markers")]
+    sections.append(own.get("specimen") or {})
     return [section["sha256"] for section in sections if section.get("sha256")]

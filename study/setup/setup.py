@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from study.material.material import Material
-from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
+from study.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Indenter, Specimen, Surface
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
 from study.setup.quantity import Length, finite
@@ -122,6 +122,12 @@ class Setup:
     def has_middle_plane(self) -> bool:
         """Whether the lower half is the mirror image of the upper one."""
         return self.kind.has_middle_plane(self.test)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the whole specimen is meshed in 3D: no plane through its axis mirrors it."""
+        skew = any(face.besides is not None for face in self.faces)
+        return isinstance(self.specimen, Surface) or skew
 
     @property
     def is_homogeneous(self) -> bool:
@@ -237,7 +243,9 @@ def loading_of(resolved: Mapping[str, object]) -> Test:
     """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
     made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
-    table = {**resolved, "indenter": made}
+    moved = resolved.get("motion")
+    besides = section_of("test.motion", FaceMotion, moved) if isinstance(moved, Mapping) else None
+    table = {**resolved, "indenter": made, "motion": besides}
     return section_of("test", TestSection, table).loading()
 
 

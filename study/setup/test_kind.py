@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.setup.geometry import Indenter
+from study.setup.geometry import FaceMotion, Indenter
 from study.setup.load_steps import StepRule, StepSettings
 
 Interface = Literal["frictionless", "bonded"]
@@ -37,6 +37,8 @@ class Test:
         Displacements at which the force is asked for.
     indenter : Flat, Cone or Sphere, optional
         Of a kind that takes one.
+    motion : FaceMotion, optional
+        Motion of the loaded plate besides that along the axis, of a kind that has one.
     """
 
     __test__ = False  # not a pytest class
@@ -47,6 +49,7 @@ class Test:
     base: Interface = "frictionless"
     steps: int = 10
     indenter: Indenter | None = None
+    motion: FaceMotion | None = None
 
     @property
     def depth_mm(self) -> float:
@@ -94,12 +97,19 @@ class FaceCondition:
         Whether nodes keep their place across the axis; they slide otherwise.
     within_mm : float, optional
         Only nodes within this radius of the axis.
+    besides : FaceMotion, optional
+        Final motion, besides that along the axis, of nodes that are held. A face that has one, be
+        it zero, follows no symmetry: the whole specimen is meshed.
+    share_per_mm : float
+        Part of that motion per unit of the test's displacement.
     """
 
     face: Face
     axial: float
     is_held: bool
     within_mm: float | None = None
+    besides: FaceMotion | None = None
+    share_per_mm: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ from pydantic import Field
 
 from study.setup.compression import COMPRESSION
 from study.setup.gauge_section import GAUGE_SECTIONS
-from study.setup.geometry import Indenter
+from study.setup.geometry import FaceMotion, Indenter
 from study.setup.indentation import INDENTATION
+from study.setup.plate_motion import PLATE_MOTION
 from study.setup.quantity import Length, integer
 from study.setup.section import Reads, as_written, section
 from study.setup.test_kind import Interface, Test, TestKind
@@ -20,6 +21,7 @@ from study.setup.text import word
 TEST_KINDS: Mapping[str, TestKind] = {
     "compression": COMPRESSION,
     "indentation": INDENTATION,
+    "plate-motion": PLATE_MOTION,
     **GAUGE_SECTIONS,
 }
 
@@ -45,6 +47,8 @@ class TestSection:
         Displacements at which the force is asked for.
     indenter : Flat, Cone or Sphere, optional
         Of an indentation.
+    motion : FaceMotion, optional
+        Final motion of the plate above besides the displacement, of a plate motion.
     """
 
     __test__ = False  # not a pytest class
@@ -57,6 +61,7 @@ class TestSection:
     displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
     steps: Annotated[int, Reads(integer(1, 10_000))] = 10
     indenter: Annotated[Indenter | None, as_written()] = None
+    motion: FaceMotion | None = None
 
     @property
     def held_below(self) -> Interface:
@@ -70,4 +75,6 @@ class TestSection:
         """Test that the section describes; its displacement may still be open."""
         pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
         depth = self.displacement_mm
-        return Test(self.kind, depth, self.interface, self.held_below, self.steps, pressed)
+        return Test(
+            self.kind, depth, self.interface, self.held_below, self.steps, pressed, self.motion
+        )

@@ -182,6 +182,36 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     )
 
 
+def interpolation(mesh: Mesh, model: Model, places: Array) -> Any:
+    """Sparse matrix that takes values at the nodes to places within the elements.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of a space made by :func:`discretize` for the same model.
+    model : Model
+        Its elements.
+    places : ndarray, shape (m, dim)
+        Inside the mesh, mm.
+
+    Returns
+    -------
+    scipy.sparse matrix, shape (m, n_nodes)
+        Shape functions of the displacements, as exact as the elements themselves.
+
+    Raises
+    ------
+    ValueError
+        If a place lies outside.
+    """
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
+    return basis.probes(np.ascontiguousarray(places.T))
+
+
 def _node_positions(basis: Any, mesh: Mesh) -> Array:
     nodes = np.array(basis.doflocs.T)
     bubbles = np.asarray(basis.interior_dofs)

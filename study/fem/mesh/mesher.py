@@ -114,6 +114,8 @@ def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:
         r = graded_line(radius, h, towards_end=graded)
         points, cells = rectangle(r, z, setup.model.element_shape)
     else:
-        plane, faces = cross_section(setup.specimen, h, graded, setup.model.element_shape)
+        plane, faces = cross_section(
+            setup.specimen, h, graded, setup.model.element_shape, whole=setup.is_whole
+        )
         points, cells = extrude(plane, faces, z)
     return Mesh(points, cells, half, h)

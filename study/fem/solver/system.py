@@ -31,7 +31,6 @@ from study.fem.solver.linear_solver import LinearSolver, make_solver
 from study.fem.solver.reused_factorization import KeptFactors
 from study.fem.solver.state import Assembly, Drag, Latest, State
 from study.material.material import Material
-from study.setup.geometry import Surface
 from study.setup.setup import Problem, Setup
 
 
@@ -75,7 +74,7 @@ class WholeSpecimen:
     @classmethod
     def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
         """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
-        whole = setup.model.space == "axisymmetric" or isinstance(setup.specimen, Surface)
+        whole = setup.model.space == "axisymmetric" or setup.is_whole
         sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
         area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
         return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))

@@ -11,6 +11,7 @@ from study.reporting.content import (
     checks,
     comparison,
     fit_tables,
+    marker_tables,
     glossary,
     hypotheses,
     methods,
@@ -96,6 +97,8 @@ def prepare(data: ReportData) -> Contents:
     if data.fits:
         known["fits"] = fit_tables.fits(data)
         known["every_fit"] = fit_tables.every_fit(data)
+    if data.markers:
+        known["markers"] = marker_tables.marker_errors(data)
     if data.numerical:
         known["numerical"] = tables.numerical(data.numerical, data)
     if data.expected:
