@@ -36,7 +36,7 @@ CONTROL_TOLERANCE = 1e-5
 #: sentences about aliases that a report holds
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
-           "measurements", "calibration", "converge", "uncertainty", "replicates",
+           "measurements", "markers", "calibration", "converge", "uncertainty", "replicates",
            "expected")  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
 
 
 def _block(design: Design) -> str:
-    """What the blocks are: groups of the measurements, or states of marked specimens."""
+    """Say what the blocks are: groups of the measurements, or states of marked specimens."""
     spec = design.measurements
     return "state" if spec is None else spec.block or ""
 

@@ -126,7 +126,9 @@ def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, st
         faults.add(places["markers"], rule, 'write test.kind = "plate-motion"')
     if problem.measurements is not None or problem.forward is not None:
         rule = "stands beside measurements or forward, which it cannot be scored together with"
-        faults.add(places["markers"], rule, "give the curves, or the other model, a design of its own")
+        faults.add(
+            places["markers"], rule, "give the curves, or the other model, a design of its own"
+        )
     if not problem.material.constants and problem.material.model:
         rule = "tells of displacements, which give no constants, and [material] has none"
         faults.add(places["markers"], rule, 'give them, for example C10 = "2.5 kPa"')

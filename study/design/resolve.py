@@ -108,7 +108,9 @@ def _with_displacement(
         _check_displacement(problem, tables, high, where, faults)
         return replace(problem, test=with_values(problem.test, displacement_mm=high))
     if high is not None and abs(high - given) > 1e-9 * high:
-        source = "the deepest of markers.states is" if problem.markers else "measurements.range ends at"
+        source = (
+            "the deepest of markers.states is" if problem.markers else "measurements.range ends at"
+        )
         rule = f"{given:g} mm, but {source} {high:g} mm"
         faults.add(where, rule, "make them agree, or leave the displacement out")
     return problem
@@ -121,6 +123,7 @@ def _check_displacement(
     test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
     written = isinstance(test, Mapping) and "displacement" in test
     unread = measured and (spec is None or spec.range is not None or spec.points == "raw")
+    unread = unread or "markers" in tables  # which say it, or are faulty themselves
     if high is None and not written and not unread:
         mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
         faults.add(where, "is missing", mend)

@@ -16,10 +16,12 @@ import study
 from study.design.sections.cell import Config
 from study.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.measurement.data_root import check_relative, locate
+from study.measurement.marker_section import MarkerSpec
 from study.record.atomic_files import write_atomic
 from study.runner.tables import CalibrationTable, Tables
-from study.setup.geometry import Surface
+from study.setup.geometry import Block, Surface
 from study.setup.setup import problem_of, specimen_of
+from study.shape_validation.marker_states import read_markers
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = (
@@ -238,7 +240,7 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
     Raises
     ------
     InputError
-        If it is missing, with where it was looked for and what it is.
+        If it is missing, with where it was looked for and what it is, or faulty.
     """
     table = config.get("markers")
     if not table:
@@ -250,6 +252,9 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
         except MissingDataError as error:
             missing += error.faults
             continue
+        specimen = specimen_of(config["specimen"])
+        if isinstance(specimen, Block):  # what is wrong with the file is told before a run
+            read_markers(MarkerSpec.from_dict(table), path, specimen)
         sha = hashlib.sha256(path.read_bytes()).hexdigest()
         return {**config, "markers": {**table, "path": str(path), "sha256": sha}}
     raise MissingDataError(missing[:1])

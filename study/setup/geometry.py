@@ -257,7 +257,7 @@ class FaceMotion:
     spread: Annotated[float, Reads(number(-0.5, 2.0), "number")] = 0.0
 
     def components(self) -> Array:
-        """x and y in mm, rotations in rad, spread; shape (6,)."""
+        """X and y in mm, rotations in rad, spread; shape (6,)."""
         turned = np.radians([self.tilt_x_deg, self.tilt_y_deg, self.twist_deg])
         return np.concatenate([[self.x_mm, self.y_mm], turned, [self.spread]])
 

@@ -125,7 +125,9 @@ def _check_places(found: MarkerStates, specimen: Block, where: str) -> None:
     half = np.array([specimen.width_mm, specimen.depth_mm, specimen.height_mm]) / 2
     outside = int((np.abs(found.rest - [0, 0, half[2]]) > half).any(axis=1).sum())
     if outside:
-        rule = f"{outside} of {len(found.rest)} markers lie outside the block, if their middle is its"
+        rule = (
+            f"{outside} of {len(found.rest)} markers lie outside the block, if their middle is its"
+        )
         raise InputError(Fault(where, rule, "check markers.unit, markers.axis and the specimen"))
     for label, moved in found.moved.items():
         if np.linalg.norm(moved, axis=1).max() > _FARTHEST * specimen.height_mm:

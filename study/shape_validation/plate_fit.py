@@ -7,6 +7,7 @@ converged tangent gives. What is left is the model's error, and that of the mark
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -80,12 +81,13 @@ class PlateFit:
         shown = zip(COMPONENTS, self.motion, self.standard_error, strict=True)
         own = np.array(layers) if layers else np.full(len(self.errors), "")
         names = dict.fromkeys(own[self.scored].tolist()) if layers else {}
+        by_axis = np.sqrt((self.errors[self.scored] ** 2).mean(axis=0))
         return {
             "plate": self.plate,
             "fitted": self.fitted,
             "markers": int(self.scored.sum()),
             "error_mm": self.rms_mm,
-            "error_by_axis_mm": [float(v) for v in np.sqrt((self.errors[self.scored] ** 2).mean(0))],
+            "error_by_axis_mm": [float(v) for v in by_axis],
             "error_by_layer_mm": {
                 str(k): rms(self.errors[self.scored & (own == k)]) for k in names
             },
@@ -141,22 +143,20 @@ class _Fitter:
     """Fits to one state; each begins where the last one ended."""
 
     motion: PrescribedMotion
-    interpolation: Array
+    interpolated: Callable[[Array], Array]
     measured: Array
     size_mm: float
     at: MovedPlate
 
     @classmethod
-    def of(
-        cls, markers: MarkerStates, label: str, problem: Problem, solution: Solution
-    ) -> _Fitter:
+    def of(cls, markers: MarkerStates, label: str, problem: Problem, solution: Solution) -> _Fitter:
         from study.fem.element.function_space import interpolation
         from study.fem.solver.prescribed_motion import PrescribedMotion
 
         plate = PrescribedMotion(problem, solution)
-        matrix = interpolation(plate.system.mesh, problem.model, markers.rest)
+        interpolated = interpolation(plate.system.mesh, problem.model, markers.rest)
         height = plate.system.height_mm
-        return cls(plate, matrix, markers.moved[label], height, plate.start)
+        return cls(plate, interpolated, markers.moved[label], height, plate.start)
 
     def fitted(self, plate: str, name: str, chosen: Flags, scored: Flags) -> PlateFit:
         """Fit the motion to some markers and judge it on others."""
@@ -183,11 +183,11 @@ class _Fitter:
         return PlateFit(plate, name, self.at.motion * _SHOWN, spread * _SHOWN, errors, scored)
 
     def _errors(self, at: MovedPlate) -> Array:
-        return np.asarray(self.measured - self.interpolation @ at.displacement)
+        return np.asarray(self.measured - self.interpolated(at.displacement))
 
     def _slope(self, at: MovedPlate, free: int, chosen: Flags) -> Array:
-        """Derivatives of the displacements of markers, shape (3 n, free)."""
-        each = [self.interpolation @ at.rates[:, :, k] for k in range(free)]
+        """Differentiate the displacements of markers, shape (3 n, free)."""
+        each = [self.interpolated(at.rates[:, :, k]) for k in range(free)]
         return np.stack(each, axis=-1)[chosen].reshape(-1, free)
 
 

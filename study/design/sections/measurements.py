@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from study.design.diagnostics import Faults, Table, read_table
-from study.measurement.quantities import KINEMATIC, KINETIC
 from study.measurement.marker_section import MarkerSpec
+from study.measurement.quantities import KINEMATIC, KINETIC
 from study.measurement.section import MeasurementSpec, groups_of
 from study.setup.quantity import shown
 

@@ -13,6 +13,7 @@ Taylor-Hood and MINI satisfy the inf-sup condition (Boffi, Brezzi, Fortin 2013, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -182,8 +183,8 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     )
 
 
-def interpolation(mesh: Mesh, model: Model, places: Array) -> Any:
-    """Sparse matrix that takes values at the nodes to places within the elements.
+def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
+    """Make the function that takes values at the nodes to places within the elements.
 
     Parameters
     ----------
@@ -196,8 +197,8 @@ def interpolation(mesh: Mesh, model: Model, places: Array) -> Any:
 
     Returns
     -------
-    scipy.sparse matrix, shape (m, n_nodes)
-        Shape functions of the displacements, as exact as the elements themselves.
+    callable
+        Values (n_nodes, k) to values (m, k), as exact as the elements themselves.
 
     Raises
     ------
@@ -209,7 +210,8 @@ def interpolation(mesh: Mesh, model: Model, places: Array) -> Any:
     axisymmetric = model.space == "axisymmetric"
     fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
     basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
-    return basis.probes(np.ascontiguousarray(places.T))
+    shapes = basis.probes(np.ascontiguousarray(places.T))
+    return lambda values: np.asarray(shapes @ values)
 
 
 def _node_positions(basis: Any, mesh: Mesh) -> Array:

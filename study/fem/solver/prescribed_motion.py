@@ -106,6 +106,19 @@ class PrescribedMotion:
             raise NoEquilibrium(f"the plate would move by {motion[0]:.3g} mm, off the specimen")
         return self._reached(motion, near, _HALVINGS)
 
+    def stiffness(self, at: MovedPlate) -> Array:
+        """Differentiate the forces that do the work of each component, shape (7, 7).
+
+        Parameters
+        ----------
+        at : MovedPlate
+            Equilibrium.
+        """
+        system = self._under(at.motion)
+        rates = self._rates(system, at.state, system.assemble(at.state))
+        forces = np.column_stack([system.tangent_product(column) for column in rates.T])
+        return np.asarray(self._modes.T @ forces[system.constraints.dofs])
+
     def _reached(self, motion: Array, near: MovedPlate, halvings: int) -> MovedPlate:
         system = self._under(motion)
         guess = near.state.x.copy()
@@ -142,7 +155,7 @@ class PrescribedMotion:
         )
 
     def _rates(self, system: System, state: State, assembly: Assembly) -> Array:
-        """Derivatives of all unknowns by the motion, shape (n, 7)."""
+        """Differentiate all unknowns by the motion, shape (n, 7)."""
         start = np.zeros((system.space.n, COMPONENTS))
         start[system.constraints.dofs] = self._modes
         targets = []
