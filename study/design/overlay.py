@@ -15,7 +15,7 @@ from study.material.registry import ENERGIES, is_constant_key, is_dimensionless
 from study.measurement.marker_section import MarkerSpec
 from study.measurement.section import MeasurementSpec
 from study.setup.forward_model import ForwardModel
-from study.setup.geometry import INDENTERS, SPECIMENS, FaceMotion
+from study.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
 from study.setup.setup import Model
@@ -71,6 +71,7 @@ PLACES: Mapping[str, Place] = {
     "test": Place((TestSection,)),
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
     "test.motion": Place((FaceMotion,)),
+    "test.gravity": Place((Gravity,)),
     "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),

@@ -91,6 +91,9 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
     if kind.needs_homogeneous and not is_gauge:
         rule = f"{test.kind} is a test of a gauge section, not of a {problem.specimen.shape}"
         faults.add(f"{where}.kind", rule, 'write specimen.shape = "homogeneous"')
+    if is_gauge and problem.test.gravity is not None:
+        rule = "acts on a specimen of elements; a gauge section deforms the same everywhere"
+        faults.add(f"{where}.gravity", rule, "leave it out, or give the specimen's shape and size")
     if is_gauge and kind.takes_indenter:
         rule = f"{test.kind} does not deform a specimen the same everywhere"
         faults.add(f"{where}.kind", rule, "give the specimen's shape and size")

@@ -262,6 +262,34 @@ class FaceMotion:
         return np.concatenate([[self.x_mm, self.y_mm], turned, [self.spread]])
 
 
+#: acceleration of free fall that is standard, m/s^2 (CGPM 1901)
+STANDARD_GRAVITY = 9.80665
+
+
+@section
+class Gravity:
+    """Weight of the specimen, which sags (or hangs from its base) before it is touched.
+
+    Parameters
+    ----------
+    density_kg_m3 : float
+        Of the specimen.
+    direction : {"down", "up", "none"}
+        Down towards the base; up if the specimen hangs from it; none to leave it out.
+    """
+
+    density_kg_m3: Annotated[
+        float, measured("density", mend='for example density = "980 kg/m^3"')
+    ] = Field(validation_alias="density")
+    direction: Annotated[Literal["down", "up", "none"], word("down", "up", "none")] = "down"
+
+    @property
+    def upward_N_mm3(self) -> float:  # noqa: N802
+        """Force on a unit of volume along the axis, upwards."""
+        sense = {"down": -1.0, "up": 1.0, "none": 0.0}[self.direction]
+        return sense * STANDARD_GRAVITY * self.density_kg_m3 * 1e-9
+
+
 @section
 class Homogeneous:
     """Gauge section that deforms the same everywhere, as the middle of a dumbbell does (mm).

@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.setup.geometry import FaceMotion, Indenter
+from study.setup.geometry import FaceMotion, Gravity, Indenter
 from study.setup.load_steps import StepRule, StepSettings
 
 Interface = Literal["frictionless", "bonded"]
@@ -39,6 +39,8 @@ class Test:
         Of a kind that takes one.
     motion : FaceMotion, optional
         Motion of the loaded plate besides that along the axis, of a kind that has one.
+    gravity : Gravity, optional
+        Weight of the specimen, which acts before the test begins.
     """
 
     __test__ = False  # not a pytest class
@@ -50,6 +52,12 @@ class Test:
     steps: int = 10
     indenter: Indenter | None = None
     motion: FaceMotion | None = None
+    gravity: Gravity | None = None
+
+    @property
+    def weight_N_mm3(self) -> float:  # noqa: N802
+        """Upward force on a unit of the specimen's volume; 0 without gravity."""
+        return 0.0 if self.gravity is None else self.gravity.upward_N_mm3
 
     @property
     def depth_mm(self) -> float:

@@ -9,7 +9,7 @@ from pydantic import Field
 
 from study.setup.compression import COMPRESSION
 from study.setup.gauge_section import GAUGE_SECTIONS
-from study.setup.geometry import FaceMotion, Indenter
+from study.setup.geometry import FaceMotion, Gravity, Indenter
 from study.setup.indentation import INDENTATION
 from study.setup.plate_motion import PLATE_MOTION
 from study.setup.quantity import Length, integer
@@ -49,6 +49,8 @@ class TestSection:
         Of an indentation.
     motion : FaceMotion, optional
         Final motion of the plate above besides the displacement, of a plate motion.
+    gravity : Gravity, optional
+        Weight of the specimen.
     """
 
     __test__ = False  # not a pytest class
@@ -62,6 +64,7 @@ class TestSection:
     steps: Annotated[int, Reads(integer(1, 10_000))] = 10
     indenter: Annotated[Indenter | None, as_written()] = None
     motion: FaceMotion | None = None
+    gravity: Gravity | None = None
 
     @property
     def held_below(self) -> Interface:
@@ -76,5 +79,12 @@ class TestSection:
         pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
         depth = self.displacement_mm
         return Test(
-            self.kind, depth, self.interface, self.held_below, self.steps, pressed, self.motion
+            self.kind,
+            depth,
+            self.interface,
+            self.held_below,
+            self.steps,
+            pressed,
+            self.motion,
+            self.gravity,
         )

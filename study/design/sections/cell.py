@@ -58,7 +58,8 @@ class CellProblem:
 
         The closed form is then exact, and space, mesh, order and element shape cannot matter.
         """
-        test = Test(self.test.kind, None, self.test.interface, self.test.held_below)
+        weight = self.test.gravity
+        test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
         return setup.is_homogeneous(test, self.specimen.shape)
 
     @property
@@ -69,7 +70,11 @@ class CellProblem:
     def document(self) -> Config:
         """Plain values in internal units, without what is left open."""
         test = values_of(self.test)
-        for key in ("indenter", "motion"):  # what a kind of test does not have names no other
+        for key in (
+            "indenter",
+            "motion",
+            "gravity",
+        ):  # what a kind of test does not have names no other
             made = test.pop(key)
             if made is not None:
                 test[key] = values_of(made)

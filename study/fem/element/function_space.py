@@ -183,6 +183,36 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
     )
 
 
+def nodal_volumes(mesh: Mesh, model: Model) -> Array:
+    """Integral of every shape function of the displacements, shape (n_nodes,), mm^3.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of a space made by :func:`discretize` for the same model.
+    model : Model
+        Its elements.
+
+    Returns
+    -------
+    ndarray, shape (n_nodes,)
+        2 pi r times the area in axisymmetric space; their sum is the volume, bubbles left out.
+    """
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    # of higher degree than any product of a shape function, a radius and a Jacobian
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=6)
+    weights = np.array(basis.dx)
+    if axisymmetric:
+        weights = weights * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
+    volumes = np.zeros(basis.N)
+    for own, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
+        np.add.at(volumes, own, (np.asarray(shape) * weights).sum(axis=1))
+    return volumes
+
+
 def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
     """Make the function that takes values at the nodes to places within the elements.
 
