@@ -30,6 +30,7 @@ INTERNAL: Mapping[str, str] = {
     "area": "mm^2",
     "ratio": "1",
     "memory": "MB",
+    "density": "kg/m^3",
 }
 _D = Decimal
 _TABLE: Mapping[str, Mapping[str, Decimal]] = {
@@ -63,6 +64,13 @@ _TABLE: Mapping[str, Mapping[str, Decimal]] = {
     "stiffness": {"N/mm": _D(1), "N/m": _D("1e-3"), "kN/m": _D(1), "kN/mm": _D(1000)},
     "work": {"N mm": _D(1), "N*mm": _D(1), "mJ": _D(1), "J": _D(1000)},
     "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6"), "mm2": _D(1)},
+    "density": {
+        "kg/m^3": _D(1),
+        "kg/m3": _D(1),
+        "g/cm^3": _D(1000),
+        "g/cm3": _D(1000),
+        "g/mL": _D(1000),
+    },
     # as an angle, a plain number is no business of pint's
     "ratio": {"1": _D(1), "%": _D("0.01")},
     "memory": {"MB": _D(1), "GB": _D(1000), "MiB": _D("1.048576"), "GiB": _D("1073.741824")},
@@ -79,6 +87,7 @@ _EXAMPLE: Mapping[str, str] = {
     "area": "25 mm^2",
     "ratio": "20 %",
     "memory": "20 GB",
+    "density": "980 kg/m^3",
 }
 
 #: unit inside -> (unit shown to people, factor); constants are reported in kPa

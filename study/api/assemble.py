@@ -21,6 +21,7 @@ from study.study_result.report_data import (
     CurvePair,
     Failure,
     FittedConstant,
+    MarkedCase,
     ReportData,
     Retried,
 )
@@ -37,7 +38,7 @@ CONTROL_TOLERANCE = 1e-5
 #: sentences about aliases that a report holds
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
-           "measurements", "calibration", "converge", "uncertainty", "replicates",
+           "measurements", "markers", "calibration", "converge", "uncertainty", "replicates",
            "execution",
            "expected")  # fmt: skip
 
@@ -46,21 +47,21 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows."""
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
-    spec = design.measurements
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        block=(spec.block or "") if spec is not None and blocks else "",
+        block=_block(design) if blocks else "",
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
-        citation="" if spec is None else spec.citation,
+        citation=_citation(design),
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
+        markers=tuple(_marked(study.plain)),
         failures=tuple(_failures(study.records)),
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(
@@ -90,7 +91,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         beside=study.beside,
         surfaces=study.surfaces,
         ranges=_ranges(study),
-        is_measured=spec is not None or design.calibration.problem is not None,
+        is_measured=_is_measured(design),
     )
 
 
@@ -104,6 +105,26 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     told = f" (Q2: {listing(known)})" if known else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{told}"
+
+
+def _block(design: Design) -> str:
+    """Say what the blocks are: groups of the measurements, or states of marked specimens."""
+    spec = design.measurements
+    return "state" if spec is None else spec.block or ""
+
+
+def _is_measured(design: Design) -> bool:
+    """Whether anything stands beside the simulation: a curve, a fitted test, markers."""
+    fitted = design.calibration.problem is not None
+    return fitted or design.measurements is not None or "markers" in design.config
+
+
+def _citation(design: Design) -> str:
+    """Source of what was measured."""
+    marked = design.config.get("markers")
+    if design.measurements is None:
+        return str(marked.get("citation") or "") if isinstance(marked, Mapping) else ""
+    return design.measurements.citation
 
 
 def _ranges(study: StudyResult) -> dict[str, str]:
@@ -220,6 +241,13 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     _rms(fit.get("rss"), fit.get("n")),
                     fit.get("r_squared"),
                 )
+
+
+def _marked(records: tuple[Record, ...]) -> Iterator[MarkedCase]:
+    """Markers of every case that has some."""
+    for record in records:
+        for one in record.markers:
+            yield MarkedCase(record.levels, one["state"], one["floor_mm"], tuple(one["fits"]))
 
 
 def _levels_of_fits(

@@ -8,7 +8,7 @@ from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
 from study.design.sections.cell import Cell
 from study.design.spec import Design, Level
-from study.design.study_file import RESPONSES, SCORED, is_simulated, simulated_at
+from study.design.study_file import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
 from study.errors import Fault, nearest
 
 MAX_FAULTS = 100
@@ -92,6 +92,8 @@ def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> N
         if response.name in SCORED and any(c.problem.measurements is None for c in cells):
             rule = f"{response.name} compares with measured curves, and there are none"
             faults.add(where, rule, "add [measurements]")
+        elif response.name in MARKED:
+            _check_marked(response.name, where, cells, faults)
         elif is_simulated(response.name):
             _check_place(response.name, f"response[{i}].displacement", cells, faults)
         elif response.name and response.name not in RESPONSES:
@@ -99,6 +101,17 @@ def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> N
             if response.name not in names:
                 rule = f"no material of this design has a constant {response.name}"
                 faults.add(where, rule, nearest(response.name, sorted(names)))
+
+
+def _check_marked(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that there are markers, and some that are left to be predicted."""
+    specs = [cell.problem.markers for cell in cells]
+    if any(spec is None for spec in specs):
+        rule = f"{name} compares with markers inside the specimen, and there are none"
+        faults.add(where, rule, "add [markers]")
+    elif name == "predicted_marker_error" and not all(spec and spec.fit for spec in specs):
+        rule = f"{name} is of markers that did not tell how the plate moved, and all did"
+        faults.add(where, rule, "add markers.layer and markers.fit")
 
 
 def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
@@ -112,7 +125,7 @@ def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -
 
 
 #: responses that a fit alone does not give
-_NO_CONSTANT = (*SCORED, "seconds")
+_NO_CONSTANT = (*SCORED, *MARKED, "seconds")
 
 
 def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:

@@ -12,9 +12,10 @@ from study.design.sections.calibration import Calibration
 from study.design.sections.material import MaterialTable
 from study.errors import nearest
 from study.material.registry import ENERGIES, is_constant_key, is_dimensionless
+from study.measurement.marker_section import MarkerSpec
 from study.measurement.section import MeasurementSpec
 from study.setup.forward_model import ForwardModel
-from study.setup.geometry import INDENTERS, SPECIMENS
+from study.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
 from study.setup.material_section import Compressibility
 from study.setup.section import keys_of, written_keys
 from study.setup.setup import Model
@@ -70,9 +71,12 @@ PLACES: Mapping[str, Place] = {
     "specimen": Place(tuple(SPECIMENS.values()), "shape"),
     "test": Place((TestSection,)),
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
+    "test.motion": Place((FaceMotion,)),
+    "test.gravity": Place((Gravity,)),
     "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
+    "markers": Place((MarkerSpec,), varying=("plate",)),
     "calibration": Place((Calibration,), varying=("method",)),
     "forward": Place((ForwardModel,)),
 }

@@ -23,6 +23,7 @@ from study.setup.geometry import (
     Surface,
 )
 from study.setup.material_section import MaterialSection
+from study.setup.plate_motion import PlateMotion
 from study.setup.section import values_of
 from study.setup.setup import Model
 from study.setup.test_section import TEST_KINDS
@@ -42,6 +43,8 @@ def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> No
     _check_gauge_section(problem, faults, places)
     _check_course(problem, faults, places)
     _check_model(problem, faults, places)
+    _check_motion(problem, faults, places)
+    _check_markers(problem, faults, places)
     if problem.test.indenter is not None:
         _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
 
@@ -90,6 +93,9 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
     if kind.needs_homogeneous and not is_gauge:
         rule = f"{test.kind} is a test of a gauge section, not of a {problem.specimen.shape}"
         faults.add(f"{where}.kind", rule, 'write specimen.shape = "homogeneous"')
+    if is_gauge and problem.test.gravity is not None:
+        rule = "acts on a specimen of elements; a gauge section deforms the same everywhere"
+        faults.add(f"{where}.gravity", rule, "leave it out, or give the specimen's shape and size")
     if is_gauge and kind.takes_indenter:
         rule = f"{test.kind} does not deform a specimen the same everywhere"
         faults.add(f"{where}.kind", rule, "give the specimen's shape and size")
@@ -144,6 +150,37 @@ def _check_speed(
     if test.hold_s and test.cycles:
         rule = "stands beside hold"
         faults.add(f"{at}.cycles", rule, "give one of the two, and the other in a test of its own")
+
+
+def _check_motion(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    """Keep motions of a plate to the test that has them, and that test to what it models."""
+    moves = isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion)
+    if problem.test.motion is not None and not moves:
+        rule = f"a {problem.test.kind} moves along its axis alone"
+        faults.add(f"{places['test']}.motion", rule, 'write kind = "plate-motion", or leave it out')
+    if moves and problem.specimen.shape not in (None, "block"):
+        rule = f"plate-motion is modelled on a block, not on a {problem.specimen.shape}"
+        faults.add(f"{places['test']}.kind", rule, 'write specimen.shape = "block"')
+    if moves and problem.model.space == "axisymmetric":
+        rule = "a plate that moves sideways leaves no axis of symmetry"
+        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
+
+
+def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+    """Keep markers to the test whose plate can be fitted to them, by our own model."""
+    if problem.markers is None:
+        return
+    if not isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion):
+        rule = "markers tell how a plate moved, which only a plate-motion lets be fitted"
+        faults.add(places["markers"], rule, 'write test.kind = "plate-motion"')
+    if problem.measurements is not None or problem.forward is not None:
+        rule = "stands beside measurements or forward, which it cannot be scored together with"
+        faults.add(
+            places["markers"], rule, "give the curves, or the other model, a design of its own"
+        )
+    if not problem.material.constants and problem.material.model:
+        rule = "tells of displacements, which give no constants, and [material] has none"
+        faults.add(places["markers"], rule, 'give them, for example C10 = "2.5 kPa"')
 
 
 def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:

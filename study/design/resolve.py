@@ -10,7 +10,7 @@ from study.design.diagnostics import Faults, Table, is_known, read_table, with_v
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, CellProblem
 from study.design.sections.material import material_from
-from study.design.sections.measurements import measurements_from
+from study.design.sections.measurements import markers_from, measurements_from
 from study.design.sections.problem import (
     forward_from,
     loading_from,
@@ -20,7 +20,7 @@ from study.design.sections.problem import (
 from study.errors import InputError
 from study.setup.section import values_of
 
-TABLES = ("specimen", "test", "material", "model", "measurements", "forward")
+TABLES = ("specimen", "test", "material", "model", "measurements", "markers", "forward")
 
 
 def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
@@ -79,7 +79,8 @@ def resolve_problem(
         if spec is not None and specimen.shape == "homogeneous" and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
-    problem = CellProblem(specimen, test, material, model, spec, forward)
+    markers = markers_from(tables.get("markers"), faults, at["markers"])
+    problem = CellProblem(specimen, test, material, model, spec, forward, markers)
     _check_closed_form(problem, faults, at)
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
@@ -101,11 +102,16 @@ def _with_displacement(
     """Take the end of the range for a displacement left out; both given must agree."""
     where = f"{at['test']}.displacement"
     given, high = problem.test.displacement_mm, _range_end(problem, faults, at)
+    if problem.markers is not None:
+        high = problem.markers.deepest_mm
     if given is None:
         _check_displacement(problem, tables, high, where, faults)
         return replace(problem, test=with_values(problem.test, displacement_mm=high))
     if high is not None and abs(high - given) > 1e-9 * high:
-        rule = f"{given:g} mm, but measurements.range ends at {high:g} mm"
+        source = (
+            "the deepest of markers.states is" if problem.markers else "measurements.range ends at"
+        )
+        rule = f"{given:g} mm, but {source} {high:g} mm"
         faults.add(where, rule, "make them agree, or leave the displacement out")
     return problem
 
@@ -122,6 +128,7 @@ def _check_displacement(
         or spec.points == "raw"
         or spec.columns.time is not None
     )
+    unread = unread or "markers" in tables  # which say it, or are faulty themselves
     if high is None and not written and not unread:
         mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
         faults.add(where, "is missing", mend)

@@ -14,7 +14,15 @@ from study.design.resolve import resolve
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.sections.distribution import InputDistribution
-from study.design.study_file import SCORED, Converge, Replicates, Report, Sequential, is_simulated
+from study.design.study_file import (
+    MARKED,
+    SCORED,
+    Converge,
+    Replicates,
+    Report,
+    Sequential,
+    is_simulated,
+)
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
@@ -265,7 +273,7 @@ class Design:
     @property
     def asks_for_constants(self) -> bool:
         """Whether constants of the material are responses."""
-        other = {*SCORED, "seconds"}
+        other = {*SCORED, *MARKED, "seconds"}
         return any(r.name not in other and not is_simulated(r.name) for r in self.responses)
 
     @property

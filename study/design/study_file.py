@@ -42,12 +42,16 @@ SIMULATED = {
 }
 AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
+#: responses that compare with the displacements of markers inside a specimen
+MARKED = ("marker_error", "predicted_marker_error")
+
 #: unit of every other response; constants are reported in kPa, exponents plain
 RESPONSES = {
     "relative_rms_force_error": "%",
     "rms_force_error": "N",
     "peak_force_error": "N",
     "work_error": "%",
+    **dict.fromkeys(MARKED, "mm"),
     "mu0": "kPa",
     "seconds": "s",
 }
@@ -364,6 +368,7 @@ class DesignFile(ProblemFile):
     design: AsWritten = None
     exclude: _Exclusions = ()
     measurements: AsWritten = None
+    markers: AsWritten = None
     calibration: AsWritten = None
     forward: AsWritten = None
     response: _Responses = ()

@@ -130,7 +130,7 @@ def _between_plates(setup: Setup, grading: TowardsPlates) -> float:
         return high * _line(radius, h, graded=rim) * (2 if simplex else 1)
     if isinstance(specimen, Block):
         plane = _line(specimen.width_mm / 2, h, graded=rim)
-        plane *= _line(specimen.depth_mm / 2, h, graded=rim)
+        plane *= _line(specimen.depth_mm / 2, h, graded=rim) * (4 if setup.is_whole else 1)
         return high * plane * (6 if simplex else 1)
     if not simplex:
         return high * _disc(_line(radius / 2, h, graded=False), _line(radius, h, graded=rim))

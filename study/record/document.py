@@ -68,6 +68,29 @@ class SolverDocument(TypedDict, total=False):
     program: ProgramDocument
 
 
+class PlateFitDocument(TypedDict):
+    """Markers under one motion of a plate.
+
+    ``motion`` gives value and standard error of every component: mm, deg and percent.
+    """
+
+    plate: str
+    fitted: str
+    markers: int
+    error_mm: float
+    error_by_axis_mm: list[float]
+    error_by_layer_mm: dict[str, float]
+    motion: dict[str, list[float]]
+
+
+class MarkerDocument(TypedDict):
+    """Markers inside a specimen in one state; the floor is what no smooth field undercuts."""
+
+    state: str
+    floor_mm: float | None
+    fits: list[PlateFitDocument]
+
+
 class ResamplingDocument(TypedDict):
     """Block length and lag-1 correlation of the residuals that a bootstrap drew from."""
 

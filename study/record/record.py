@@ -22,6 +22,7 @@ from study.errors import NewerSchemaError, StoreError, nearest
 from study.record.document import (
     CurveKey,
     FitDocument,
+    MarkerDocument,
     MeshDocument,
     ParameterDocument,
     ResponseDocument,
@@ -138,6 +139,12 @@ class Record:
         """Every scored curve of the case; empty without an answer, or for a refit."""
         found = self.extra.get("directions", ()) if self.converged else ()
         return tuple(cast("Sequence[ScoreDocument]", found))
+
+    @property
+    def markers(self) -> tuple[MarkerDocument, ...]:
+        """What markers inside the specimen say; empty where it has none."""
+        found = self.extra.get("markers", ()) if self.converged else ()
+        return tuple(cast("Sequence[MarkerDocument]", found))
 
     def pair(self, label: str) -> tuple[Curve, Curve] | None:
         """Measured and predicted curve of a label; None unless both are kept."""

@@ -17,6 +17,8 @@ _NAMES = {
     "rms_force_error": "RMS force error",
     "peak_force_error": "peak force error",
     "work_error": "work error",
+    "marker_error": "marker error",
+    "predicted_marker_error": "error of predicted markers",
     "mu0": "initial shear modulus",
     "seconds": "computing time",
     "dofs": "unknowns",

@@ -365,7 +365,8 @@ def case_document(work: Work, job: CaseJob, results: Results) -> Document:
         )
         for pair in job.directions
     )  # fmt: skip
-    tables = plain({name: job.case.config[name] for name in PROBLEM if name in job.case.config})
+    known = job.case.config
+    tables = plain({name: known[name] for name in (*PROBLEM, "markers") if name in known})
     frame = case_frame(work, job)
     return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
 

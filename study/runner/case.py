@@ -28,6 +28,7 @@ from study.record.record import STATUSES, Record
 from study.runner import response
 from study.runner.case_task import CaseTask, ScoreTask
 from study.runner.fitting.external_fit import external_curve
+from study.runner.fitting.marked_state import marker_responses, predicted_markers
 from study.runner.fitting.solution import Predicted
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
@@ -94,6 +95,9 @@ def _predicted(task: CaseTask) -> Record:
     seconds = _seconds(task, predictions)
     means = response.averaged(scores) | _constants(task)
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
+    marked = [one.markers for one in predictions if one.markers is not None]
+    for one in marked:
+        means |= marker_responses(task.tables, one)
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
     steps = _step_uncertainty(task, predictions)
     record = task.frame.record("converged", "")
@@ -106,7 +110,11 @@ def _predicted(task: CaseTask) -> Record:
         timings=seconds,
         mesh=predictions[-1].mesh,
         solver=_solver(predictions),
-        extra={**record.extra, "directions": list(map(_score_document, directions, scores))},
+        extra={
+            **record.extra,
+            "directions": list(map(_score_document, directions, scores)),
+            **({"markers": marked} if marked else {}),
+        },
     )
 
 
@@ -148,6 +156,8 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
         # the last solution of the fit is the prediction: same geometry, same constants
         return fit.prediction
     constants = None if fit is None else fit.constants
+    if task.tables.get("markers"):
+        return _marked(task, constants, direction.depth_mm)
     if task.forward == "closed-form":
         return _closed_form(task.tables, constants, direction.measured)
     if task.forward == "external" or External.of(task.tables) is not None:
@@ -157,6 +167,14 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
     return Predicted.of(solution, found.cold_seconds)
+
+
+def _marked(task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float) -> Predicted:
+    """Curve of a specimen with markers, and what these say of it."""
+    try:
+        return predicted_markers(task.tables, constants, str(task.frame.block), depth_mm)
+    except NoAnswer as error:
+        raise Stopped(error.status, str(error)) from error
 
 
 def _external(

@@ -74,8 +74,9 @@ def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...
     """
     found: tuple[str, ...] | None = None
     for cell in cells:
-        measured = data.scored(cell.config)
+        measured, marked = data.scored(cell.config), cell.cell.problem.markers
         own = () if measured is None else measured.blocks
+        own = own if marked is None else marked.labels
         if found is not None and own != found:
             rule = f"treatments have different blocks: {', '.join(found)} and {', '.join(own)}"
             raise InputError(Fault("measurements.block", rule))
@@ -96,7 +97,7 @@ def distinct(found: Sequence[Case]) -> tuple[Case, ...]:
 
 def located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    found = provenance.located(case.config, places)
+    found = provenance.with_markers(provenance.located(case.config, places), places)
     return replace(case, config=with_external(found, places, allowed.function))
 
 
@@ -157,7 +158,9 @@ def score_pairs(
 
 def _simulated(case: Case, problem: FitProblem) -> ScorePair:
     """Prediction that nothing was measured beside."""
-    depth = case.config["test"]["displacement_mm"]
+    depth, marked = case.config["test"]["displacement_mm"], case.treatment.cell.problem.markers
+    if marked is not None and case.block is not None:  # each state is a block
+        depth = marked.state(case.block).displacement_mm
     if problem.method != "none" or depth is None:
         rule = "there is none to fit the constants to, nor to say how far the test goes"
         mend = "add it, or give [material] its constants and [test] its displacement"

@@ -16,10 +16,12 @@ import study
 from study.design.sections.cell import Config
 from study.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.measurement.data_root import check_relative, locate
+from study.measurement.marker_section import MarkerSpec
 from study.record.atomic_files import write_atomic
 from study.runner.tables import CalibrationTable, Tables
-from study.setup.geometry import Surface
+from study.setup.geometry import Block, Surface
 from study.setup.setup import problem_of, specimen_of
+from study.shape_validation.marker_states import read_markers
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = (
@@ -230,6 +232,39 @@ def _found(section: Tables, places: Sequence[Path]) -> Tables:
     return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
+def with_markers(config: Config, places: Sequence[Path]) -> Config:
+    """Copy a configuration with the file of its markers found.
+
+    Parameters
+    ----------
+    config : mapping
+        Resolved sections.
+    places : sequence of Path
+        Folders that the file may be below.
+
+    Raises
+    ------
+    InputError
+        If it is missing, with where it was looked for and what it is, or faulty.
+    """
+    table = config.get("markers")
+    if not table:
+        return config
+    name, where, missing = str(table["file"]), "markers.file", list[Fault]()
+    for folder in places:
+        try:
+            path = locate(name, folder, citation=str(table["citation"]), where=where)
+        except MissingDataError as error:
+            missing += error.faults
+            continue
+        specimen = specimen_of(config["specimen"])
+        if isinstance(specimen, Block):  # what is wrong with the file is told before a run
+            read_markers(MarkerSpec.from_dict(table), path, specimen)
+        sha = hashlib.sha256(path.read_bytes()).hexdigest()
+        return {**config, "markers": {**table, "path": str(path), "sha256": sha}}
+    raise MissingDataError(missing[:1])
+
+
 def find(name: str, places: Sequence[Path]) -> Path:
     """Path of a surface file in or below one of some folders.
 
@@ -284,7 +319,8 @@ def _notes(config: Tables) -> Iterator[str]:
 def fingerprints(config: Tables) -> list[str]:
     """Hashes of the surfaces that a configuration uses."""
     own = CalibrationTable.of(config).problem or {}
-    sections = [config.get("specimen") or {}, own.get("specimen") or {}]
+    sections = [config.get(name) or {} for name in ("specimen", "markers")]
+    sections.append(own.get("specimen") or {})
     return [section["sha256"] for section in sections if section.get("sha256")]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
-from study.design.study_file import RESPONSES, SIMULATED, is_simulated, simulated_at
+from study.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
 from study.material.registry import is_dimensionless, unit_shown
 from study.record.document import Quantity
 
@@ -259,6 +259,7 @@ def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
     names = list(asked)
     every += [SimulatedResponse(name) for name in names if is_simulated(name)]
     units = {one.name: one.unit for one in every}
+    units |= {name: RESPONSES[name] for name in names if name in MARKED}
     constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
     units |= {one.name: one.unit for one in constants}
     return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})

@@ -9,8 +9,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
+from study.arrays import Array
 from study.errors import Fault
-from study.setup.quantity import Coordinate, LengthOrZero, measured, unit_of_length
+from study.setup.quantity import Coordinate, LengthOrZero, measured, number, unit_of_length
 from study.setup.section import Reads, section
 from study.setup.text import relative_path, word
 
@@ -225,6 +226,68 @@ class Sphere:
     def faults(self) -> Iterator[Fault]:
         """No sphere has any."""
         return iter(())
+
+
+#: largest rotation of a plate, deg: rotations are taken to be small, which at 5 deg makes errors
+#: of half a percent of the motion
+MOST_TURNED = 5.0
+
+_TURN = measured("angle", -MOST_TURNED, MOST_TURNED)
+
+
+@section
+class FaceMotion:
+    """Motion of a loaded plate besides that along the axis: small rotations, and slip.
+
+    Parameters
+    ----------
+    x_mm, y_mm : float
+        Across the axis.
+    tilt_x_deg, tilt_y_deg, twist_deg : float
+        Rotations about x, y and the axis through the middle of the face.
+    spread : float
+        In-plane stretch less 1 of the face, which slips on its plate.
+    """
+
+    x_mm: Coordinate = Field(default=0.0, validation_alias="x")
+    y_mm: Coordinate = Field(default=0.0, validation_alias="y")
+    tilt_x_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="tilt_x")
+    tilt_y_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="tilt_y")
+    twist_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="twist")
+    spread: Annotated[float, Reads(number(-0.5, 2.0), "number")] = 0.0
+
+    def components(self) -> Array:
+        """X and y in mm, rotations in rad, spread; shape (6,)."""
+        turned = np.radians([self.tilt_x_deg, self.tilt_y_deg, self.twist_deg])
+        return np.concatenate([[self.x_mm, self.y_mm], turned, [self.spread]])
+
+
+#: acceleration of free fall that is standard, m/s^2 (CGPM 1901)
+STANDARD_GRAVITY = 9.80665
+
+
+@section
+class Gravity:
+    """Weight of the specimen, which sags (or hangs from its base) before it is touched.
+
+    Parameters
+    ----------
+    density_kg_m3 : float
+        Of the specimen.
+    direction : {"down", "up", "none"}
+        Down towards the base; up if the specimen hangs from it; none to leave it out.
+    """
+
+    density_kg_m3: Annotated[
+        float, measured("density", mend='for example density = "980 kg/m^3"')
+    ] = Field(validation_alias="density")
+    direction: Annotated[Literal["down", "up", "none"], word("down", "up", "none")] = "down"
+
+    @property
+    def upward_N_mm3(self) -> float:  # noqa: N802
+        """Force on a unit of volume along the axis, upwards."""
+        sense = {"down": -1.0, "up": 1.0, "none": 0.0}[self.direction]
+        return sense * STANDARD_GRAVITY * self.density_kg_m3 * 1e-9
 
 
 @section

@@ -10,7 +10,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from study.material.material import Material
-from study.setup.geometry import INDENTERS, SPECIMENS, Indenter, Specimen
+from study.setup.geometry import (
+    INDENTERS,
+    SPECIMENS,
+    FaceMotion,
+    Gravity,
+    Indenter,
+    Specimen,
+    Surface,
+)
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
 from study.setup.quantity import Length, finite
@@ -121,7 +129,13 @@ class Setup:
     @property
     def has_middle_plane(self) -> bool:
         """Whether the lower half is the mirror image of the upper one."""
-        return self.kind.has_middle_plane(self.test)
+        return self.kind.has_middle_plane(self.test) and not self.test.weight_N_mm3
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the whole specimen is meshed in 3D: no plane through its axis mirrors it."""
+        skew = any(face.besides is not None for face in self.faces)
+        return isinstance(self.specimen, Surface) or skew
 
     @property
     def is_homogeneous(self) -> bool:
@@ -187,7 +201,8 @@ def is_homogeneous(test: Test, shape: str) -> bool:
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
     Whether a surface is a cylinder only its file knows.
     """
-    return shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
+    weightless = not test.weight_N_mm3
+    return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
 
 
 def problem_of(
@@ -237,7 +252,11 @@ def loading_of(resolved: Mapping[str, object]) -> Test:
     """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
     made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
-    table = {**resolved, "indenter": made}
+    moved = resolved.get("motion")
+    besides = section_of("test.motion", FaceMotion, moved) if isinstance(moved, Mapping) else None
+    heavy = resolved.get("gravity")
+    gravity = section_of("test.gravity", Gravity, heavy) if isinstance(heavy, Mapping) else None
+    table = {**resolved, "indenter": made, "motion": besides, "gravity": gravity}
     return section_of("test", TestSection, table).loading()
 
 

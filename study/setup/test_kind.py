@@ -14,7 +14,7 @@ from typing import Literal, Protocol
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.setup.geometry import Indenter
+from study.setup.geometry import FaceMotion, Gravity, Indenter
 from study.setup.load_steps import StepRule, StepSettings
 
 Interface = Literal["frictionless", "bonded"]
@@ -43,6 +43,10 @@ class Test:
         How long the final displacement is held.
     cycles : int, optional
         How often it is reached and left again.
+    motion : FaceMotion, optional
+        Motion of the loaded plate besides that along the axis, of a kind that has one.
+    gravity : Gravity, optional
+        Weight of the specimen, which acts before the test begins.
     """
 
     __test__ = False  # not a pytest class
@@ -56,6 +60,13 @@ class Test:
     speed_mm_per_s: float | None = None
     hold_s: float | None = None
     cycles: int | None = None
+    motion: FaceMotion | None = None
+    gravity: Gravity | None = None
+
+    @property
+    def weight_N_mm3(self) -> float:  # noqa: N802
+        """Upward force on a unit of the specimen's volume; 0 without gravity."""
+        return 0.0 if self.gravity is None else self.gravity.upward_N_mm3
 
     @property
     def depth_mm(self) -> float:
@@ -103,12 +114,19 @@ class FaceCondition:
         Whether nodes keep their place across the axis; they slide otherwise.
     within_mm : float, optional
         Only nodes within this radius of the axis.
+    besides : FaceMotion, optional
+        Final motion, besides that along the axis, of nodes that are held. A face that has one, be
+        it zero, follows no symmetry: the whole specimen is meshed.
+    share_per_mm : float
+        Part of that motion per unit of the test's displacement.
     """
 
     face: Face
     axial: float
     is_held: bool
     within_mm: float | None = None
+    besides: FaceMotion | None = None
+    share_per_mm: float = 0.0
 
 
 @dataclass(frozen=True)

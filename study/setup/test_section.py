@@ -9,8 +9,9 @@ from pydantic import Field
 
 from study.setup.compression import COMPRESSION
 from study.setup.gauge_section import GAUGE_SECTIONS
-from study.setup.geometry import Indenter
+from study.setup.geometry import FaceMotion, Gravity, Indenter
 from study.setup.indentation import INDENTATION
+from study.setup.plate_motion import PLATE_MOTION
 from study.setup.quantity import Duration, Length, integer, measured
 from study.setup.section import Reads, as_written, section
 from study.setup.test_kind import Interface, Test, TestKind
@@ -20,6 +21,7 @@ from study.setup.text import word
 TEST_KINDS: Mapping[str, TestKind] = {
     "compression": COMPRESSION,
     "indentation": INDENTATION,
+    "plate-motion": PLATE_MOTION,
     **GAUGE_SECTIONS,
 }
 
@@ -51,6 +53,10 @@ class TestSection:
         How long the final displacement is held.
     cycles : int, optional
         How often it is reached and left again, at the same speed.
+    motion : FaceMotion, optional
+        Final motion of the plate above besides the displacement, of a plate motion.
+    gravity : Gravity, optional
+        Weight of the specimen.
     """
 
     __test__ = False  # not a pytest class
@@ -68,6 +74,8 @@ class TestSection:
     )
     hold_s: Duration | None = Field(default=None, validation_alias="hold")
     cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
+    motion: FaceMotion | None = None
+    gravity: Gravity | None = None
 
     @property
     def held_below(self) -> Interface:
@@ -82,6 +90,15 @@ class TestSection:
         pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
         depth = self.displacement_mm
         return Test(
-            self.kind, depth, self.interface, self.held_below, self.steps, pressed,
-            self.speed_mm_per_s, self.hold_s, self.cycles,
-        )  # fmt: skip
+            self.kind,
+            depth,
+            self.interface,
+            self.held_below,
+            self.steps,
+            pressed,
+            self.speed_mm_per_s,
+            self.hold_s,
+            self.cycles,
+            self.motion,
+            self.gravity,
+        )

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Expected
+    from study.record.document import PlateFitDocument
     from study.study_result.comparison import Beside
     from study.study_result.response_surface import FittedSurface
 
@@ -161,6 +162,28 @@ class FittedConstant:
 
 
 @dataclass(frozen=True)
+class MarkedCase:
+    """Markers inside the specimen of one case, by what its plate was taken to do.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Level of each factor.
+    state : str
+        Of the test: the block of the case.
+    floor_mm : float or None
+        Distance of the markers from any smooth field (RMS): no model comes below.
+    fits : tuple of PlateFitDocument
+        Errors, and the motion of the plate that leaves them.
+    """
+
+    levels: Mapping[str, str]
+    state: str
+    floor_mm: float | None
+    fits: tuple[PlateFitDocument, ...]
+
+
+@dataclass(frozen=True)
 class Failure:
     """A case that gave no response: which, how, and what the solver said."""
 
@@ -271,6 +294,7 @@ class ReportData:
         Excluded cell and why.
     curves : sequence of CurvePair
     fits : sequence of FittedConstant
+    markers : sequence of MarkedCase
     failures : sequence of Failure
     failure_pattern : FailurePattern, optional
         What the failed cases share.
@@ -339,6 +363,7 @@ class ReportData:
     exclusions: tuple[tuple[str, str], ...] = ()
     curves: tuple[CurvePair, ...] = ()
     fits: tuple[FittedConstant, ...] = ()
+    markers: tuple[MarkedCase, ...] = ()
     failures: tuple[Failure, ...] = ()
     failure_pattern: FailurePattern | None = None
     retried: tuple[Retried, ...] = ()

@@ -136,7 +136,7 @@ def _body(surface: Surface, changed: int, size: int) -> Body:
     points, triangles = read_triangles(Path(surface.file))
     found = inspect(points, triangles, Path(surface.file).name, surface.unit)
     scale = unit_mm(surface.unit)
-    turned = _turned(found.points * scale, surface.axis)
+    turned = turned_up(found.points * scale, surface.axis)
     low, high = turned.min(axis=0), turned.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     for k, given in enumerate((surface.press_x_mm, surface.press_y_mm)):
@@ -165,7 +165,26 @@ def unit_mm(unit: str) -> float:
         raise InputError(Fault("specimen.unit", rule, mend)) from error
 
 
-def _turned(points: Array, axis: str) -> Array:
+def turned_up(points: Array, axis: str) -> Array:
+    """Turn points so that an axis of theirs points up.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        Coordinates.
+    axis : str
+        One of :data:`AXES`.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Turned, never mirrored.
+
+    Raises
+    ------
+    InputError
+        For another word.
+    """
     if axis not in _TURNS:
         rule = f"must be one of {', '.join(AXES)}, got {axis!r}"
         raise InputError(Fault("specimen.axis", rule, "it is the axis of the file that points up"))

@@ -28,6 +28,7 @@ LOADERS = {
     "sample": loads,
     "adaptive": loads,
     "nested": loads,
+    "markers": loads,
     "calibration": loads_calibration,
 }
 #: a key left out; TOML has no such value
@@ -41,6 +42,18 @@ TEXT_VALUES = ("", 3, "=1+1", ["text"])
 REPEATED_VALUES = (True, [])
 #: changes of several keys, each pair of which cannot stand together
 CONFLICTS: dict[str, tuple[dict[str, Any], ...]] = {
+    "markers": (
+        {"test.kind": "compression"},
+        {"test.kind": "compression", "markers": ABSENT},
+        {"specimen": {"shape": "cylinder", "radius": "20 mm", "height": "40 mm"}},
+        {"model.space": "axisymmetric"},
+        {"markers.layer": ABSENT},
+        {"markers.fit": ABSENT, "markers.layer": ABSENT},
+        {"test.displacement": "2 mm"},
+        {"material.C10": ABSENT},
+        {"markers": ABSENT, "test.displacement": "3 mm"},
+        {"test.motion.tilt_x": "6 deg"},
+    ),
     "problem": (
         {"material.poisson_ratio": 0.4},
         {"material.incompressible": True},

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from study.design.sections.content import case_id
+from study.measurement.marker_section import MarkerSpec
 from study.measurement.section import MeasurementSpec
 from study.setup import setup
 from study.setup.forward_model import ForwardModel
@@ -37,6 +38,8 @@ class CellProblem:
         Where its measured curves are.
     forward : ForwardModel, optional
         What predicts its curves; None for the built-in finite elements.
+    markers : MarkerSpec, optional
+        Where the places of markers inside the specimen are.
     """
 
     specimen: Specimen
@@ -45,6 +48,7 @@ class CellProblem:
     model: Model
     measurements: MeasurementSpec | None = None
     forward: ForwardModel | None = None
+    markers: MarkerSpec | None = None
 
     @property
     def height_mm(self) -> float | None:
@@ -57,7 +61,8 @@ class CellProblem:
 
         The closed form is then exact, and space, mesh, order and element shape cannot matter.
         """
-        test = Test(self.test.kind, None, self.test.interface, self.test.held_below)
+        weight = self.test.gravity
+        test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
         return setup.is_homogeneous(test, self.specimen.shape)
 
     @property
@@ -69,17 +74,21 @@ class CellProblem:
         """Plain values in internal units, without what is left open."""
         written = values_of(self.test)
         test = {k: v for k, v in written.items() if k not in IN_TIME or v is not None}
-        if self.test.indenter is None:
-            del test["indenter"]
-        else:
-            test["indenter"] = values_of(self.test.indenter)
+        # what a kind of test does not have names no other
+        for key in ("indenter", "motion", "gravity"):
+            made = test.pop(key)
+            if made is not None:
+                test[key] = values_of(made)
+        beside: Config = {} if self.forward is None else {"forward": values_of(self.forward)}
+        if self.markers is not None:
+            beside["markers"] = self.markers.as_dict()
         return {
             "specimen": values_of(self.specimen),
             "test": test,
             "material": _material(self.material),
             "model": _model(self.model),
             "measurements": self.measurements,
-        } | ({} if self.forward is None else {"forward": values_of(self.forward)})
+        } | beside
 
     def physical(self) -> Config:
         """Part of the document that can change a curve.

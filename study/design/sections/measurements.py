@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from study.design.diagnostics import Faults, Table, read_table
+from study.measurement.marker_section import MarkerSpec
 from study.measurement.quantities import KINEMATIC, KINETIC
 from study.measurement.section import MeasurementSpec, groups_of
 from study.setup.quantity import shown
@@ -28,6 +29,27 @@ def measurements_from(
     found = read_table(MeasurementSpec, table, path, faults)
     if isinstance(table, Mapping):
         _check_together(table, path, faults)
+    return None if len(faults) > before else found
+
+
+def markers_from(table: object, faults: Faults, path: str = "markers") -> MarkerSpec | None:
+    """Read where markers inside a specimen are; None without them, or where a fault was found.
+
+    Parameters
+    ----------
+    table : mapping or None
+        The table as written.
+    faults : Faults
+        Where faults go.
+    path : str
+        Of the table.
+    """
+    if table is None:
+        return None
+    before = len(faults)
+    found = read_table(MarkerSpec, table, path, faults)
+    if len(faults) == before and found.fit and found.layer is None:
+        faults.add(f"{path}.layer", "is missing beside fit", "name the column of the layers")
     return None if len(faults) > before else found
 
 

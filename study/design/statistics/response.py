@@ -16,6 +16,7 @@ _DIMENSION = {
     "N": "force",
     "kPa": "pressure",
     "s": "time",
+    "mm": "length",
     "N/mm": "stiffness",
     "N mm": "work",
 }

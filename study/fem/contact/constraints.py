@@ -39,7 +39,7 @@ class Constraints:
 def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
     rate = prescribed_rates(setup, space, mesh)
-    if isinstance(setup.specimen, Surface):  # of the whole specimen: what is left may move
+    if setup.is_whole:  # what is left may move
         return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):
@@ -74,12 +74,49 @@ def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, floa
     axial = 0.5 * face.axial if half else face.axial
     rate = {int(n) * dim + dim - 1: axial for n in nodes}
     is_plane_of_symmetry = half and not is_top
-    return rate | (_sideways(nodes, dim) if face.is_held and not is_plane_of_symmetry else {})
+    if not face.is_held or is_plane_of_symmetry:
+        return rate
+    moved = face_motions(space, nodes) @ _motion(face)
+    held = {int(n) * dim + i: float(moved[k, i]) for k, n in enumerate(nodes) for i in range(dim)}
+    return {dof: held[dof] + rate.get(dof, 0.0) for dof in held}
 
 
-def _sideways(nodes: Ints, dim: int) -> dict[int, float]:
-    """Hold nodes across the axis."""
-    return {int(n) * dim + i: 0.0 for n in nodes for i in range(dim - 1)}
+#: motions of a face besides that along the axis: two shifts, three small rotations, spread
+BESIDES = 6
+
+
+def _motion(face: FaceCondition) -> Array:
+    """Components of the motion of a face per unit of displacement, shape (6,)."""
+    if face.besides is None:
+        return np.zeros(BESIDES)
+    return face.share_per_mm * face.besides.components()
+
+
+def face_motions(space: Nodes, nodes: Ints) -> Array:
+    """Displacements of nodes of a face for a unit of each motion besides that along the axis.
+
+    Parameters
+    ----------
+    space : Nodes
+        Whose axis is the last coordinate, through the middle of the face.
+    nodes : ndarray of int, shape (n,)
+        Of the face.
+
+    Returns
+    -------
+    ndarray, shape (n, dim, 6)
+        For shifts along x and y (mm), rotations about x, y and the axis (rad, small), spread.
+        In a plane nothing but the spread is left.
+    """
+    dim, places = space.dim, space.nodes[nodes]
+    motions = np.zeros((len(nodes), dim, BESIDES))
+    motions[:, : dim - 1, 5] = places[:, : dim - 1]
+    if dim == 3:
+        x, y = places[:, 0], places[:, 1]
+        motions[:, 0, 0] = motions[:, 1, 1] = 1.0
+        motions[:, 2, 2], motions[:, 2, 3] = y, -x
+        motions[:, 0, 4], motions[:, 1, 4] = -y, x
+    return motions
 
 
 def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:

@@ -13,6 +13,7 @@ Taylor-Hood and MINI satisfy the inf-sup condition (Boffi, Brezzi, Fortin 2013, 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -180,6 +181,67 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
         facets=facets,
         facet_weights=areas,
     )
+
+
+def nodal_volumes(mesh: Mesh, model: Model) -> Array:
+    """Integral of every shape function of the displacements, shape (n_nodes,), mm^3.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of a space made by :func:`discretize` for the same model.
+    model : Model
+        Its elements.
+
+    Returns
+    -------
+    ndarray, shape (n_nodes,)
+        2 pi r times the area in axisymmetric space; their sum is the volume, bubbles left out.
+    """
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    # of higher degree than any product of a shape function, a radius and a Jacobian
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=6)
+    weights = np.array(basis.dx)
+    if axisymmetric:
+        weights = weights * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
+    volumes = np.zeros(basis.N)
+    for own, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
+        np.add.at(volumes, own, (np.asarray(shape) * weights).sum(axis=1))
+    return volumes
+
+
+def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
+    """Make the function that takes values at the nodes to places within the elements.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Of a space made by :func:`discretize` for the same model.
+    model : Model
+        Its elements.
+    places : ndarray, shape (m, dim)
+        Inside the mesh, mm.
+
+    Returns
+    -------
+    callable
+        Values (n_nodes, k) to values (m, k), as exact as the elements themselves.
+
+    Raises
+    ------
+    ValueError
+        If a place lies outside.
+    """
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
+    shapes = basis.probes(np.ascontiguousarray(places.T))
+    return lambda values: np.asarray(shapes @ values)
 
 
 def _node_positions(basis: Any, mesh: Mesh) -> Array:

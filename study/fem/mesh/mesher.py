@@ -32,6 +32,9 @@ from study.surface.surface import height_of
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
 
+#: the same of a whole block, which has four times the cells of its quarter
+CELLS_OF_WHOLE = 6.5
+
 #: meshes of this process that are kept, and they
 _KEPT = 4
 _MADE: dict[tuple[object, ...], Mesh] = {}
@@ -46,7 +49,8 @@ def mesh_size(setup: Setup) -> float:
         return graded_size(setup)
     if model.mesh_size_mm is not None:
         return model.mesh_size_mm
-    reference = setup.specimen.volume_mm3 ** (1 / 3) / CELLS_PER_LENGTH
+    cells = CELLS_OF_WHOLE if setup.is_whole else CELLS_PER_LENGTH
+    reference = setup.specimen.volume_mm3 ** (1 / 3) / cells
     return float(reference * mesh_level(model))
 
 
@@ -114,6 +118,8 @@ def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:
         r = graded_line(radius, h, towards_end=graded)
         points, cells = rectangle(r, z, setup.model.element_shape)
     else:
-        plane, faces = cross_section(setup.specimen, h, graded, setup.model.element_shape)
+        plane, faces = cross_section(
+            setup.specimen, h, graded, setup.model.element_shape, whole=setup.is_whole
+        )
         points, cells = extrude(plane, faces, z)
     return Mesh(points, cells, half, h)

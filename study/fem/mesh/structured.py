@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from study.arrays import Array, Ints
-from study.errors import InputError
+from study.errors import Fault, InputError
 from study.setup.geometry import Block, Cylinder, Specimen, Surface
 
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
@@ -148,16 +148,31 @@ def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:
     return points, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def cross_section(specimen: Specimen, h: float, graded: bool, shape: str) -> tuple[Array, Ints]:
-    """Triangles or quadrilaterals of the quarter cross-section, closer at its rim."""
+def cross_section(
+    specimen: Specimen, h: float, graded: bool, shape: str, *, whole: bool = False
+) -> tuple[Array, Ints]:
+    """Triangles or quadrilaterals of the quarter cross-section (or the whole), closer at its rim.
+
+    Raises
+    ------
+    InputError
+        For a shape that has none.
+    """
     if isinstance(specimen, Block):
         x = graded_line(specimen.width_mm / 2, h, towards_end=graded)
         y = graded_line(specimen.depth_mm / 2, h, towards_end=graded)
-        return rectangle(x, y, shape)
+        return rectangle(_both_sides(x), _both_sides(y), shape) if whole else rectangle(x, y, shape)
+    if whole:
+        raise InputError(Fault("specimen.shape", "only a block is meshed whole", "write block"))
     if not isinstance(specimen, Cylinder):
         raise InputError("compression takes a cylinder or a block")
     rings = graded_line(specimen.radius_mm, h, towards_end=graded)
     return quarter_disc_of_quadrilaterals(rings) if shape == "tensor" else quarter_disc(rings, h)
+
+
+def _both_sides(line: Array) -> Array:
+    """Points of a line from 0 and their mirror images."""
+    return np.concatenate([-line[:0:-1], line])
 
 
 def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:

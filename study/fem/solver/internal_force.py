@@ -53,15 +53,19 @@ class StoredEnergy(NamedTuple):
         Of the material.
     stabilization : float
         Of the resistance to uneven volume, which is none of the material's.
+    raised : float
+        Potential energy of the weight, less what the specimen had of all kinds when it had sagged
+        and was not yet touched: the work of the test begins there.
     """
 
     material: float
     stabilization: float
+    raised: float = 0.0
 
     @property
     def total(self) -> float:
         """What the work of the test goes into."""
-        return self.material + self.stabilization
+        return self.material + self.stabilization + self.raised
 
 
 def without_shear(material: Material) -> Law:

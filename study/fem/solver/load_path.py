@@ -11,6 +11,7 @@ from study.arrays import Array
 from study.fem.solver.limit_point import gives_way, lost_ellipticity, solve_through
 from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
 from study.fem.solver.options import Options
+from study.fem.solver.own_weight import FALLS, sagged_state
 from study.fem.solver.sensitivity import StepGradients, step_gradients
 from study.fem.solver.solution import Logbook, Solution
 from study.fem.solver.state import State
@@ -68,7 +69,11 @@ class LoadPath:
         steps = () if self.warm is None else self.warm.steps
         self._warm_steps = {step.state.displacement_mm: step for step in steps}
         self.progress = progress or (lambda _: None)
-        self.state, self.previous = system.start(), None  # type: State, State | None
+        self.rest: State | None = system.start()  # None where the weight has no equilibrium
+        if system.weight is not None:
+            self.rest = sagged_state(system, options.newton)
+            system = self.system = system if self.rest is None else system.sagged(self.rest)
+        self.state, self.previous = self.rest or system.start(), None  # type: State, State | None
         self.J = system.volume_ratios(self.state.x)
         self.rule = problem.setup.step_rule(options.steps, system.height_mm)
         self.step_mm = self.rule.first_mm
@@ -80,6 +85,9 @@ class LoadPath:
 
     def to_the_end(self) -> LoadPath:
         """Go through the requested steps for as long as they converge."""
+        if self.rest is None:
+            self.reason = FALLS
+            return self
         for target, asked in self._targets():
             if not self._advance(target, _HALVINGS):
                 break
@@ -144,7 +152,7 @@ class LoadPath:
     def _insert(self, displacement: float) -> None:
         """Write down an equilibrium between two steps, where it lies on the way between them."""
         before, after = self.logbook.around(displacement)
-        left = self.system.start() if before is None else before
+        left = (self.rest or self.system.start()) if before is None else before
         end = self._place()
         result = self._halfway(left, after, displacement) or self._onwards(left, displacement)
         if result is not None:

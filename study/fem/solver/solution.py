@@ -169,7 +169,7 @@ class Logbook:
     def loaded(self, state: State, row: StepGradients) -> LoadedState:
         """Force and stored energy of a converged state."""
         stored, scale = self.system.stored_energy(state), self.system.force_scale
-        energy = StoredEnergy(scale * stored.material, scale * stored.stabilization)
+        energy = StoredEnergy(*(scale * part for part in stored))
         return LoadedState(state.displacement_mm, row.force_N, row.stiffness_N_per_mm, energy)
 
     def jumped_to(self, loaded: LoadedState) -> bool:

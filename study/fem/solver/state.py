@@ -8,6 +8,9 @@ import numpy as np
 
 from study.arrays import Array, Flags
 from study.fem.contact.contact import ContactState, Glue, Meeting
+from study.fem.element.function_space import Discretization, nodal_volumes
+from study.fem.mesh.mesh import Mesh
+from study.setup.setup import Problem
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,36 @@ class Drag:
 
     weights: Array
     place: Array
+
+
+@dataclass(frozen=True)
+class Weight:
+    """Gravity, a force that neither turns nor changes with the deformation.
+
+    Parameters
+    ----------
+    forces : ndarray, shape (n,)
+        On every unknown, N.
+    energy_at_rest : float
+        Energy of all kinds where the specimen has sagged and nothing touches it, N mm.
+    """
+
+    forces: Array
+    energy_at_rest: float = 0.0
+
+    @classmethod
+    def of(cls, problem: Problem, mesh: Mesh, space: Discretization) -> Weight | None:
+        """Weight of the modelled part of a specimen; None without gravity."""
+        if not problem.test.weight_N_mm3:
+            return None
+        forces, dim = np.zeros(space.n), space.dim
+        axial = np.arange(len(space.nodes)) * dim + dim - 1
+        forces[axial] = problem.test.weight_N_mm3 * nodal_volumes(mesh, problem.model)
+        return cls(forces)
+
+    def scaled(self, share: float) -> Weight:
+        """Return a share of the weight."""
+        return Weight(share * self.forces)
 
 
 @dataclass

@@ -29,9 +29,8 @@ from study.fem.solver.internal_force import (
 )
 from study.fem.solver.linear_solver import LinearSolver, make_solver
 from study.fem.solver.reused_factorization import KeptFactors
-from study.fem.solver.state import Assembly, Drag, Latest, State
+from study.fem.solver.state import Assembly, Drag, Latest, State, Weight
 from study.material.material import Material
-from study.setup.geometry import Surface
 from study.setup.setup import Problem, Setup
 
 
@@ -75,7 +74,7 @@ class WholeSpecimen:
     @classmethod
     def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
         """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
-        whole = setup.model.space == "axisymmetric" or isinstance(setup.specimen, Surface)
+        whole = setup.model.space == "axisymmetric" or setup.is_whole
         sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
         area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
         return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))
@@ -110,6 +109,7 @@ class System:
     kept: KeptFactors
     seconds: dict[str, float] = field(default_factory=dict)
     drag: Drag | None = None
+    weight: Weight | None = None
     latest: Latest = field(default_factory=Latest)
 
     @classmethod
@@ -133,6 +133,7 @@ class System:
             contact_terms=ContactTerms.at(points, space.dim, pattern),
             tangent=Tangent.of(pattern, space.dofs),
             kept=KeptFactors(direct, pattern),
+            weight=Weight.of(problem, mesh, space),
         )
         system.seconds["setup"] = time.perf_counter() - start
         return system
@@ -140,6 +141,19 @@ class System:
     def with_material(self, material: Material) -> System:
         """Return the same discretization for other constants; solver and arrays are shared."""
         return replace(self, material=material, latest=replace(self.latest))
+
+    def weighing(self, share: float) -> System:
+        """Return the same equations with a share of the weight; solver and arrays are shared."""
+        weight = None if self.weight is None else self.weight.scaled(share)
+        return replace(self, weight=weight, latest=replace(self.latest))
+
+    def sagged(self, state: State) -> System:
+        """Return the same equations, the work of the test counted from a state."""
+        if self.weight is None:
+            return self
+        start = self.internal.stored(self.material, state.x)
+        rest = start.total - float(self.weight.forces @ state.x)
+        return replace(self, weight=replace(self.weight, energy_at_rest=rest))
 
     def dragged(self, weights: Array, place: Array) -> System:
         """Return the same equations with a drag; solver and arrays are shared."""
@@ -222,6 +236,8 @@ class System:
         into = self.tangent if tangent else None
         min_j = self.internal.evaluate(self.material, state.x, into)
         internal = self.internal.gathered()
+        if self.weight is not None:
+            internal -= self.weight.forces
         residual, contacts = internal.copy(), self._touching_as(state, state.closed)
         blocks_of = self.contact_terms.blocks
         for points, touch, blocks in zip(self.contact, contacts, blocks_of, strict=True):
@@ -354,7 +370,10 @@ class System:
 
     def stored_energy(self, state: State) -> StoredEnergy:
         """Energy of the elements of the model, N mm: of a quarter, say, not of the whole."""
-        return self.internal.stored(self.material, state.x)
+        stored, weight = self.internal.stored(self.material, state.x), self.weight
+        if weight is None:
+            return stored
+        return stored._replace(raised=-float(weight.forces @ state.x) - weight.energy_at_rest)
 
     def displacements(self, x: Array) -> Array:
         """Nodal displacements, shape (n_nodes, dim)."""

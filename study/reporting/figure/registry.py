@@ -23,7 +23,7 @@ from study.reporting.figure import (
     style,
     validation,
 )
-from study.reporting.figure.curves import plot, samples
+from study.reporting.figure.curves import marker_layers, plot, samples
 from study.reporting.figure.residuals import diagnostics
 from study.reporting.numbers import clean, name_of
 from study.reporting.report import Facts, cells, practical_of
@@ -110,6 +110,8 @@ def of_study(data: ReportData) -> dict[str, Figure]:
         found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
     if any(fit.value is not None for fit in data.fits):
         found["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+    if any(fit["error_by_layer_mm"] for one in data.markers for fit in one.fits):
+        found["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
     if data.convergence:
         found["convergence"] = make(
             "convergence", "Value against mesh size", lambda: _convergence(data)
@@ -127,6 +129,11 @@ def _convergence(data: ReportData) -> Drawn:
     frame = convergence.value_points(data.convergence)
     caption = convergence.value_caption(data.convergence)
     return frame, lambda: convergence.draw_values(frame), caption
+
+
+def _markers(data: ReportData) -> Drawn:
+    frame = marker_layers.layer_points(data)
+    return frame, lambda: marker_layers.draw_layers(frame), marker_layers.caption(frame)
 
 
 def _validation(data: ReportData) -> Drawn:

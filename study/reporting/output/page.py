@@ -14,6 +14,7 @@ from study.reporting.content import (
     fit_tables,
     glossary,
     hypotheses,
+    marker_tables,
     methods,
     recommendation,
     response_surface,
@@ -99,6 +100,8 @@ def prepare(data: ReportData) -> Contents:
     if data.fits:
         known["fits"] = fit_tables.fits(data)
         known["every_fit"] = fit_tables.every_fit(data)
+    if data.markers:
+        known["markers"] = marker_tables.marker_errors(data)
     if data.numerical:
         known["numerical"] = tables.numerical(data.numerical, data)
     if data.expected:

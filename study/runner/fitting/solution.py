@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
 from study.curve import Curve
-from study.record.document import MeshDocument, SolverDocument
+from study.record.document import MarkerDocument, MeshDocument, SolverDocument
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -25,12 +25,15 @@ class Predicted:
         How it was found; a closed form has no mesh.
     seconds : float
         What it cost beside the fit that gave the constants.
+    markers : MarkerDocument, optional
+        What markers inside the specimen say of it.
     """
 
     curve: Curve
     mesh: MeshDocument = field(default_factory=MeshDocument)
     solver: SolverDocument = field(default_factory=SolverDocument)
     seconds: float = 0.0
+    markers: MarkerDocument | None = None
 
     @classmethod
     def of(cls, solution: Solution, seconds: float = 0.0) -> Predicted:

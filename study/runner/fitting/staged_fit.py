@@ -25,7 +25,7 @@ from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler
 from study.runner.tables import Tables
 from study.setup.quantity import finite
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup, known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit, MeasuredCurve
@@ -266,7 +266,7 @@ def cheaper(part: Part) -> Part | None:
     if part.method != "inverse-fem":
         return None
     model = dict(part.tables["model"])
-    if model.get("space") == "3d" and part.tables["specimen"]["shape"] != "surface":
+    if model.get("space") == "3d" and not Setup.of(part.tables).is_whole:
         model["space"] = "axisymmetric"
     elif not _coarsened(model, part.tables["specimen"]):
         return None

@@ -1,0 +1,217 @@
+"""Markers inside a block by `study run`: virtual ones of a known plate, and the Truth Cube."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from study.fem.element.function_space import interpolation
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, FaceMotion
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+from tests.cli.small import study
+
+DESIGN = Path(__file__).parents[2] / "designs" / "truth-cube.toml"
+NOISE_MM = 0.05
+#: down, x, y (mm), tilts and twist (deg), spread (%) of the virtual plate, in the state that
+#: is said to be 3 mm deep
+TRUTH = {
+    "down": 3.6, "x": 0.5, "y": -0.8, "tilt_x": 0.9, "tilt_y": -0.6, "twist": 1.1, "spread": 4.0,
+}  # fmt: skip
+
+VIRTUAL = """
+schema = 1
+[study]
+name = "virtual-markers"
+[specimen]
+shape = "block"
+width = "40 mm"
+depth = "40 mm"
+height = "40 mm"
+[test]
+kind = "plate-motion"
+interface = "bonded"
+steps = 1
+[material]
+model = "neo-hookean"
+C10 = "5 kPa"
+poisson_ratio = 0.499
+[model]
+element_shape = "hexahedron"
+mesh_size = "20 mm"
+[markers]
+file = "markers.csv"
+rest = ["x0", "y0", "z0"]
+layer = "k"
+fit = [1, 5]
+states.low = { columns = ["x1", "y1", "z1"], displacement = "3 mm" }
+[factors]
+"material.poisson_ratio" = [0.499, 0.3]
+[[response]]
+name = "marker_error"
+practical = "0.05 mm"
+[[response]]
+name = "predicted_marker_error"
+practical = "0.05 mm"
+[converge]
+levels = 2
+[report]
+format = ["csv"]
+"""
+
+
+def virtual_rows(rng: np.random.Generator) -> list[str]:
+    """Markers of a cube whose plate did not do what was said; another mesh, and noise."""
+    motion = FaceMotion(
+        TRUTH["x"], TRUTH["y"], TRUTH["tilt_x"], TRUTH["tilt_y"], TRUTH["twist"],
+        TRUTH["spread"] / 100,
+    )  # fmt: skip
+    test = Test("plate-motion", TRUTH["down"], "bonded", "bonded", steps=1, motion=motion)
+    gel = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.499)
+    model = Model(space="3d", element_shape="tensor", mesh_size_mm=14.0)
+    problem = Problem(Block(40, 40, 40), test, gel, model)
+    system = solve(problem, gradients=False).warm
+    assert system is not None
+    line = np.linspace(-16, 16, 5)
+    x, y, z = (grid.ravel() for grid in np.meshgrid(line, line, line, indexing="ij"))
+    rest = np.column_stack([x, y, z + 20])
+    state = system.steps[-1].state
+    moved = interpolation(system.system.mesh, model, rest)(system.system.displacements(state.x))
+    found = rest + moved + NOISE_MM * rng.normal(size=rest.shape)
+    layer = np.searchsorted(line, z) + 1
+    rows = [
+        ",".join([str(k), *(f"{v:.6f}" for v in (*a, *b))])
+        for k, a, b in zip(layer, rest + 7.0, found + 7.0, strict=True)
+    ]
+    return ["k,x0,y0,z0,x1,y1,z1", *rows]
+
+
+def documents(folder: Path) -> list[dict[str, Any]]:
+    """Records of a study, as they lie on the disk."""
+    files = sorted(folder.rglob("record.json"))
+    return [json.loads(path.read_text(encoding="utf-8"))["content"] for path in files]
+
+
+@pytest.fixture(scope="module")
+def virtual(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("virtual")
+    (folder / "design.toml").write_text(VIRTUAL, encoding="utf-8")
+    rows = virtual_rows(np.random.default_rng(7))
+    (folder / "markers.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+    kept = ["--results", folder / "results", "--reports", folder / "reports"]
+    found = study("run", folder / "design.toml", "--data", folder, "--jobs", 1, *kept, "--json")
+    assert found.code == 0, found.err
+    return folder
+
+
+def test_the_plate_is_recovered_within_its_stated_error(virtual: Path) -> None:
+    true, other = (
+        next(
+            r
+            for r in documents(virtual)
+            if r["levels"]["material.poisson_ratio"] == nu and "of" not in r["extra"]
+        )
+        for nu in ("0.499", "0.3")
+    )
+    nominal, rigid, slipping, ends = true["extra"]["markers"][0]["fits"]
+    for fit in (slipping, ends):
+        for name, wanted in TRUTH.items():
+            value, error = fit["motion"][name]
+            # 4 standard errors, and what the coarser mesh makes of 3.6 mm
+            assert abs(value - wanted) < 4 * error + 0.02 * abs(wanted), (name, value, error)
+    floor = np.sqrt(3) * NOISE_MM
+    assert slipping["error_mm"] == pytest.approx(floor, rel=0.15)
+    assert ends["markers"] == 75
+    assert ends["error_mm"] == pytest.approx(floor, rel=0.15)
+    # a rigid plate cannot spread by 4 % of 20 mm, and the one that was said is 1 mm off
+    assert nominal["error_mm"] > 2 * rigid["error_mm"]
+    assert rigid["error_mm"] > 1.5 * slipping["error_mm"]
+    assert nominal["motion"]["down"] == [3.0, 0.0]
+    assert true["responses"]["marker_error"]["value"] == slipping["error_mm"]
+    assert true["responses"]["predicted_marker_error"]["value"] == ends["error_mm"]
+    assert other["responses"]["marker_error"]["value"] > 1.5 * slipping["error_mm"]
+
+
+def test_the_report_has_the_motion_beside_the_error(virtual: Path) -> None:
+    table = (virtual / "reports").rglob("table-marker-errors.csv")
+    lines = next(table).read_text(encoding="utf-8").splitlines()
+    assert len(lines) == 1 + 2 * 4
+    assert {"error_mm", "down_value", "spread_standard_error"} <= set(lines[0].split(","))
+
+
+def test_a_wrong_unit_is_seen(virtual: Path, tmp_path: Path) -> None:
+    found = study("run", virtual / "design.toml", "--data", virtual, "-s", "markers.unit=cm",
+                  "--results", tmp_path, "--reports", tmp_path)  # fmt: skip
+    assert found.code == 2
+    assert "lie outside the block" in found.err
+    assert not list(tmp_path.iterdir())  # nothing was begun
+
+
+def test_without_the_data_the_design_says_what_it_needs(tmp_path: Path) -> None:
+    found = study("run", DESIGN, "--data", tmp_path, "--results", tmp_path / "results")
+    assert found.code == 2
+    assert "truth_cube/uniaxial_positions.csv" in found.err
+    assert "Kerdok" in found.err
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.fixture(scope="module")
+def truth_cube(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> list[dict[str, Any]]:
+    if not (data_dir / "truth_cube").is_dir():
+        pytest.skip(f"no Truth Cube in {data_dir}")
+    folder = tmp_path_factory.mktemp("cube")
+    text = DESIGN.read_text(encoding="utf-8").split("[[expected]]")[0]
+    for line in ('"model.element_order" = ["linear", "quadratic"]\n',
+                 '"model.mesh_size" = ["36 mm", "24 mm"]\n'):  # fmt: skip
+        assert line in text  # the levels that are left out are those of the shipped file
+        text = text.replace(line, "")
+    text = text.replace("[model]\n", '[model]\nmesh_size = "36 mm"\n')
+    (folder / "cube.toml").write_text(text + "[converge]\nlevels = 2\n", encoding="utf-8")
+    found = study("run", folder / "cube.toml", "--data", data_dir, "--jobs", 1, "--results",
+                  folder / "results", "--reports", folder / "reports")  # fmt: skip
+    assert found.code == 0, found.err
+    return documents(folder)
+
+
+def errors(records: list[dict[str, Any]], material: str, state: str) -> dict[str, float]:
+    (marked,) = (
+        r["extra"]["markers"][0]
+        for r in records
+        if r["levels"]["material"] == material and r["block"] == state and "of" not in r["extra"]
+    )
+    nominal, rigid, slipping, predicted = (fit["error_mm"] for fit in marked["fits"])
+    return {"nominal": nominal, "rigid": rigid, "slipping": slipping, "predicted": predicted,
+            "floor": marked["floor_mm"]}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("state", "nominal", "rigid", "slipping", "predicted", "floor"),
+    [
+        ("5 %", 0.99, 0.38, 0.33, 0.35, 0.30),
+        ("12.5 %", 1.36, 0.51, 0.37, 0.39, 0.31),
+        ("18.25 %", 1.64, 0.63, 0.45, 0.46, 0.32),
+    ],
+)
+def test_the_truth_cube(truth_cube, state, nominal, rigid, slipping, predicted, floor):  # type: ignore[no-untyped-def]
+    found = errors(truth_cube, "neo-hookean", state)
+    assert found["nominal"] == pytest.approx(nominal, abs=0.01)  # as the plate was said to move
+    assert found["floor"] == pytest.approx(floor, abs=0.005)
+    assert found["rigid"] <= rigid
+    assert found["slipping"] <= slipping
+    assert found["predicted"] <= predicted
+    assert found["slipping"] > found["floor"]  # no model comes below
+
+
+def test_the_truth_cube_tells_wrong_materials(truth_cube) -> None:  # type: ignore[no-untyped-def]
+    right, linear, soft = (
+        errors(truth_cube, name, "18.25 %")["slipping"]
+        for name in ("neo-hookean", "linear-elastic", "compressible")
+    )
+    assert linear - right > 0.2
+    assert soft - right > 0.1

@@ -1,0 +1,145 @@
+"""A specimen under its own weight: closed form, equilibrium, energy, and gradients."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.fem.mesh.mesher import build_mesh
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity, Sphere
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+from .problems import GEL
+
+RHO = 980.0
+PER_VOLUME = STANDARD_GRAVITY * RHO * 1e-9
+TALL = Cylinder(10, 40)
+SOLID = Model(space="3d", element_shape="tensor", mesh_size_mm=6.0)
+
+
+def column(direction: str = "down", **changes: object) -> Problem:
+    """A column that nobody reaches: it slides on its base and its sides are free."""
+    test = Test("indentation", 0.4, "frictionless", "frictionless", steps=2, indenter=Sphere(3),
+                gravity=Gravity(RHO, direction))  # fmt: skip
+    soft = Material("linear-elastic", {"youngs_modulus": 0.0153}, poisson_ratio=0.0)
+    problem = Problem(TALL, test, soft, Model(mesh_size_mm=8.0))
+    return replace(problem, **changes)
+
+
+def between_plates(direction: str = "down", **changes: object) -> Problem:
+    test = Test("compression", 6.0, "bonded", "bonded", steps=6, gravity=Gravity(RHO, direction))
+    return replace(Problem(TALL, test, GEL, Model(mesh_size_mm=6.0)), **changes)
+
+
+@pytest.mark.parametrize("model", [
+    Model(mesh_size_mm=8.0),
+    Model(mesh_size_mm=8.0, element_shape="tensor"),
+    Model(mesh_size_mm=8.0, formulation="displacement"),
+    SOLID,
+])  # fmt: skip
+def test_a_column_sags_by_half_its_weight(model):
+    # without lateral strain u(z) = -rho g (H z - z^2 / 2) / E (Timoshenko and Goodier, art. 96):
+    # quadratic elements hold it exactly
+    found = solve(column(model=model))
+    z = found.points[:, -1]
+    wanted = -PER_VOLUME * (40.0 * z - z**2 / 2) / 0.0153
+    np.testing.assert_allclose(found.displacement[:, -1], wanted, atol=1e-9)
+    assert wanted.min() < -0.4  # deeper than the sphere came down
+    np.testing.assert_allclose(found.curve.force_N, 0.0, atol=1e-12)
+
+
+def test_what_hangs_pulls_at_its_base():
+    problem = between_plates("up")
+    found = solve(problem)
+    weight = PER_VOLUME * TALL.volume_mm3
+    np.testing.assert_allclose(found.base_reaction_N - found.curve.force_N, -weight, rtol=1e-8)
+
+
+@pytest.mark.parametrize("changes", [
+    {},
+    {"model": Model(mesh_size_mm=6.0, element_order="linear")},
+    {"model": SOLID},
+    {"model": SOLID, "specimen": Block(16, 24, 40)},
+])  # fmt: skip
+def test_forces_differ_by_the_weight(changes):
+    problem = between_plates(**changes)
+    found = solve(problem)
+    assert found.converged
+    weight = PER_VOLUME * problem.specimen.volume_mm3
+    # Newton's tolerance is 1e-8 of what the base carries, which is more than the weight at the end
+    out_of_balance = found.base_reaction_N - found.curve.force_N - weight
+    assert np.abs(out_of_balance).max() < 1e-8 * found.base_reaction_N.max()
+    assert found.energy.largest_mismatch < 1e-5
+
+
+def test_work_of_the_test_is_what_it_does_by_its_force():
+    # the weight sinks meanwhile: without its potential the balance would be off by far more
+    found = solve(between_plates(test=replace(between_plates().test, steps=30)))
+    d, force = found.curve.displacement_mm, found.curve.force_N
+    work = np.trapezoid(np.r_[force[:1], force], np.r_[0.0, d])
+    sunk = PER_VOLUME * TALL.volume_mm3 * 6.0 / 2
+    assert found.curve.work_Nmm[-1] == pytest.approx(work, abs=0.02 * sunk)
+
+
+def test_small_weights_change_nothing_and_none_is_none():
+    bare = between_plates()
+    none, without, light = (
+        solve(replace(bare, test=replace(bare.test, gravity=gravity)), mesh=build_mesh(bare.setup))
+        for gravity in (Gravity(RHO, "none"), None, Gravity(1.0))
+    )
+    np.testing.assert_array_equal(none.curve.force_N, without.curve.force_N)
+    # half of what a thousandth of the usual weight is, and no more, over the least force
+    share = PER_VOLUME / RHO * TALL.volume_mm3 / 2 / without.curve.force_N[0]
+    np.testing.assert_allclose(light.curve.force_N, without.curve.force_N, rtol=1.2 * share)
+
+
+def test_a_heavy_gel_is_held_up_by_the_plates():
+    # between held plates the weight is shared: the plate above pulls at first
+    heavy = solve(between_plates(test=replace(between_plates().test, displacement_mm=1e-6)))
+    weight = PER_VOLUME * TALL.volume_mm3
+    assert -heavy.curve.force_N[-1] == pytest.approx(weight / 2, rel=0.05)
+
+
+def test_gradients_see_the_sag():
+    problem = between_plates()
+    c10, step = GEL.constants["C10"], 1e-4
+    low, high = (
+        solve(replace(problem, material=replace(GEL, constants={"C10": c10 * (1 + s)})))
+        for s in (-step, step)
+    )
+    slope = (high.curve.force_N - low.curve.force_N) / (2 * step * c10)
+    found = solve(problem).curve.force_gradient["C10"]
+    np.testing.assert_allclose(found, slope, rtol=1e-5, atol=1e-6 * np.abs(slope).max())
+
+
+def test_a_warm_start_weighs_as_much():
+    problem = between_plates()
+    base = solve(problem)
+    other = replace(problem, material=replace(GEL, constants={"C10": 4e-3}))
+    warm, cold = solve(other, warm=base), solve(other)
+    np.testing.assert_allclose(warm.curve.force_N, cold.curve.force_N, rtol=1e-6)
+    assert warm.energy.largest_mismatch < 1e-5
+
+
+def test_an_indenter_meets_the_sagged_surface():
+    # a sphere that is lowered by d touches once the surface has not sagged as far
+    problem = between_plates(test=Test(
+        "indentation", 4.0, "frictionless", "bonded", steps=4, indenter=Sphere(4),
+        gravity=Gravity(RHO)))  # fmt: skip
+    heavy = solve(problem)
+    light = solve(replace(problem, test=replace(problem.test, gravity=None)))
+    weight = PER_VOLUME * TALL.volume_mm3
+    np.testing.assert_allclose(heavy.base_reaction_N - heavy.curve.force_N, weight, rtol=1e-8)
+    assert (heavy.curve.force_N < light.curve.force_N).all()
+
+
+def test_a_drop_does_not_stand():
+    soft = Material("neo-hookean", {"C10": 1e-6}, bulk_modulus=1e-2)
+    found = solve(between_plates(material=soft))
+    assert found.status == "not-converged"
+    assert "own weight" in found.message

@@ -1,0 +1,128 @@
+"""A plate that shifts, turns and lets the face slip: closed forms, symmetry, derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.fem.element.function_space import interpolation
+from study.fem.solver.prescribed_motion import NoEquilibrium, PrescribedMotion
+from study.fem.solver.solve import solve
+from study.material.material import Material
+from study.setup.geometry import Block, Cylinder, FaceMotion
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+
+from .problems import GEL
+
+MODEL = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0)
+CUBE = Block(20, 20, 20)
+
+
+def moved(depth: float, motion: FaceMotion | None = None, **changes: object) -> Problem:
+    test = Test("plate-motion", depth, "bonded", "bonded", steps=1, motion=motion)
+    return replace(Problem(CUBE, test, GEL, MODEL), **changes)
+
+
+@pytest.mark.parametrize("shape", ["tensor", "simplex"])
+def test_a_true_plate_is_bonded_compression(shape):
+    # the whole is meshed as four mirrored quarters; tetrahedra cut the quarters otherwise
+    problem = moved(3.0, model=replace(MODEL, element_shape=shape))
+    quarter = replace(problem, test=Test("compression", 3.0, "bonded", "bonded", steps=1))
+    whole, known = (solve(p, gradients=False) for p in (problem, quarter))
+    assert whole.points[:, 0].min() == -10
+    exact = shape == "tensor"  # hexahedra of a half height are those of the whole one
+    rel = 1e-6 if exact else 0.02
+    np.testing.assert_allclose(whole.curve.force_N, known.curve.force_N, rtol=rel)
+    np.testing.assert_allclose(whole.base_reaction_N, whole.curve.force_N, rtol=1e-6)
+
+
+def test_a_wide_layer_is_sheared_by_its_modulus():
+    # F = mu A s / h but for the free edges, over a depth that is nothing beside the shift
+    down, shift = 1e-5, 1e-2
+    thin = moved(down, FaceMotion(x_mm=shift), specimen=Block(120, 120, 3),
+                 model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
+    force = solve(thin, gradients=False).curve.force_N[-1] * down / shift
+    sheared = 2 * GEL.constants["C10"] * 120 * 120 * shift / 3
+    # free edges do not carry the shear that acts along them: about h over the width
+    assert force == pytest.approx(sheared, rel=0.02)
+    assert force < sheared
+
+
+def test_a_twisted_layer_has_its_polar_moment():
+    angle = np.radians(0.5)
+    thin = moved(1e-5, FaceMotion(twist_deg=0.5), specimen=Block(120, 120, 3),
+                 model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
+    torque = solve(thin, gradients=False).curve.force_N[-1] * 1e-5 / angle
+    polar = 120**4 / 6
+    assert torque == pytest.approx(2 * GEL.constants["C10"] * polar * angle / 3, rel=0.05)
+
+
+def test_generalized_stiffness_is_symmetric():
+    # Betti: forces by one component of a motion do the work of another that the other way does
+    problem = moved(2.0, FaceMotion(x_mm=0.7, tilt_y_deg=1.0, spread=0.05))
+    plate = PrescribedMotion(problem, solve(problem, gradients=False))
+    stiffness = plate.stiffness(plate.start)
+    size = np.sqrt(np.outer(np.diag(stiffness), np.diag(stiffness)))
+    assert (np.diag(stiffness) > 0).all()
+    np.testing.assert_allclose(stiffness / size, stiffness.T / size, atol=1e-6)
+    assert np.abs(stiffness[0, 1] / size[0, 1]) > 1e-3  # components are coupled: not all zero
+
+
+def test_rates_are_those_of_neighboring_equilibria():
+    problem = moved(2.0, FaceMotion(y_mm=0.5, twist_deg=1.0))
+    plate = PrescribedMotion(problem, solve(problem, gradients=False))
+    step = np.array([1e-3, -1e-3, 2e-3, 1e-4, -1e-4, 2e-4, 1e-4])
+    there, back = (plate.at(plate.start.motion + s * step, plate.start) for s in (1, -1))
+    change = (there.displacement - back.displacement) / 2
+    wanted = plate.start.rates @ step
+    assert np.abs(change - wanted).max() < 1e-4 * np.abs(wanted).max()
+
+
+def test_the_way_does_not_matter():
+    # the same motion by a load path of its own, and from another equilibrium
+    far = moved(3.0, FaceMotion(x_mm=1.0, tilt_x_deg=1.5, spread=0.08))
+    own = PrescribedMotion(far, solve(far, gradients=False)).start
+    problem = moved(2.0)
+    plate = PrescribedMotion(problem, solve(problem, gradients=False))
+    found = plate.at(own.motion, plate.start)
+    np.testing.assert_allclose(found.displacement, own.displacement, atol=1e-6)
+
+
+def test_places_between_nodes_are_those_of_the_elements():
+    problem = moved(1.0)
+    found = solve(problem, gradients=False)
+    system = found.warm.system
+    places = np.random.default_rng(1).uniform([-9, -9, 1], [9, 9, 19], (40, 3))
+    interpolated = interpolation(system.mesh, problem.model, places)
+    nodes = system.space.nodes
+    field = np.column_stack([nodes[:, 0] * nodes[:, 1], nodes[:, 2] ** 2, 1 + nodes[:, 0]])
+    wanted = np.column_stack([places[:, 0] * places[:, 1], places[:, 2] ** 2, 1 + places[:, 0]])
+    np.testing.assert_allclose(
+        interpolated(field), wanted, atol=1e-9
+    )  # quadratic elements are exact
+
+
+def test_what_is_not_modelled_is_refused():
+    with pytest.raises(InputError, match="block"):
+        solve(moved(1.0, specimen=Cylinder(10, 20)))
+    problem = moved(1.0)
+    plate = PrescribedMotion(problem, solve(problem, gradients=False))
+    with pytest.raises(NoEquilibrium, match="off the specimen"):
+        plate.at(-plate.start.motion, plate.start)
+
+
+def test_a_linear_body_moves_in_proportion():
+    soft = Material("linear-elastic", {"youngs_modulus": 0.01}, poisson_ratio=0.49)
+    ends = [
+        PrescribedMotion(p, solve(p, gradients=False)).start.displacement
+        for p in (
+            moved(0.5 * k, FaceMotion(x_mm=0.2 * k, twist_deg=0.3 * k), material=soft)
+            for k in (1, 3)
+        )
+    ]
+    # sides that fold onto the plates are no linear matter, and touch near the edges alone
+    np.testing.assert_allclose(3 * ends[0], ends[1], atol=2e-3)
