@@ -16,7 +16,8 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.covariance import AS_GOOD_AS_ZERO
-from study.calibration.fit import Fit, MeasuredCurve
+from study.calibration.fit import Fit
+from study.calibration.measured_curve import MeasuredCurve
 from study.material.registry import is_dimensionless
 
 #: relative standard error up to which a combination counts as known

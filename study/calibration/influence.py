@@ -21,7 +21,8 @@ from study.calibration.covariance import (
     scaled_inverse,
     student_t,
 )
-from study.calibration.fit import Fit, MeasuredCurve, small_sample_aic
+from study.calibration.fit import Fit, small_sample_aic
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.prior import known_covariance, pseudo_jacobian, pseudo_rows
 from study.calibration.serial_correlation import (
     Intervals,

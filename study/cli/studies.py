@@ -12,10 +12,6 @@ from study.cli import next_command, output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
-    from study.api.planning.augment import Augmentation
-    from study.api.planning.plan import Plan
-    from study.design.overview import Overview
-    from study.design.spec import Scheme
     from study.study_result.comparison import Beside
     from study.study_result.study_result import StudyResult
 
@@ -31,9 +27,6 @@ Results = Annotated[Path, typer.Option("--results", help="Where results are kept
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
 RESULTS = Path("results")
 REPORTS = Path("reports")
-
-#: levels of a factor beyond which a plan lists the ends only
-MANY = 6
 
 
 def demo(
@@ -69,6 +62,7 @@ def plan(
 ) -> None:
     """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
     from study import api
+    from study.cli.tables import plan_tables
     from study.design.load import load
 
     if run_sheet is not None:
@@ -86,9 +80,9 @@ def plan(
         added = {} if further is None else {"augment": further.to_json()}
         output.print_json(found.to_json() | added | {"next": after[1]})
         return
-    _print_plan(found)
+    plan_tables.print_plan(found)
     if further is not None:
-        _print_further(further)
+        plan_tables.print_further(further)
     output.next_step(*after)
 
 
@@ -337,77 +331,3 @@ def _print_diff(beside: Beside) -> None:
         output.table(rows, title)
         if note:
             output.paragraph(note)
-
-
-def _print_scheme(scheme: Scheme) -> None:
-    """Say what the choice of cells can and cannot tell."""
-    if not scheme.summary:
-        return
-    print(scheme.summary)
-    if scheme.defining_relation:
-        print(f"defining relation: {scheme.defining_relation}")
-    for sentence in scheme.aliases:
-        print(f"  {sentence}")
-    print()
-
-
-def _print_overview(told: Overview) -> None:
-    print(f"{told.design.name}: {told.design.question}\n")
-    rows = [["cell", "computation", "calibration"]]
-    rows += [
-        [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
-        for row in told.matrix
-    ]
-    output.table(rows, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
-    if told.distinct < len(told.matrix):
-        print("cells with the same number of a computation must agree: they are controls")
-    for one, why in told.excluded:
-        print(f"excluded: {one.label}: {why}")
-    print()
-    _print_scheme(told.design.scheme)
-    for factor in told.factors:
-        levels = factor.levels
-        if len(levels) > MANY:
-            levels = (levels[0], f"{len(levels) - 2} more", levels[-1])
-        print(f"{factor.name} ({', '.join(levels)}): {factor.note or 'varies'}")
-
-
-def _print_plan(found: Plan) -> None:
-    _print_overview(found.overview)
-    print()
-    if found.blocks:
-        print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
-    if found.overview.replicates is not None:
-        print(f"replicates: {found.overview.replicates.sentence}")
-    cells = len(found.overview.matrix)
-    if len(found.blocks) > 1 and cells * len(found.blocks) == found.total:
-        print(f"{cells} cells in {len(found.blocks)} blocks: a case is a cell in a block")
-    print(output.counts(found.counts))
-    if found.missing and found.fits:
-        print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
-    if found.controls:
-        print(f"{found.controls} solutions to be made of one cylinder in both spaces, a control")
-    if found.commands:
-        print(f"{found.program_calls} calls of other programs, gradients by differences included:")
-        print("\n".join(f"  {line}" for line in found.commands))
-        print(f"  to allow exactly these: study run --allow-digest {found.digest}")
-    if found.predicted_seconds is not None:
-        time = output.seconds(found.predicted_seconds)
-        print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
-    if found.most_seconds is not None:
-        print(f"with all cells that may be added: {output.seconds(found.most_seconds)}")
-    output.warn(found.warnings)
-
-
-def _print_further(found: Augmentation) -> None:
-    """Print further cells, what they gain, and the table that runs them."""
-    names = list(found.cells[0])
-    rows = [names, *([cell[name] for name in names] for cell in found.cells)]
-    print()
-    output.table(rows, "Further cells")
-    gain = f"{100 * found.before:.0f} % before, {100 * found.after:.0f} % after"
-    output.paragraph(
-        f"\nTold apart with them: {', '.join(found.terms)}. Precision, of that of an orthogonal "
-        f"design of as many cells: {gain}. Put this in place of [design] (what is computed stays):"
-    )
-    print(f"\n{found.table()}")

@@ -57,8 +57,7 @@ class Span:
 
     def step(self, value: float) -> float:
         """Difference from a value that is a ten-thousandth of the range."""
-        whole = value * math.log(self.high / self.low) if self.log else self.high - self.low
-        return 1e-4 * whole
+        return 1e-4 * (value * math.log(self.high / self.low) if self.log else self.high - self.low)
 
 
 @dataclass(frozen=True)
@@ -287,8 +286,7 @@ class Design:
         every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
         for row in self.scheme.rows or every:
             levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
-            labels = (level.label for level in levels)
-            yield Combination(dict(zip(names, labels, strict=True))), levels
+            yield Combination({n: one.label for n, one in zip(names, levels, strict=True)}), levels
 
     def why_excluded(self, levels: Mapping[str, str]) -> str | None:
         """Reason why a cell is left out; None if it is not."""
@@ -332,8 +330,8 @@ class Design:
 
     def _usual_role(self, factor: Factor) -> str:
         assumed = tuple(f"{key}." for key in self.assumed)
-        covered = all(f"{key}.".startswith(assumed) for key in factor.keys)
-        return "unknown" if factor.keys and covered else "choice"
+        is_covered = bool(factor.keys) and all(f"{k}.".startswith(assumed) for k in factor.keys)
+        return "unknown" if is_covered else "choice"
 
 
 @dataclass(frozen=True)
@@ -399,4 +397,4 @@ class Case:
     @property
     def label(self) -> str:
         """Labels of the levels, and the block."""
-        return self.treatment.label + (f" / {self.block}" if self.block is not None else "")
+        return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])

@@ -347,7 +347,6 @@ class ReportData:
     is_table : bool
         Whether the rows are those of a table: nothing was simulated.
     is_measured : bool
-        Whether anything was measured: of a simulation alone, another run repeats the first.
     """
 
     name: str

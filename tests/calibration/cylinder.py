@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from study.calibration.fit import MeasuredCurve
+from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.material.homogeneous import response
 from study.material.material import Material

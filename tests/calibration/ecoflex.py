@@ -6,7 +6,8 @@ import json
 
 import numpy as np
 
-from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.fit import fit
+from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.material.homogeneous import uniaxial, uniaxial_gradient
 from study.material.material import Material

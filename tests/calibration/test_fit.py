@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from study.calibration.covariance import scaled_condition
-from study.calibration.fit import MeasuredCurve, aicc, fit
+from study.calibration.fit import aicc, fit
 from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.profile_likelihood import profile
 from study.curve import Curve
 from study.errors import InputError, RefusedError

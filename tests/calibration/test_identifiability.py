@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from study import api
-from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.fit import fit
 from study.calibration.identifiability import identify
+from study.calibration.measured_curve import MeasuredCurve
 from study.cli.app import run
 from study.curve import Curve
 from tests.calibration.cylinder import predictor, virtual

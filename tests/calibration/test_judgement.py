@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.fit import fit
 from study.calibration.iteration import EvaluationFailed, Status
 from study.calibration.lack_of_fit import (
     Repeated,
@@ -13,6 +13,7 @@ from study.calibration.lack_of_fit import (
     same_constants,
 )
 from study.calibration.levenberg_marquardt import levenberg_marquardt
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.wald_test import agreement
 from study.curve import Curve
 from study.errors import InputError, RefusedError

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from study import api
-from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.fit import fit
 from study.calibration.influence import with_serial_correlation
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.prior import Prior
 from study.cli.app import run
 from study.curve import Curve

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from study.calibration.fit import MeasuredCurve, fit
+from study.calibration.fit import fit
 from study.calibration.influence import with_serial_correlation
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.serial_correlation import Series, intervals
 from study.cli.app import run
 from study.curve import Curve

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.fit import Fit, MeasuredCurve, fit
+from study.calibration.fit import Fit, fit
+from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.forward import finite_element
 from study.runner.fitting import fit_task

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.fit import Fit, MeasuredCurve
+from study.calibration.fit import Fit
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.wald_test import agreement
 from study.design import load
 from study.runner.expansion import expand

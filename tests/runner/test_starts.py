@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.fit import MeasuredCurve
 from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.design.load import load
 from study.runner import expansion

@@ -44,7 +44,8 @@ def anova_rows(data: ReportData, response: str) -> Rows:
 
 def answer_lines(data: ReportData) -> list[str]:
     """Return the sentences of the answer box, which cases fail, and what would change them."""
-    from study.reporting.content import failed_cases, recommendation, sentences
+    from study.reporting.content import recommendation, sentences
+    from study.reporting.content.cases import failed_cases
 
     found = facts(data)
     where = data.failure_pattern

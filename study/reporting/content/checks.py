@@ -8,7 +8,9 @@ from dataclasses import dataclass
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import NOT_RESOLVED
-from study.reporting.content import failed_cases, response_surface, sentences, verdicts
+from study.reporting.content import sentences, verdicts
+from study.reporting.content.cases import failed_cases
+from study.reporting.content.surfaces import response_surface
 from study.reporting.content.verdicts import shown_difference
 from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from study.reporting.content import response_surface
+from study.reporting.content.surfaces import response_surface
 from study.reporting.content.verdicts import practical
 from study.reporting.numbers import (
     TIMES,

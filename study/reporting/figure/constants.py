@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.fit_tables import fit_name, fit_rank
+from study.reporting.content.cases.fit_tables import fit_name, fit_rank
 from study.reporting.figure.style import (
     RULE,
     WIDTH_IN,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.response_surface import quality, title
+from study.reporting.content.surfaces.response_surface import quality, title
 from study.reporting.figure.style import (
     BAND,
     INK,

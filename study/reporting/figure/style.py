@@ -7,7 +7,7 @@ import math
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 from xml.etree import ElementTree
 
@@ -97,6 +97,11 @@ def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canva
     return Figure(figsize=(width_in, height_in), layout="constrained" if arranged else None)
 
 
+def _look(more: Mapping[str, str]) -> Any:
+    """Hand settings of a figure to a function whose type knows every key by name."""
+    return {**_RC, **more}
+
+
 def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     """Draw and return an inline ``<svg>`` element, the same bytes for the same data.
 
@@ -112,7 +117,7 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     import matplotlib as mpl
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
-    look: Any = {**_RC, "svg.hashsalt": name}
+    look = _look({"svg.hashsalt": name})
     nothing: Any = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with mpl.rc_context(look), warnings.catch_warnings():
         # the reader's browser draws the text and has the glyphs; only widths are estimated
@@ -136,8 +141,7 @@ def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:
     """
     import matplotlib as mpl
 
-    look: Any = _RC
-    with mpl.rc_context(look):
+    with mpl.rc_context(_look({})):
         figure = draw()
     # a notebook asks whatever it shows for this; a figure of no backend has none
     vars(figure)["_repr_svg_"] = lambda: render(lambda: figure, name, title)

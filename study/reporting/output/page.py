@@ -10,19 +10,16 @@ from typing import TYPE_CHECKING
 from study.reporting.content import (
     checks,
     comparison,
-    failed_cases,
-    fit_tables,
     glossary,
     hypotheses,
-    marker_tables,
     methods,
     recommendation,
-    response_surface,
     sentences,
     tables,
-    uncertainty,
     verdicts,
 )
+from study.reporting.content.cases import failed_cases, fit_tables, marker_tables
+from study.reporting.content.surfaces import response_surface, uncertainty
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import verdict
 from study.reporting.figure import registry, validation

@@ -51,7 +51,8 @@ from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
 
 if TYPE_CHECKING:
-    from study.calibration.fit import Fit, MeasuredCurve
+    from study.calibration.fit import Fit
+    from study.calibration.measured_curve import MeasuredCurve
     from study.calibration.profile_likelihood import Profile
 
 

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.fit import MeasuredCurve
 from study.calibration.lack_of_fit import Repeated
+from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.measurement import plausibility

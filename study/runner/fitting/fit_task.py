@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.fit import MeasuredCurve
 from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
+from study.calibration.measured_curve import MeasuredCurve
 from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError

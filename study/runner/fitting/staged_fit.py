@@ -28,8 +28,9 @@ from study.setup.quantity import finite
 from study.setup.setup import Setup, known_height_mm
 
 if TYPE_CHECKING:
-    from study.calibration.fit import Fit, MeasuredCurve
+    from study.calibration.fit import Fit
     from study.calibration.iteration import Iteration
+    from study.calibration.measured_curve import MeasuredCurve
 
 Predict = Callable[[Array], list[Curve]]
 

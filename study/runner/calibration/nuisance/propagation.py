@@ -17,8 +17,9 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.covariance import scaled_inverse
-from study.calibration.fit import Fit, MeasuredCurve, fit
+from study.calibration.fit import Fit, fit
 from study.calibration.influence import with_serial_correlation
+from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.nuisance import NuisanceEstimate
 from study.calibration.prior import Prior, pseudo_jacobian
 from study.curve import Curve

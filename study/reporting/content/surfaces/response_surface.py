@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
-from study.reporting.content import uncertainty
+from study.reporting.content.surfaces import uncertainty
 from study.reporting.content.table import Table
 from study.reporting.numbers import (
     MISSING,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from study.record.document import PlateFitDocument
-from study.reporting.content.fit_tables import fit_rank
+from study.reporting.content.cases.fit_tables import fit_rank
 from study.reporting.content.table import Table
 from study.reporting.numbers import MINUS, MISSING, clean, quantity
 from study.study_result.report_data import MarkedCase, ReportData

@@ -1,0 +1,1 @@
+"""Words and tables about single cases: those that failed, their fits, their markers."""

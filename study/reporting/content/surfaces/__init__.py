@@ -1,0 +1,1 @@
+"""Words about surfaces over ranges, and about uncertain inputs carried through them."""
