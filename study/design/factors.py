@@ -325,7 +325,12 @@ def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...
                    for t, v in zip(texts, values, strict=True))  # fmt: skip
         if near and len(set(texts)) == len(set(values)):
             break
-    return tuple(_range_level(key, text, span.unit) for text in texts)
+    return tuple(_range_level(key, _plain(text), span.unit) for text in texts)
+
+
+def _plain(text: str) -> str:
+    """Write a number of few digits without a power of ten, unless it is long: 1e+02 is 100."""
+    return f"{float(text):g}" if "e" in text and float(f"{float(text):g}") == float(text) else text
 
 
 def _range_level(key: str, text: str, unit: str) -> Level:

@@ -16,7 +16,8 @@ def longest_first(tasks: Sequence[Task]) -> list[Task]:
     That is list scheduling by upward rank (Topcuoglu, Hariri and Wu 2002, IEEE Transactions on
     Parallel and Distributed Systems 13, 260, eq. 4): what is needed comes before what needs it,
     and a short tail is left to the end. The tasks of a group follow one another, and are as long
-    as all of them together. Tasks of equal rank keep their order.
+    as all of them together; what any of them needs comes before the first, so that a worker need
+    not leave a group, and what it keeps of it, in the middle. Tasks of equal rank keep their order.
 
     Parameters
     ----------
@@ -29,11 +30,14 @@ def longest_first(tasks: Sequence[Task]) -> list[Task]:
         The same tasks.
     """
     after: dict[str, set[str]] = {task.key: set() for task in tasks}
+    group = {task.key: task.group for task in tasks}
+    first: dict[str, str] = {}
     last: dict[str, str] = {}
     for task in tasks:
+        begun = first.setdefault(task.group, task.key) if task.group else task.key
         for need in task.needs:
             if need in after:
-                after[need].add(task.key)
+                after[need].add(begun if group[need] != task.group else task.key)
         if task.group:
             if task.group in last:
                 after[last[task.group]].add(task.key)

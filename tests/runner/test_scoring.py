@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.design.study_file import RESPONSES, SCORED
+from study.design.study_file import MARKED, RESPONSES, SCORED
 from study.runner import response
 from study.runner.response import Scored
 
@@ -35,7 +35,7 @@ def test_constants_are_reported_in_kpa_and_exponents_plain() -> None:
 
 
 def test_every_response_of_the_study_file_is_one_of_these() -> None:
-    known = {*response.CURVE_RESPONSES, response.InitialShearModulus().name, "seconds"}
+    known = {*response.CURVE_RESPONSES, *MARKED, response.InitialShearModulus().name, "seconds"}
     assert known == set(RESPONSES)
     assert set(response.CURVE_RESPONSES) == set(SCORED)
     assert response.units_of(["C10", "alpha1"])["alpha1"] == ""

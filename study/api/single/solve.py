@@ -61,14 +61,15 @@ def solve(
     >>> import study
     >>> found = study.solve({
     ...     "specimen": {"shape": "cylinder", "radius": 10, "height": "1 cm"},
-    ...     "test": {"kind": "compression", "displacement": "1 mm", "steps": 2},
+    ...     "test": {"kind": "compression", "interface": "frictionless",
+    ...              "displacement": "1 mm", "steps": 2},
     ...     "material": {"model": "neo-hookean", "C10": "10 kPa", "incompressible": True},
     ...     "model": {"mesh_size": 5},
     ... })
     >>> found.status
     'converged'
     >>> [round(float(force), 4) for force in found.curve.force_N]
-    [0.9928, 2.1020]
+    [0.993, 2.1022]
     """
     from study.fem.solver.solve import solve as forward_solve
 

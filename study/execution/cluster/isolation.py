@@ -141,6 +141,9 @@ def _watched(
             _, answer = done.get(timeout=max(0.0, min(LOOK_S, ends - time.monotonic())))
         except queue.Empty:
             answer = None
+        if answer is not None and answer.began:  # the process is up: its task has the whole limit
+            ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
+            continue
         if answer is None and unwanted():
             answer = Answer(death="stopped")
         elif answer is None and limit_s is not None and time.monotonic() >= ends:
