@@ -102,18 +102,23 @@ def table(found) -> list[tuple[str, float]]:  # type: ignore[no-untyped-def]
     return [(record.case_id, record.value("peak_force")) for record in found.records]
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_it_knows_the_function_better_than_as_many_runs_of_a_hypercube(
     adaptive, tmp_path: Path
 ) -> None:  # type: ignore[no-untyped-def]
+    """Of eight seeds: a single one may well know less than its hypercube."""
     _, found = adaptive
-    ours, plain = [missed(found)], []
+    ours: list[float] = []
+    plain: list[float] = []
     cells = len(found.records)
-    for seed in (1, 2, 3):
+    for seed in range(1, 9):
         own = DESIGN.replace('name = "hill"', f'name = "hill"\nseed = {seed}')
         start, end = own.index("[design]"), own.index("[[response]]")
         cube = f'{own[:start]}[design]\nkind = "latin-hypercube"\nruns = {cells}\n{own[end:]}'
         plain.append(missed(ran(tmp_path / f"plain-{seed}", cube)))
         ours.append(missed(ran(tmp_path / f"adaptive-{seed}", own)))
+    print({"adaptive": ours, "hypercube": plain})
     assert np.median(ours) <= np.median(plain)
     assert np.exp(np.mean(np.log(ours))) < 0.8 * np.exp(np.mean(np.log(plain)))
 
