@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from study.design.study_file import simulated_at
 from validation.recompute_records import Direction, Job
 
 Array = NDArray[np.float64]
@@ -112,11 +113,6 @@ def _responses(one: Direction, dense: Array, *, monotone: bool) -> dict[str, flo
     }
 
 
-def _place(name: str) -> float:
-    """Displacement of ``force_at_2.5_mm``, mm."""
-    return float(name.split("_at_")[1].removesuffix("_mm"))
-
-
 def of_the_simulation(name: str, piecewise: Any) -> float:
     """Value of a response of the simulation alone; ``force_at_2.5_mm`` is one at 2.5 mm.
 
@@ -128,11 +124,12 @@ def of_the_simulation(name: str, piecewise: Any) -> float:
     >>> [round(of_the_simulation(name, CubicSpline(d, d**3)), 9) for name in names]
     [27.0, 15.625, 20.25]
     """
-    if name == "peak_force":
+    kind, place = simulated_at(name)
+    if kind == "peak_force":
         return float(piecewise(piecewise.x).max())
-    if name == "work":
+    if kind == "work":
         return float(piecewise.integrate(0.0, piecewise.x[-1]))
-    return float(piecewise(_place(name)))
+    return float(piecewise(place))
 
 
 def scores(force: Array, measured: Array) -> dict[str, float]:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.errors import Fault, InputError, nearest
-from study.reporting.figure import effects
-from study.reporting.figure.style import shown
+from study.reporting.figure.effects import shown_effect_sizes
 from study.reporting.report import facts
 from study.study_result.study_result import StudyResult
 
@@ -63,11 +62,7 @@ class Study(StudyResult):
         if name not in found:
             rule = f"there is no response {name!r}"
             raise InputError(Fault("response", rule, nearest(name, found)))
-        frame = effects.effect_sizes(found[name], data.labels)
-        if frame.empty:
-            raise ValueError("there is nothing to draw: no effect could be estimated")
-        title = f"largest difference of every term: {found[name].title}"
-        return shown(lambda: effects.draw_effect_sizes(frame, found[name]), "effects", title)
+        return shown_effect_sizes(found[name], data.labels)
 
     def _repr_html_(self) -> str:
         """Cases and verdicts as the last line of a cell shows them."""

@@ -27,7 +27,9 @@ BASIS = np.array([D, 0.1 * D**3, 0.004 * D**5])
 TRUTH = np.array([3.2, -0.75, 0.8])
 HANDED_ON = np.array([3.17, -0.42, 0.0])
 #: a mesh that is coarse already, so that there is one stage, and one that has a cheaper model
-COARSE: dict[str, Any] = {"specimen": {"shape": "cylinder", "height_mm": 30.0},
+COARSE: dict[str, Any] = {"specimen": {"shape": "cylinder", "height_mm": 30.0, "radius_mm": 15.0},
+                          "test": {"kind": "compression", "displacement_mm": 6.0,
+                                   "interface": "bonded", "base": "bonded", "steps": 10},
                           "model": {"space": "axisymmetric", "mesh": "coarse"}}  # fmt: skip
 SOLID: dict[str, Any] = {**COARSE, "model": {"space": "3d", "mesh": "coarse"}}
 

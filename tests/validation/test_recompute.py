@@ -18,6 +18,7 @@ from study.curve import Curve
 from study.record.record import Record
 from study.record.store import Store
 from tests.cli.small import DESIGN, study, write_files
+from tests.cli.test_simulated_responses import DESIGN as ALONE
 from tests.conftest import ROOT
 from validation import recompute, recompute_forward, recompute_records
 
@@ -280,7 +281,8 @@ def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
 def test_a_study_without_measurements_is_computed_again(tmp_path: Path) -> None:
     """The peak force, the force at a displacement and the work of a simulation alone."""
     design = tmp_path / "alone.toml"
-    design.write_text(ALONE)
+    bonded = ALONE.replace('"frictionless"', '"bonded"').replace('"2.5 mm"', '"1.3 mm"')
+    design.write_text(bonded)
     made = subprocess.run(
         [sys.executable, "-m", "study", "run", design, "-j", "1", "--no-refine"],
         cwd=tmp_path, capture_output=True, text=True, check=False,
@@ -293,41 +295,3 @@ def test_a_study_without_measurements_is_computed_again(tmp_path: Path) -> None:
     assert {line["response"] for line in lines} == {"peak_force", "force_at_1.3_mm", "work"}
     assert len(lines) == 12
     assert max(abs(line["difference"]) for line in lines) <= 0.05
-
-
-ALONE = """
-schema = 1
-[study]
-name = "alone"
-[specimen]
-shape = "cylinder"
-radius = "10 mm"
-height = "20 mm"
-[test]
-kind = "compression"
-interface = "bonded"
-displacement = "2 mm"
-steps = 4
-[material]
-model = "neo-hookean"
-C10 = "5 kPa"
-incompressible = true
-[model]
-mesh_size = "5 mm"
-[factors]
-material.C10 = ["5 kPa", "10 kPa"]
-specimen.radius = ["10 mm", "11 mm"]
-[[response]]
-name = "peak_force"
-practical = "0.2 N"
-[[response]]
-name = "force_at"
-displacement = "1.3 mm"
-[[response]]
-name = "stiffness_at"
-displacement = "1.3 mm"
-[[response]]
-name = "work"
-[report]
-format = ["csv"]
-"""

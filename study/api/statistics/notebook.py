@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from study.analysis.result import AnalysisResult
 from study.api.statistics.table_report import Source, report_data, write_page
-from study.reporting.figure import effects
-from study.reporting.figure.style import shown
+from study.reporting.figure.effects import shown_effect_sizes
 from study.reporting.report import facts
 
 if TYPE_CHECKING:
@@ -74,11 +73,7 @@ class Analysis(AnalysisResult):
         """
         data = report_data(self, Source())
         (item,) = facts(data)
-        frame = effects.effect_sizes(item, data.labels)
-        if frame.empty:
-            raise ValueError("there is nothing to draw: no effect could be estimated")
-        title = f"largest difference of every term: {item.title}"
-        return shown(lambda: effects.draw_effect_sizes(frame, item), "effects", title)
+        return shown_effect_sizes(item, data.labels)
 
     def report(self, out_dir: str | Path, formats: Sequence[str] = ("html",)) -> Path:
         """Write the page of the analysis, as ``study analyze CSV --report`` does.

@@ -23,6 +23,7 @@ from study.reporting.figure.style import (
     color_of,
     name_rows,
     plain_ticks,
+    shown,
     word_color_of,
     wrap,
 )
@@ -43,18 +44,33 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
     import pandas as pd
 
     strong = [effect for effect in facts.interactions if effect.strength != NO_DIFFERENCE]
-    shown = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
+    listed = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
     return pd.DataFrame(
         {
-            "term": [effect.term for effect in shown],
-            "name": [term_name(effect.term, labels) for effect in shown],
-            "difference": [effect.range for effect in shown],
-            "low": [effect.low for effect in shown],
-            "high": [effect.high for effect in shown],
-            "practical": [effect.practical for effect in shown],
-            "verdict": [effect.strength for effect in shown],
+            "term": [effect.term for effect in listed],
+            "name": [term_name(effect.term, labels) for effect in listed],
+            "difference": [effect.range for effect in listed],
+            "low": [effect.low for effect in listed],
+            "high": [effect.high for effect in listed],
+            "practical": [effect.practical for effect in listed],
+            "verdict": [effect.strength for effect in listed],
         }
     ).astype({"difference": float, "low": float, "high": float, "practical": float})
+
+
+def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
+    """Draw the largest difference of every term as a notebook shows it.
+
+    Raises
+    ------
+    ValueError
+        If no effect could be estimated.
+    """
+    frame = effect_sizes(facts, labels)
+    if frame.empty:
+        raise ValueError("there is nothing to draw: no effect could be estimated")
+    title = f"largest difference of every term: {facts.title}"
+    return shown(lambda: draw_effect_sizes(frame, facts), "effects", title)
 
 
 def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:

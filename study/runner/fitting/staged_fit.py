@@ -25,7 +25,7 @@ from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler
 from study.runner.tables import Tables
 from study.setup.quantity import finite
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup, known_height_mm
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -266,9 +266,8 @@ def cheaper(part: Part) -> Part | None:
     """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None
-    model, test = dict(part.tables["model"]), part.tables.get("test", {})
-    has_axis = part.tables["specimen"]["shape"] != "surface" and not test.get("motion")
-    if model.get("space") == "3d" and has_axis:
+    model = dict(part.tables["model"])
+    if model.get("space") == "3d" and not Setup.of(part.tables).is_whole:
         model["space"] = "axisymmetric"
     elif not _coarsened(model, part.tables["specimen"]):
         return None
