@@ -314,7 +314,7 @@ class EvaluationFailed(Exception):
 class Status(Enum):
     """How the optimizer ended; the value is a sentence."""
 
-    converged_gradient = "the residual is orthogonal to every parameter's influence"
+    converged_gradient = "a minimum: no small change of the constants lowers the sum of squares"
     converged_step = "the next full step would not change the parameters"
     converged_cost = "the sum of squares can fall no further within rounding"
     converged_zero = "the model meets the data within rounding"

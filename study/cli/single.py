@@ -205,6 +205,8 @@ class _Line:
 
     def show(self, step: Step) -> None:
         """Show an accepted iteration."""
+        from study.runner.fitting.staged_fit import LAST
+
         it = step.iteration
         values = ", ".join(
             f"{n} {v:.5g} {unit_shown(n)}".rstrip()
@@ -212,7 +214,8 @@ class _Line:
             else f"{n} {1e3 * v:.5g} kPa"
             for n, v in zip(step.names, it.x, strict=True)
         )
-        text = f"{step.stage}: iteration {it.iteration}, cost {it.cost:.6g}, {values}"
+        stage = "" if step.stage == LAST else f"{step.stage}, "
+        text = f"{stage}iteration {it.iteration}: cost {it.cost:.6g}, {values}"
         if not sys.stderr.isatty():
             print(text, file=sys.stderr)
             return
@@ -312,8 +315,8 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
         if curve["rms_force_error"] is None:
             print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
             continue
-        print(f"{indent}{curve['role']}: {name}: RMS {curve['rms_force_error']:.4g} N "
-              f"({curve['relative_rms_force_error']:.3g} %)")  # fmt: skip
+        print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N)")  # fmt: skip
 
 
 def _print_comparison(found: Document) -> None:

@@ -233,7 +233,7 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
     rows = sorted({result.rows for result in done})
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
     notes.append(
-        f"{len(done)} tests of {several} rows"
+        f"{len(done)} {'test' if len(done) == 1 else 'tests'} of {several} rows"
         + _within(rules)
         + ", "
         + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")

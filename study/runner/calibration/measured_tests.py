@@ -85,11 +85,11 @@ def read_tests(tests: Sequence[Tables], root: Path) -> tuple[list[FitCurve], tup
     notes: list[str] = []
     for number, test in enumerate(tests):
         data = _read(test, root)
-        notes += data.notes
+        file = str(test["measurements"].file or test["measurements"].files)
+        notes += [f"{file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
             one = data.curve(specimen, **dict(data.fit or {}))
             weight = _weight(test["weight"], one, f"tests[{number}]")
-            file = str(test["measurements"].file or test["measurements"].files)
             curves.append(FitCurve(number, file, specimen, one, test["role"], weight))
     return curves, tuple(dict.fromkeys(notes))
 
