@@ -138,7 +138,7 @@ def test_the_command_prints_it_and_writes_its_files(
     assert document["converted"]["constants"]["c1"] == pytest.approx(
         1e-3 * document["parameters"]["C10"]["value"]
     )
-    assert "iteration 1, cost" in captured.err
+    assert "iteration 1: cost" in captured.err
     folder = results / "calibration"
     assert json.loads((folder / "calibration.json").read_text())["model"] == "mooney-rivlin"
     assert (folder / "calibration.svg").read_text().startswith("<svg")
