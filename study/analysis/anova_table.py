@@ -162,7 +162,8 @@ class Effect:
     interaction components of an interaction (in a two-level design both equal the classical
     effect); ``ci95`` is its simultaneous interval over all pairs. Levels of a factor that share
     one of the ``letters`` are not told apart. ``u_num`` bounds the numerical error of the largest
-    difference, ``u_needed`` is what a claim would need. The verdict of a factor is that of its
+    difference, ``u_needed`` is what a claim would need; both are in response units, and ``u_unit``
+    times them is on the scale that was analyzed. The verdict of a factor is that of its
     ``simple_effects``; ``always`` lists the pairs of levels (larger, smaller) whose difference
     is beyond the practical one at every setting of the other factors. An interaction has no
     verdict; ``of_components`` says what the interval of its largest pure component allows.
@@ -188,6 +189,7 @@ class Effect:
     letters: tuple[str, ...] = ()
     p_holm: float | None = None
     u_needed: float | None = None
+    u_unit: float = 1.0
     simple_effects: tuple[SimpleEffect, ...] = ()
     always: tuple[tuple[str, str], ...] = ()
     of_components: str = ""

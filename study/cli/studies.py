@@ -300,6 +300,8 @@ def _print_study(study: StudyResult) -> None:
         for title, rows in report_tables.verdict_tables(data):
             print()
             output.table(rows, title)
+        for line in report_tables.unresolved_lines(data):
+            output.paragraph(line)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         output.warn([f"the verdict table could not be printed: {error}"])

@@ -7,14 +7,14 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from study.analysis.anova_table import Anova, Effect, ErrorTerm
+from study.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
 from study.analysis.assumption.normality import RyanJoinerResult
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.analysis.request import AnalysisRequest
 from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
 from study.reporting import report
-from study.reporting.content import sentences, verdicts
+from study.reporting.content import sentences, sizes, verdicts
 from study.reporting.content.recommendation import (
     best_cell,
     cheaper,
@@ -212,10 +212,10 @@ def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
     one = effect(
         MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
     )
-    assert flat(verdicts.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    assert verdicts.over_numerical(one) == "7.4"
-    assert verdicts.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
-    assert verdicts.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
+    assert flat(sizes.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
+    assert sizes.over_numerical(one) == "7.4"
+    assert sizes.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
+    assert sizes.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):
@@ -294,6 +294,31 @@ def test_the_number_beside_an_effect_is_explained():
     assert mixed.startswith("For the relative RMS force error, U bounds")
     assert "Elsewhere U, the bound" in mixed
     assert sentences.numerical([replace(error(), terms=(effect(MATTERS),))]) == ""
+
+
+def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_there():
+    # U of the average difference is small enough: the setting with the larger U decides
+    at = (("plates", "bonded"), ("material", "yeoh"))
+    settings = (
+        SimpleEffect("2", "1", (("plates", "free"),), 1.0, (1.0, 1.0), None, 0.0, NO_DIFFERENCE),
+        SimpleEffect("2", "1", at, 1.02, (1.019, 1.021), None, 2.0, NOT_RESOLVED),
+    )
+    order = effect(
+        NOT_RESOLVED, term="order", scale="ratio", range=1.01, ci95=(1.009, 1.011), practical=1.1,
+        u_num=0.3, u_needed=1.4, u_unit=0.05, simple_effects=settings,
+    )  # fmt: skip
+    said = flat(verdicts.verdict(order, modulus()))
+    # exp(0.05 * 2.0) = 1.105, exp(0.05 * 1.4) = 1.073: the average's exp(0.05 * 0.3) is not named
+    assert said == (
+        "Order: not resolved by the mesh; on average the largest difference in the initial shear "
+        "modulus is \u00d7 1.010 (95 % interval 1.009 to 1.011); at plates bonded, material yeoh "
+        "it is \u00d7 1.020, and the numerical uncertainty there, \u00d7 1.11, would have to be "
+        "below \u00d7 1.07."
+    )
+    alone = replace(order, simple_effects=())
+    assert "and its numerical uncertainty \u00d7 1.02 would have to be below" in flat(
+        verdicts.verdict(alone, modulus())
+    )
 
 
 def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData):

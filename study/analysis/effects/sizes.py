@@ -23,9 +23,11 @@ from study.analysis.effects.verdict import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
+    NOT_RESOLVED,
     SEE_SIMPLE,
     Judgement,
     judge_all,
+    resolution,
 )
 from study.analysis.linear_model.design_matrix import term_name
 from study.arrays import Array
@@ -87,6 +89,7 @@ def size(
         pairs=pairs,
         letters=tags,
         u_needed=None if found.u_needed is None else found.u_needed / scale.unit,
+        u_unit=scale.unit,
         simple_effects=() if own is None else _listed(own, scale),
         always=() if own is None else own.always,
     )
@@ -103,7 +106,7 @@ def _judged(
     if half is None and not scale.deterministic:
         return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
     if simple is not None:
-        found = Judgement(simple.verdict, simple.why, simple.u_needed)
+        found = _of_settings(simple, scale)
     else:
         found = _of_components(estimate, half, scale)
     if found.verdict not in (MATTERS, NO_DIFFERENCE):
@@ -112,6 +115,17 @@ def _judged(
     if scale.specimens == 2:
         beside.append("2 specimens")
     return replace(found, why=f"{found.why} ({', '.join(beside)})") if beside else found
+
+
+def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
+    """Verdict of a factor over all settings; what an open one needs, in response units."""
+    why = simple.why
+    open_ones = [e for e in simple.effects if e.verdict == NOT_RESOLVED and e.u is not None]
+    if simple.u_needed is not None and open_ones:
+        worst = max(open_ones, key=lambda e: abs(e.difference))
+        at = ", ".join(f"{name} {level}" for name, level in worst.at)
+        why = resolution(simple.u_needed / scale.unit) + (f" at {at}" if at else "")
+    return Judgement(simple.verdict, why, simple.u_needed)
 
 
 def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> Judgement:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from study.cli import output
+from study.reporting.numbers import ratio_digits
 
 if TYPE_CHECKING:
     from study.analysis.anova_table import NestedUnits, Row
@@ -122,17 +123,18 @@ def _print_effects(found: AnalysisResult) -> None:
 
 
 def _print_simple(found: AnalysisResult, ends: str) -> None:
-    """Print the largest simple effect of every factor that interacts with others."""
+    """Print of every factor that interacts the largest simple effect, and the one that decides."""
     rows = [["Factor", "levels", "at", what_of(found), ends, "verdict there"]]
     for effect in found.effects:
-        one = effect.largest_simple
-        if one is not None and one.at:
+        for one in dict.fromkeys((effect.largest_simple, effect.deciding_simple)):
+            if one is None or not one.at:
+                continue
             at = ", ".join(f"{name} {level}" for name, level in one.at)
             number = _number(one.difference, 4)
             rows.append([effect.term, f"{one.first} - {one.second}", at, number,
                          _interval(one.ci), one.verdict])  # fmt: skip
     if len(rows) > 1:
-        output.table(rows, "Largest simple effects")
+        output.table(rows, "Largest simple effects, and those that decide a verdict")
         print()
 
 
@@ -214,11 +216,13 @@ def _print_bounds(found: AnalysisResult) -> None:
 def _print_power(found: AnalysisResult) -> None:
     if not found.detection.power:
         return
+    digits = ratio_digits if found.request.scale.is_log else lambda _: 3
     counts = [str(row.n) for row in next(iter(found.detection.power.values()))]
     unit = found.data.block or "replicates a cell"
     rows = [["Term", *counts]]
     rows += [
-        [t, *(_number(r.detectable, 3) for r in r_)] for t, r_ in found.detection.power.items()
+        [t, *(_number(r.detectable, digits(r.detectable)) for r in of_term)]
+        for t, of_term in found.detection.power.items()
     ]
     print()
     output.table(rows, f"Detectable (power 80 %), by {unit}")

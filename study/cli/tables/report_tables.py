@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from study.reporting.content import comparison, tables
+from study.analysis.effects.verdict import NOT_RESOLVED
+from study.reporting.content import comparison, tables, verdicts
 from study.reporting.content.table import Table
 from study.reporting.numbers import MISSING
 from study.reporting.report import facts
@@ -26,6 +27,17 @@ def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
         table = found.setdefault(row[0], [[header[i] for i in shown]])
         table.append([row[i] for i in shown])
     return list(found.items())
+
+
+def unresolved_lines(data: ReportData) -> list[str]:
+    """Say of every factor that the mesh leaves open at which setting it does."""
+    said = [
+        verdicts.verdict(effect, found, data.labels)
+        for found in facts(data)
+        for effect in found.effects
+        if effect.is_main and effect.verdict == NOT_RESOLVED
+    ]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in said]
 
 
 def anova_rows(data: ReportData, response: str) -> Rows:

@@ -10,8 +10,8 @@ from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import NOT_RESOLVED
 from study.reporting.content import sentences, verdicts
 from study.reporting.content.cases import failed_cases
+from study.reporting.content.sizes import bound
 from study.reporting.content.surfaces import response_surface
-from study.reporting.content.verdicts import shown_difference
 from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
 from study.reporting.report import Facts
 from study.response_surface.emulator.emulator import GIVEN, RANKED
@@ -217,10 +217,9 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         finding = f"U, added to the interval, leaves {_every(known, 'verdict')} as it is"
         return Check(name, "pass", finding, of=facts.title)
     needed = [
-        f"below {shown_difference(effect.u_needed, effect, facts)} for "
-        f"{term_name(effect.term, data.labels)}"
+        f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
         for effect in open_ones
-        if effect.u_needed is not None and not effect.is_ratio
+        if effect.u_needed is not None
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
     finding = f"U leaves {named} open, which the interval alone would decide"

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS
+from study.reporting.content.sizes import over_numerical, size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.content.verdicts import over_numerical, size, size_interval
 from study.reporting.numbers import (
     MISSING,
     clean,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
+from study.reporting.content.sizes import size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.content.verdicts import size, size_interval
 from study.reporting.numbers import (
     MISSING,
     THIN,

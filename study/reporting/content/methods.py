@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from study.reporting.content.sizes import practical
 from study.reporting.content.surfaces import response_surface
-from study.reporting.content.verdicts import practical
 from study.reporting.numbers import (
     TIMES,
     clean,

@@ -12,8 +12,8 @@ from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.record.table import cell_names
 from study.reporting.content import roles
+from study.reporting.content.sizes import size, size_interval
 from study.reporting.content.surfaces import response_surface
-from study.reporting.content.verdicts import size, size_interval
 from study.reporting.numbers import (
     THIN,
     clean,

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.reporting.content import recommendation, roles
+from study.reporting.content.sizes import change, size
 from study.reporting.content.surfaces import response_surface
-from study.reporting.content.verdicts import change, size
 from study.reporting.numbers import (
     MISSING,
     clean,

@@ -9,9 +9,9 @@ from study.analysis.anova_table import Row
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.canonical import plain
 from study.reporting.content import sentences
+from study.reporting.content.sizes import numerical as u_num_of
+from study.reporting.content.sizes import practical, size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.content.verdicts import numerical as u_num_of
-from study.reporting.content.verdicts import practical, size, size_interval
 from study.reporting.numbers import (
     MISSING,
     THIN,

@@ -1,8 +1,4 @@
-"""Words for one effect: its size, its interval, what matters, its verdict.
-
-A difference is rounded to what the declared threshold makes meaningful: a thousandth of
-0.5 pp is 0.0005 pp, so nothing is printed finer than 0.001 pp.
-"""
+"""Words for one effect: what it does to a response, and how sure that is."""
 
 from __future__ import annotations
 
@@ -13,20 +9,24 @@ from study.analysis.anova_table import Effect, SimpleEffect
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.analysis.unreplicated import NonAdditivityResult
+from study.reporting.content.sizes import (
+    bound,
+    decimals,
+    numerical,
+    practical,
+    shown_difference,
+    shown_size,
+    size,
+    size_interval,
+)
 from study.reporting.numbers import (
-    MINUS,
     MISSING,
     THIN,
-    TIMES,
     clean,
-    decimals_that_count,
-    inside,
     level,
     listing,
     name_of,
     p_phrase,
-    percent,
-    quantity,
     ratio_digits,
     rounded,
     sentence,
@@ -41,80 +41,6 @@ Labels = Mapping[str, str] | None
 SpreadTest = BartlettResult | LeveneResult
 
 PLUS_MINUS = "\u00b1"
-#: ratios effect / u_num beyond this are only said to be so
-_FAR = 100.0
-
-
-def decimals(effect: Effect) -> int | None:
-    """Decimals at which an effect is worth printing."""
-    if effect.practical is None:
-        return None
-    return decimals_that_count(abs(effect.practical - 1) if effect.is_ratio else effect.practical)
-
-
-def size(effect: Effect, facts: Facts) -> str:
-    """Largest difference of an effect with its unit, or as a ratio."""
-    number = _number(effect)
-    if number == MISSING:
-        return number
-    if effect.is_ratio:
-        return f"{TIMES}{THIN}{number}"
-    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
-
-
-def _number(effect: Effect) -> str:
-    digits, places = ratio_digits(effect.range) if effect.is_ratio else 3, decimals(effect)
-    shown = rounded(effect.range, places, digits)
-    if shown == MISSING or "<" in shown:
-        return shown
-    ends = span(effect.low, effect.high, places, digits)
-    return inside(effect.range, effect.low, effect.high, shown, ends)
-
-
-def size_interval(effect: Effect, facts: Facts) -> str:
-    """Simultaneous interval of the largest difference."""
-    digits = ratio_digits(effect.range) if effect.is_ratio else 3
-    places = decimals(effect)
-    ends = span(effect.low, effect.high, places, digits)
-    low, _, high = ends.partition(" to ")
-    if low == high:
-        # blocks that answer alike to the last digit leave no width to print
-        ends = f"narrower than {10.0**-places:.{places}f}" if places is not None else low
-    if ends == MISSING or effect.is_ratio or not facts.difference_unit:
-        return ends
-    return f"{ends}{THIN}{facts.difference_unit}"
-
-
-def practical(effect: Effect, facts: Facts) -> str:
-    """Return the smallest difference that matters, as it was declared."""
-    if effect.practical is None:
-        return MISSING
-    text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
-    return f"{TIMES}{THIN}{text}" if effect.is_ratio else _with_unit(text, facts.difference_unit)
-
-
-def numerical(effect: Effect, facts: Facts) -> str:
-    """Numerical uncertainty on the scale of the effect: a ratio for a log response."""
-    if not effect.is_ratio:
-        return _with_unit(rounded(effect.u_num, decimals(effect), 2), facts.difference_unit)
-    if effect.effect_over_u_num is None or not effect.effect_over_u_num or not effect.range:
-        return quantity(effect.u_num, facts.unit, 2)
-    u = math.exp(abs(math.log(effect.range)) / abs(effect.effect_over_u_num))
-    return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
-
-
-def _with_unit(number: str, unit: str) -> str:
-    return number if number == MISSING or not unit else f"{number}{THIN}{unit}"
-
-
-def over_numerical(effect: Effect) -> str:
-    """Effect over its numerical uncertainty; below 3 it may be the mesh."""
-    times = effect.effect_over_u_num
-    if times is None or not math.isfinite(times):
-        return MISSING
-    if times >= _FAR:
-        return f"> {_FAR:.0f}"
-    return f"{times:.2g}" if times >= 0.1 else "< 0.1"
 
 
 def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
@@ -139,8 +65,9 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
         return sentence(_no_difference(effect, facts, name, numbers) + robust(effect, facts))
     if effect.verdict == NOT_RESOLVED:
         return sentence(
-            f"{name}: not resolved by the mesh; the largest difference in the {facts.title} is "
-            f"{numbers}, and {clean(effect.why)}"
+            f"{name}: not resolved by the mesh; {'on average ' * effect.depends_on_settings}the "
+            f"largest difference in the {facts.title} is {numbers}"
+            f"{_unresolved(effect, facts, labels)}"
         )
     limit = practical(effect, facts)
     against = "" if limit == MISSING else f" against {limit} that matters"
@@ -148,6 +75,20 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     return sentence(
         f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
         f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
+    )
+
+
+def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
+    """Say at which setting the numerical uncertainty leaves a factor open, and what it may be."""
+    one = effect.deciding_simple
+    if effect.u_needed is None or (one is not None and one.u is None):
+        return f", and {clean(effect.why)}"
+    below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
+    if one is None or not effect.depends_on_settings:
+        return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
+    return (
+        f"; {setting(one, labels)} it is {shown_difference(one.difference, effect, facts)}, and "
+        f"the numerical uncertainty there, {bound(one.u or 0.0, effect, facts)}, {below}"
     )
 
 
@@ -170,15 +111,6 @@ def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
     if one.u and not effect.is_ratio:
         beside = f", numerics {PLUS_MINUS}{THIN}{rounded(one.u, decimals(effect), 2)}"
     return f"{number} ({shown}{beside})"
-
-
-def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:
-    """Difference (or ratio) of two levels with its unit, rounded to what counts."""
-    digits = ratio_digits(difference) if effect.is_ratio else 3
-    number = rounded(difference, decimals(effect), digits)
-    if effect.is_ratio:
-        return f"{TIMES}{THIN}{number}"
-    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
 
 
 def setting(one: SimpleEffect, labels: Labels = None) -> str:
@@ -237,7 +169,7 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     low, high = clean(effect.lowest), clean(effect.highest)
     # "1.37 times the modulus", yet "1.20 pp more error"
     text = f"{high} gives " + (
-        f"{_number(effect)} times the {facts.title} of {low}"
+        f"{shown_size(effect)} times the {facts.title} of {low}"
         if effect.is_ratio
         else f"{size(effect, facts)} more {facts.title} than {low}"
     )
@@ -248,13 +180,6 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     if (effect.highest, effect.lowest) in effect.always:
         return f"{name}: matters; {text}, and more than matters at every setting"
     return f"{name}: matters; {text} on average, not at every setting"
-
-
-def change(effect: Effect, facts: Facts) -> str:
-    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
-    if effect.is_ratio and effect.range is not None:
-        return f"{percent(effect.range - 1)} (ratio {_number(effect)})"
-    return size(effect, facts)
 
 
 WHAT_IF: tuple[tuple[str, str], ...] = (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.verdicts import practical, size, size_interval
+from study.reporting.content.sizes import practical, size, size_interval
 from study.reporting.numbers import (
     THIN,
     clean,

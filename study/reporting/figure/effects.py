@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
-from study.reporting.content.verdicts import size, size_interval
+from study.reporting.content.sizes import size, size_interval
 from study.reporting.figure.style import (
     BAND,
     INK,
