@@ -52,6 +52,20 @@ def test_the_base_carries_the_weight(tmp_path: Path) -> None:
     np.testing.assert_allclose(base - force, WEIGHT, rtol=1e-8)
 
 
+@pytest.mark.parametrize("size", [6.0, 7.5, 10.0, 20.0])
+def test_hexahedra_however_large_have_the_weight_of_the_cylinder(
+    tmp_path: Path, size: float
+) -> None:
+    # one or two elements in the radius of 10 mm: the cross-section keeps its area, and none folds
+    (tmp_path / "p.toml").write_text(
+        PROBLEM + 'space = "3d"\nelement_shape = "hexahedron"\n', encoding="utf-8"
+    )
+    found = study("solve", tmp_path / "p.toml", "--json", "-s", f"model.mesh_size={size} mm")
+    assert found.code == 0, found.err
+    force, base = (np.array(found.json[key]) for key in ("force_N", "base_reaction_N"))
+    np.testing.assert_allclose(base - force, WEIGHT, rtol=1e-7)
+
+
 def test_gravity_is_a_factor(tmp_path: Path) -> None:
     (tmp_path / "d.toml").write_text(PROBLEM + FACTOR, encoding="utf-8")
     found = study("run", tmp_path / "d.toml", "--jobs", 1, "--results", tmp_path / "results",

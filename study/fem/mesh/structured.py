@@ -200,6 +200,11 @@ def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
     return np.vstack(points), np.array(cells)
 
 
+#: largest side of the square over the radius. The corner of a square of 1 / sqrt(2) lies on the
+#: rim, where its elements have no room, and beyond the rim they fold
+LARGEST_SQUARE = 2 / 3
+
+
 def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Array, Ints]:
     """Quadrilaterals of a quarter disc: a square at the center, two blocks out to the rim.
 
@@ -207,7 +212,8 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
     ----------
     line : ndarray, shape (n,)
         Points from the center to the rim; those within ``square`` of the radius make the
-        grid of the square, the others the rings around it.
+        grid of the square, the others the rings around it. Where they are so few that the
+        square would reach the rim, its lines move inwards; two points get one between them.
     square : float
         Side of the square over the radius, about.
 
@@ -216,9 +222,11 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
     The rim is a polygon of the exact area of the quarter disc.
     """
     radius = line[-1]
+    if line.size == 2:
+        line = np.array([line[0], square * radius, radius])
     m = int(np.clip(np.searchsorted(line, square * radius), 1, line.size - 2))
-    inner, outer = line[: m + 1], line[m + 1 :]
-    side = inner[-1]
+    side = min(line[m], LARGEST_SQUARE * radius)
+    inner, outer = line[: m + 1] * (side / line[m]), line[m + 1 :]
     fraction = (outer - side) / (radius - side)
     angle = np.pi / 4 * inner / side
     angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
