@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
     from study.analysis.assumption.row_normality import RowTest
     from study.analysis.assumption.variance import BartlettResult, LeveneResult
+    from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.linear_model.sphericity import SphericityResult
     from study.analysis.request import AnalysisRequest
     from study.analysis.unreplicated import LenthResult, NonAdditivityResult
@@ -179,6 +180,8 @@ class AnalysisResult:
         The rows that were analyzed.
     notes : tuple of str
         What to beware of, in sentences.
+    contrasts : tuple of Contrast
+        Differences of two settings that were asked for by name.
     """
 
     request: AnalysisRequest
@@ -190,6 +193,7 @@ class AnalysisResult:
     assumptions: Assumptions
     data: DataSummary
     notes: tuple[str, ...]
+    contrasts: tuple[Contrast, ...] = ()
 
     def noted(self, *notes: str) -> AnalysisResult:
         """Copy with more notes."""
@@ -241,6 +245,7 @@ class AnalysisResult:
             "failure_bounds": plain(self.data.bounds),
             "nested": plain(self.data.nested),
             "power": plain(self.detection.power),
+            "contrasts": plain(self.contrasts),
             "warnings": list(self.notes),
         }
 

@@ -28,7 +28,7 @@ _HOME = {
     "analyze": "study.api.statistics.analysis",
     "fit_surface": "study.api.statistics.response_surface",
     "predict": "study.api.statistics.prediction",
-    "contrasts": "study.api.statistics.analysis",
+    "contrasts": "study.api.statistics.contrasts",
     "anova": "study.analysis.anova",
     "mixed_model": "study.analysis.error.mixed_model",
     "ryan_joiner": "study.analysis.assumption.normality",

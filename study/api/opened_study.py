@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
+from study.api.statistics.contrasts import with_contrasts
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import cross_validated, scored_on
@@ -24,10 +24,6 @@ from study.record.document import ManifestDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.study_result.report_data import ResponseAnalysis
-
-if TYPE_CHECKING:
-    from study.analysis.convergence.grid_convergence import NumericalUncertainty
-    from study.study_result.report_data import ResponseAnalysis
 
 
 def open_study(
@@ -104,6 +100,7 @@ def _analyses(
                 refused = SEE_SURFACE
             else:
                 result = analyze_records(design, records, response, numerical)
+                result = with_contrasts(result, design.analysis.contrasts)
         except StudyError as error:
             refused = str(error)
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""

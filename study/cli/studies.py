@@ -302,6 +302,9 @@ def _print_study(study: StudyResult) -> None:
             output.table(rows, title)
         for line in report_tables.unresolved_lines(data):
             output.paragraph(line)
+        for title, rows in report_tables.contrast_tables(data):
+            print()
+            output.table(rows, title)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         output.warn([f"the verdict table could not be printed: {error}"])

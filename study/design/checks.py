@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from study.contrast import sides_of
 from study.design.diagnostics import Faults
 from study.design.factors import Presets, quoted_path
 from study.design.sections.cell import Cell
 from study.design.spec import Design, Level
 from study.design.study_file import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
-from study.errors import Fault, nearest
+from study.errors import Fault, InputError, nearest
 
 MAX_FAULTS = 100
 
@@ -32,10 +33,30 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
         where = "" if told else f" (in {_listed(labelled)})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, faults)
+    if not faults:  # a level that cannot be read would be missed here once more
+        _check_contrasts(design, faults)
     if not found and cells:
         _check_courses(cells, faults)
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
+
+
+def _check_contrasts(design: Design, faults: Faults) -> None:
+    """Find differences that are asked for of levels that do not exist, or of cells left out."""
+    where = "analysis.contrasts"
+    levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
+    kept = [one.levels for one, _ in design.combinations() if not design.why_excluded(one.levels)]
+    for text in design.analysis.contrasts:
+        try:
+            sides = sides_of(text, levels)
+        except InputError as error:
+            for fault in error.faults:
+                faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)
+            continue
+        for side in sides:
+            if not any(side.items() <= cell.items() for cell in kept):
+                named = ", ".join(f"{name}={level}" for name, level in side.items())
+                faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
 
 
 def _listed(labels: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from functools import cached_property
 from study.design import overlay
 from study.design.diagnostics import Faults, Table
 from study.design.resolve import resolve
+from study.design.sections.analysis import Analysis
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.sections.distribution import InputDistribution
@@ -145,40 +146,6 @@ class Response:
     unit: str
     practical: Practical | None = None
     transform: str = "none"
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """How the table of cases is analyzed.
-
-    Parameters
-    ----------
-    model : "full", int or tuple of str
-        Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
-    type : {"I", "II", "III"}
-        Of the sums of squares.
-    error : {"auto", "pooled", "own", "replicates"}
-        What effects are compared with.
-    alpha : float
-        Level of significance.
-    roles : tuple of (str, str)
-        Factors and what they are to the question (:data:`study.design.study_file.ROLES`).
-    family : {"response", "study"}
-        Tests that Holm's adjustment takes together: of one response, or of all.
-    primary : tuple of str
-        Terms declared before the run, which then are the family; all terms where it is empty.
-    surface : {"auto", "quadratic", "emulator", "none"}
-        What is fitted over the factors that are ranges.
-    """
-
-    model: str | int | tuple[str, ...] = "full"
-    type: str = "II"
-    error: str = "auto"
-    alpha: float = 0.05
-    roles: tuple[tuple[str, str], ...] = ()
-    family: str = "response"
-    primary: tuple[str, ...] = ()
-    surface: str = "auto"
 
 
 @dataclass(frozen=True)

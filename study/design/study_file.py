@@ -20,7 +20,7 @@ from study.errors import nearest
 from study.material.registry import is_constant, unit_shown
 from study.setup.quantity import Duration, Length, integer, number, shown
 from study.setup.section import AsWritten, Bad, Reads, Rows, as_written, section
-from study.setup.text import choice, slug, text
+from study.setup.text import choice, slug, text, texts
 
 SCHEMA = 1
 MAX_RESPONSES = 50
@@ -58,8 +58,8 @@ RESPONSES = {
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
 
-#: what a factor is to the question: decided by the analyst; a part of it, which is answered at
-#: each level; a fact that nobody measured, of which no level is recommended
+#: what a factor is: decided by the analyst; a part of the question, answered at each level; a
+#: fact that nobody measured, never recommended
 ROLES = ("choice", "condition", "unknown")
 RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
 
@@ -129,12 +129,11 @@ def _schema(value: object) -> int:
 
 
 def _assumed(value: object) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-        raise Bad(f"must be a list of keys, got {shown(value)}", 'for example ["test.interface"]')
-    for key in value:
+    found = texts("keys", "test.interface")(value)
+    for key in found:
         if key not in overlay.TABLES and not overlay.may_vary(key):
             raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
-    return tuple(value)
+    return found
 
 
 def _response_name(value: object) -> str:
@@ -175,11 +174,10 @@ def _formats(value: object) -> tuple[str, ...]:
 
 def _primary(value: object) -> tuple[str, ...]:
     """Read the terms that were declared before the run; three at most, or they are no choice."""
-    if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
-        raise Bad(f"must be a list of terms, got {shown(value)}", 'for example ["material"]')
-    if len(value) > MOST_PRIMARY:
-        raise Bad(f"has {len(value)} terms, at most {MOST_PRIMARY} are a choice before the run")
-    return tuple(value)
+    found = texts("terms", "material")(value)
+    if len(found) > MOST_PRIMARY:
+        raise Bad(f"has {len(found)} terms, at most {MOST_PRIMARY} are a choice before the run")
+    return found
 
 
 def _roles(value: object) -> tuple[tuple[str, str], ...]:
@@ -294,6 +292,7 @@ class AnalysisTable:
     family: Annotated[str, Reads(choice("response", "study"))] = "response"
     primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
     surface: Annotated[str, Reads(choice("auto", "quadratic", "emulator", "none"))] = "auto"
+    contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
 @section

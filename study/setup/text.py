@@ -101,6 +101,17 @@ def names(value: object) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name(item) for item in items))
 
 
+def texts(what: str, example: str) -> Callable[[object], tuple[str, ...]]:
+    """Reader of a list of texts; ``what`` they are and an example go into the message."""
+
+    def read(value: object) -> tuple[str, ...]:
+        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+            raise Bad(f"must be a list of {what}, got {shown(value)}", f'for example ["{example}"]')
+        return tuple(value)
+
+    return read
+
+
 def relative_path(value: object) -> str:
     """Read a path below the data root."""
     if not isinstance(value, str) or not value.strip():

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.assumption.failed_cases import CaseFate, FailurePattern, cause, failure_pattern
+from study.canonical import plain
 from study.design.spec import Design
 from study.record.record import Record
 from study.record.table import is_repeat, table
@@ -132,6 +133,14 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
+        asked = [
+            {"response": one.name, **plain(contrast)}
+            for one in self.analyses
+            if one.result is not None
+            for contrast in one.result.contrasts
+        ]
+        if asked:
+            found["contrasts"] = asked
         if self.failed:
             found["failures"] = self.failure_pattern.to_json()
         if self.surfaces:

@@ -6,7 +6,6 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -20,12 +19,11 @@ from study.analysis.effects.simple_effects import verdict_of
 from study.analysis.effects.simultaneous import block_multiplier, bonferroni
 from study.analysis.effects.verdict import CANNOT_TELL
 from study.arrays import Array
-from study.errors import Fault, InputError, nearest
+from study.contrast import Setting, sides_of
+from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Setting = Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -119,36 +117,13 @@ def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
     InputError
         For a factor or level that does not exist, or a setting without a row.
     """
-    sides = [_sides(text, cells.levels) for text in asked]
+    sides = [sides_of(text, cells.levels) for text in asked]
     estimates = [_estimate(cells.rows, *p, text) for p, text in zip(sides, asked, strict=True)]
     wide = _multipliers(estimates, cells.alpha, cells.seed)
     return tuple(
         _judged(text, pair, one, factor, cells)
         for text, pair, one, factor in zip(asked, sides, estimates, wide, strict=True)
     )
-
-
-def _sides(text: str, levels: Mapping[str, Sequence[str]]) -> tuple[Setting, Setting]:
-    parts = re.split(r"\s+[-\N{MINUS SIGN}]\s+", text.strip())
-    if len(parts) != 2:
-        mend = 'for example "material=stiff - material=soft"'
-        raise InputError(Fault(f"contrast {text!r}", "needs two settings with ' - ' between", mend))
-    first, second = (_setting(part, levels, text) for part in parts)
-    return first, second
-
-
-def _setting(part: str, levels: Mapping[str, Sequence[str]], text: str) -> Setting:
-    chosen: dict[str, str] = {}
-    for item in part.split(","):
-        named, _, level = (word.strip() for word in item.rpartition("="))
-        holding = [f for f, own in levels.items() if level in own and named in ("", f)]
-        if len(holding) != 1:
-            rule = f"{level!r} is a level of several factors" if holding else f"no level {level!r}"
-            every = [f"{f}={one}" for f, own in levels.items() for one in own]
-            mend = nearest(f"{named}={level}" if named else level, every)
-            raise InputError(Fault(f"contrast {text!r}", rule, mend))
-        chosen[holding[0]] = level
-    return chosen
 
 
 def _estimate(rows: pd.DataFrame, first: Setting, second: Setting, text: str) -> _Estimate:

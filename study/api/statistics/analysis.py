@@ -6,13 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack, cast
 
-import numpy as np
-
 from study import api
 from study.analysis.anova import anova
-from study.analysis.effects import linear_contrast
-from study.analysis.effects.linear_contrast import Contrast
-from study.analysis.effects.scale import Scale
 from study.api.statistics.notebook import Analysis
 from study.api.statistics.records import rows_for
 from study.api.uncertainty.numerical import numerical_bound
@@ -175,39 +170,3 @@ def analyze(
         frame = read_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
         return Analysis.of(_table(frame, response, factors, options))
     return Analysis.of(_study(source, response, factors, results, options))
-
-
-def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:
-    """Estimate differences of sets of cells that the analyst names.
-
-    Parameters
-    ----------
-    found : AnalysisResult
-        Of :func:`analyze` or :func:`study.anova`.
-    asked : str or sequence of str
-        Such as ``"material=stiff, range=60 % - material=soft, range=60 %"``; a factor that a
-        side leaves out is averaged over.
-
-    Returns
-    -------
-    tuple of Contrast
-        Difference, its interval alone and with all others together, U, verdict.
-
-    Raises
-    ------
-    InputError
-        For a factor or level that does not exist, or a setting without a row.
-    """
-    asked = [asked] if isinstance(asked, str) else list(asked)
-    request, rows = found.request, found.data.residuals
-    values = rows["response"].to_numpy(dtype=float)
-    log, mean = request.scale.is_log, found.data.grand_mean
-    limit, unit = request.scale.practical, 1 / mean if log else 1.0
-    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
-    bound = request.scale.bound([e.term for e in found.effects], unit)
-    scale = Scale(request.scale.transform, practical, bound, deterministic=False, unit=unit)
-    levels = {e.term: e.levels for e in found.effects if e.is_main}
-    table = rows.assign(y=np.log(values) if log else values)
-    return linear_contrast.contrasts(
-        linear_contrast.Cells(table, levels, scale, request.alpha, request.seed), asked
-    )

@@ -10,7 +10,7 @@ from study.analysis.effects.multiplicity import FamilyTest, response_family, stu
 from study.study_result.report_data import ResponseAnalysis
 
 if TYPE_CHECKING:
-    from study.design.spec import Analysis
+    from study.design.sections.analysis import Analysis
 
 
 def adjusted(analyses: Sequence[ResponseAnalysis], asked: Analysis) -> tuple[ResponseAnalysis, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from study.analysis.effects.verdict import NOT_RESOLVED
-from study.reporting.content import comparison, tables, verdicts
+from study.reporting.content import analysis_tables, comparison, tables, verdicts
 from study.reporting.content.table import Table
 from study.reporting.numbers import MISSING
 from study.reporting.report import facts
@@ -38,6 +38,12 @@ def unresolved_lines(data: ReportData) -> list[str]:
         if effect.is_main and effect.verdict == NOT_RESOLVED
     ]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in said]
+
+
+def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
+    """Title and table of the differences that the design asks for, of each response."""
+    found = [(item.title, analysis_tables.contrasts(item)) for item in facts(data)]
+    return [(f"{title}: asked for", _rows(table)) for title, table in found if table is not None]
 
 
 def anova_rows(data: ReportData, response: str) -> Rows:

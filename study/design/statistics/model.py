@@ -11,7 +11,8 @@ import numpy as np
 from study.design.diagnostics import Faults, noted
 from study.design.layout.aliases import clear_order
 from study.design.layout.optimal import model_columns
-from study.design.spec import Analysis, Factor, Scheme
+from study.design.sections.analysis import Analysis
+from study.design.spec import Factor, Scheme
 from study.design.study_file import AnalysisTable
 from study.errors import nearest
 from study.setup.quantity import integer, shown
@@ -65,7 +66,7 @@ def analysis_from(
         noted(partial(_term, factors=declared), term, "analysis.primary", faults)
     return Analysis(
         model, table.type, table.error, table.alpha, table.roles or (), table.family,
-        table.primary or (), table.surface or "auto",
+        table.primary or (), table.surface or "auto", table.contrasts or (),
     )  # fmt: skip
 
 

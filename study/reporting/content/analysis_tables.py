@@ -170,6 +170,40 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
     return Table("simple effects", columns, rows[:MOST_ROWS], 3, 1, note, raw)
 
 
+def contrasts(facts: Facts) -> Table | None:
+    """Differences of two settings that were asked for by name; None without any."""
+    result = facts.response.result
+    if result is None or not result.contrasts:
+        return None
+    what = "ratio" if facts.ratio else "difference"
+    level = f"{100 * (1 - result.request.alpha):.4g} %"
+    columns = ("asked for", what, f"{level} interval, all together", "U", "p", "verdict")
+    rows = tuple(
+        (
+            clean(one.name, 200),
+            significant(one.difference),
+            interval(*(one.ci_simultaneous or (None, None))),
+            significant(one.u, 2),
+            p_value(one.p),
+            f"{one.verdict}: {one.why}" if one.why else one.verdict,
+        )
+        for one in result.contrasts
+    )
+    note = (
+        "Each row is the mean over all cells of the first setting less (or over) that of the "
+        "second; a factor that a setting leaves out is averaged over. The intervals hold for all "
+        f"rows together. U, the bound of the numerical error, is in {facts.unit or 'the response'}."
+    )
+    raw = tuple(
+        {"contrast": one.name, "difference": one.difference, "U": one.u, "p": one.p,
+         "low": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
+         "high": None if one.ci_simultaneous is None else one.ci_simultaneous[1],
+         "verdict": one.verdict}
+        for one in result.contrasts
+    )  # fmt: skip
+    return Table(f"contrasts {facts.name}", columns, rows, 1, 0, note, raw)
+
+
 def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
     """All pairs of levels with simultaneous interval and adjusted p."""
     if not pairs:

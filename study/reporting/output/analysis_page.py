@@ -79,6 +79,7 @@ def prepare(report: AnalysisReport) -> page.Contents:
             for e in item.terms
             if e.is_main or e.strength == "matters"
         ),
+        contrasts=analysis_tables.contrasts(item),
         anova=tables.anova(item, report.data) if item.rows else None,
         strata=None,
         figures=figures,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from study.reporting.content import (
+    analysis_tables,
     checks,
     comparison,
     glossary,
@@ -46,6 +47,7 @@ class Section:
     facts: Facts
     anchor: str
     verdicts: tuple[str, ...]
+    contrasts: Table | None
     anova: Table | None
     strata: Table | None
     figures: Mapping[str, Figure]
@@ -148,6 +150,7 @@ def _section(data: ReportData, item: Facts) -> Section:
         facts=item,
         anchor=f"r-{registry.slug(item.name)}",
         verdicts=tuple(verdict(effect, item, data.labels) for effect in judged),
+        contrasts=analysis_tables.contrasts(item),
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
         figures=registry.of_response(data, item),

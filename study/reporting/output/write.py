@@ -98,7 +98,8 @@ def checked_formats(formats: Sequence[str]) -> tuple[str, ...]:
 
 def _tables(contents: Contents, beside: Path) -> None:
     known: list[Table] = list(contents.tables.values())
-    known += [section.anova for section in contents.sections if section.anova is not None]
+    every = [table for section in contents.sections for table in (section.anova, section.contrasts)]
+    known += [table for table in every if table is not None]
     for table in known:
         text = of_records(table.raw) if table.raw else of_rows(table.columns, table.rows)
         _replace(beside / f"table-{slug(table.name)}.csv", text)

@@ -1,0 +1,78 @@
+"""Differences of two settings that an analyst names, of a finished analysis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from study.analysis.effects import linear_contrast
+from study.analysis.effects.linear_contrast import Contrast
+from study.analysis.effects.scale import Scale
+from study.analysis.result import AnalysisResult
+from study.errors import InputError
+
+
+def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:
+    """Estimate differences of sets of cells that the analyst names.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Of :func:`analyze` or :func:`study.anova`.
+    asked : str or sequence of str
+        Such as ``"material=stiff, range=60 % - material=soft, range=60 %"``; a factor that a
+        side leaves out is averaged over.
+
+    Returns
+    -------
+    tuple of Contrast
+        Difference, its interval alone and with all others together, U, verdict.
+
+    Raises
+    ------
+    InputError
+        For a factor or level that does not exist, or a setting without a row.
+    """
+    asked = [asked] if isinstance(asked, str) else list(asked)
+    request, rows = found.request, found.data.residuals
+    values = rows["response"].to_numpy(dtype=float)
+    log, mean = request.scale.is_log, found.data.grand_mean
+    limit, unit = request.scale.practical, 1 / mean if log else 1.0
+    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
+    bound = request.scale.bound([e.term for e in found.effects], unit)
+    scale = Scale(request.scale.transform, practical, bound, deterministic=False, unit=unit)
+    levels = {e.term: e.levels for e in found.effects if e.is_main}
+    table = rows.assign(y=np.log(values) if log else values)
+    return linear_contrast.contrasts(
+        linear_contrast.Cells(table, levels, scale, request.alpha, request.seed), asked
+    )
+
+
+def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:
+    """Give a result the differences that its design declares.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Of one response.
+    asked : sequence of str
+        As for :func:`contrasts`.
+
+    Returns
+    -------
+    AnalysisResult
+        With those that can be estimated; a note says why another one cannot.
+    """
+    notes, possible = [], []
+    for text in asked:
+        try:
+            contrasts(found, text)
+        except InputError as error:
+            notes += [f"{fault.where}: {fault.rule}" for fault in error.faults]
+        else:
+            possible.append(text)
+    # intervals hold for all of them together, so that all are estimated at once
+    together = contrasts(found, possible) if possible else ()
+    return replace(found, contrasts=together).noted(*notes)
