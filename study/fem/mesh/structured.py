@@ -14,6 +14,10 @@ from study.arrays import Array, Ints
 from study.errors import Fault, InputError
 from study.setup.geometry import Block, Cylinder, Specimen, Surface
 
+#: largest side of the square in a disc of quadrilaterals, over the radius: from 1 / sqrt(2) on
+#: the cells at the square's corner fold over
+LARGEST_SQUARE = 0.7
+
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
 GROWTH = 0.35
@@ -213,13 +217,18 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
 
     Notes
     -----
-    The rim is a polygon of the exact area of the quarter disc.
+    The rim is a polygon of the exact area of the quarter disc. A line of one step, or one whose
+    square would reach the rim, has its square made as large as was asked for.
     """
     radius = line[-1]
+    if line.size < 3:
+        line = radius * np.array([0.0, square, 1.0])
     m = int(np.clip(np.searchsorted(line, square * radius), 1, line.size - 2))
     inner, outer = line[: m + 1], line[m + 1 :]
+    fraction = (outer - inner[-1]) / (radius - inner[-1])
+    if inner[-1] > LARGEST_SQUARE * radius:
+        inner = inner * (square * radius / inner[-1])
     side = inner[-1]
-    fraction = (outer - side) / (radius - side)
     angle = np.pi / 4 * inner / side
     angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
     rim = radius * np.sqrt(np.pi / 2 / np.sin(np.diff(angles)).sum())
