@@ -11,7 +11,7 @@ from study.fem.solver.newton import NewtonSettings
 from study.fem.solver.options import Options
 from study.fem.solver.solve import solve
 from study.material.material import Material
-from study.setup.geometry import Block, Cylinder
+from study.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity
 from study.setup.setup import Model, Problem
 from study.setup.test_kind import Test
 from tests.fem.problems import GEL, MOONEY, NEO_HOOKEAN, RP2, compression, grid
@@ -264,3 +264,35 @@ def test_hexahedra_fill_a_cylinder_exactly(order: str) -> None:
     # OTHER-MODEL: two codes, extrapolated; the linear pair on a medium mesh is 1 % stiff
     tolerance = 0.015 if order == "linear" else 0.005
     assert solve(bonded, gradients=False).curve.force_N[-1] == pytest.approx(4.485, rel=tolerance)
+
+
+@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("shape", ["tensor", "simplex"])
+@pytest.mark.parametrize("size", [0.5, 0.7, 1.0, 1.5, 3.0])
+def test_a_cylinder_has_its_cross_section_however_large_its_elements_are(
+    size: float, shape: str, order: str
+) -> None:
+    # a homogeneous field: the force is stress times area, 2 C10 (1/l^2 - l) pi R^2 for nu = 0.5
+    soft = Material("neo-hookean", {"C10": 0.005}, incompressible=True)
+    test = Test("compression", 2.0, "frictionless", "frictionless", steps=1)
+    model = Model(space="3d", element_shape=shape, element_order=order, mesh_size_mm=10.0 * size)  # type: ignore[arg-type]
+    found = solve(Problem(Cylinder(10, 20), test, soft, model), gradients=False)
+    exact = 2 * 0.005 * (1 / 0.9**2 - 0.9) * np.pi * 100
+    assert found.curve.force_N[-1] == pytest.approx(exact, rel=1e-6)
+
+
+@pytest.mark.parametrize("size", [0.6, 0.98, 1.2, 2.0])
+def test_hexahedra_between_bonded_plates_do_not_fold_over(size: float) -> None:
+    # from a size of .98 of the radius on the square in the disc reached over its rim; the weight
+    # is that of the true cylinder, and a crude mesh is too stiff by little
+    test = Test("compression", 1.0, "bonded", "bonded", steps=2, gravity=Gravity(980.0, "down"))
+    model = Model(space="3d", element_shape="tensor", mesh_size_mm=10.0 * size)
+    cylinder = Cylinder(10, 20)
+    found = solve(Problem(cylinder, test, GEL, model), gradients=False)
+    weight = STANDARD_GRAVITY * 980e-9 * cylinder.volume_mm3
+    np.testing.assert_allclose(found.base_reaction_N - found.curve.force_N, weight, rtol=1e-6)
+    plane = solve(
+        Problem(cylinder, test, GEL, Model(element_shape="tensor", mesh_size_mm=1.0)),
+        gradients=False,
+    )
+    assert 0 < found.curve.force_N[-1] / plane.curve.force_N[-1] - 1 < 0.05

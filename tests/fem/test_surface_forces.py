@@ -108,6 +108,19 @@ def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
     assert abs(against_a_quarter(disc, size, order)) < apart
 
 
+@pytest.mark.parametrize(("height", "apart"), [(12.0, 0.015), (6.0, 0.015)])
+def test_a_third_of_the_radius_is_as_stiff_in_the_whole_as_in_a_quarter(
+    tmp_path: Path, height: float, apart: float
+) -> None:
+    # measured: 1.33 and 1.21 %; the squat one was 4.6 % stiffer while its size followed its
+    # volume alone
+    sheared = Surface(write(tmp_path / "disc.stl", cylinder(10, height, SEGMENTS)))
+    size = 10.0 / 3
+    whole, _ = force(compressed(sheared, 0.6, "bonded", size, element_order="linear"))
+    plain = compressed(Cylinder(10, height), 0.6, "bonded", size, element_order="linear")
+    assert 0 < whole / (POLYGON * force(plain)[0]) - 1 < apart
+
+
 @pytest.mark.slow
 @pytest.mark.verify
 def test_smaller_sizes_bring_whole_and_quarter_together(disc: Surface) -> None:

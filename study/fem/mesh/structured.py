@@ -14,6 +14,10 @@ from study.arrays import Array, Ints
 from study.errors import Fault, InputError
 from study.setup.geometry import Block, Cylinder, Specimen, Surface
 
+#: largest side of the square in a disc of quadrilaterals, over the radius: from 1 / sqrt(2) on
+#: the cells at the square's corner fold over
+LARGEST_SQUARE = 0.7
+
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
 GROWTH = 0.35
@@ -200,11 +204,6 @@ def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
     return np.vstack(points), np.array(cells)
 
 
-#: largest side of the square over the radius. The corner of a square of 1 / sqrt(2) lies on the
-#: rim, where its elements have no room, and beyond the rim they fold
-LARGEST_SQUARE = 2 / 3
-
-
 def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Array, Ints]:
     """Quadrilaterals of a quarter disc: a square at the center, two blocks out to the rim.
 
@@ -212,22 +211,24 @@ def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Ar
     ----------
     line : ndarray, shape (n,)
         Points from the center to the rim; those within ``square`` of the radius make the
-        grid of the square, the others the rings around it. Where they are so few that the
-        square would reach the rim, its lines move inwards; two points get one between them.
+        grid of the square, the others the rings around it.
     square : float
         Side of the square over the radius, about.
 
     Notes
     -----
-    The rim is a polygon of the exact area of the quarter disc.
+    The rim is a polygon of the exact area of the quarter disc. A line of one step, or one whose
+    square would reach the rim, has its square made as large as was asked for.
     """
     radius = line[-1]
-    if line.size == 2:
-        line = np.array([line[0], square * radius, radius])
+    if line.size < 3:
+        line = radius * np.array([0.0, square, 1.0])
     m = int(np.clip(np.searchsorted(line, square * radius), 1, line.size - 2))
-    side = min(line[m], LARGEST_SQUARE * radius)
-    inner, outer = line[: m + 1] * (side / line[m]), line[m + 1 :]
-    fraction = (outer - side) / (radius - side)
+    inner, outer = line[: m + 1], line[m + 1 :]
+    fraction = (outer - inner[-1]) / (radius - inner[-1])
+    if inner[-1] > LARGEST_SQUARE * radius:
+        inner = inner * (square * radius / inner[-1])
+    side = inner[-1]
     angle = np.pi / 4 * inner / side
     angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
     rim = radius * np.sqrt(np.pi / 2 / np.sin(np.diff(angles)).sum())

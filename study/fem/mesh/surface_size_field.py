@@ -31,6 +31,10 @@ _MOST = 64
 _TOLD = 0.955
 _LESS = 0.675
 
+#: height over which a squat body counts as small: it shears across its height, where a quarter
+#: model has flat cells and tetrahedra of the same volume are taller
+_SQUAT = 1.2
+
 
 @dataclass(frozen=True)
 class SizeTable:
@@ -131,8 +135,9 @@ def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> fl
 
 
 def _told(found: Body, size_mm: float) -> float:
-    """Size that gmsh is told over that of the cells; at least half of it in a crude mesh."""
-    return _TOLD * max(1 - _LESS * size_mm / float(np.cbrt(found.volume_mm3)), 0.5)
+    """Size that gmsh is told over that of the cells, less in a crude mesh and in a squat body."""
+    length = min(float(np.cbrt(found.volume_mm3)), _SQUAT * found.height_mm)
+    return _TOLD * max(1 - _LESS * size_mm / length, 0.5)
 
 
 def _away(length: float) -> Array:
