@@ -226,11 +226,12 @@ def _polished(
     def each(function: Callable[[Array], Array]) -> Callable[[Array], float]:
         return lambda x: float(function(space.whole(x[None, :]))[0])
 
-    # kept by a hair more than is asked, so that rounding does not lose the limit
-    rules = [{"type": "ineq", "fun": each(lambda p, one=one: one.room(p, share) - 0.1 * ROUNDING)}
-             for one in limits]  # fmt: skip
+    def rule(one: Limit) -> dict[str, object]:
+        # kept by a hair more than is asked, so that rounding does not lose the limit
+        return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
+
     found = optimize.minimize(
-        each(lambda p: sign * _value(model, p)), start, method="SLSQP", constraints=rules,
+        each(lambda p: sign * _value(model, p)), start, method="SLSQP", constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),
         options={"ftol": 1e-13, "maxiter": 200},
     )  # fmt: skip

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from study.api.folders import design_root
 from study.canonical import digest
 from study.design.factors import levels_at
@@ -20,7 +22,6 @@ from study.runner.fitting.external_model import NOTHING, Allowed
 from study.runner.provenance import code_version
 
 if TYPE_CHECKING:
-    from study.record.document import ManifestDocument
     from study.record.record import Record
     from study.study_result.study_result import StudyResult
 
@@ -63,7 +64,7 @@ class Permission:
     progress: Callable[[Progress], None] | None = None
 
 
-def joined(design: Design, store: Store, manifest: ManifestDocument) -> Joined:
+def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Joined:
     """Find the runs that joined a study's surfaces: those of this design and this code.
 
     Parameters
@@ -72,7 +73,7 @@ def joined(design: Design, store: Store, manifest: ManifestDocument) -> Joined:
         As the manifest has it.
     store : Store
         Of its results.
-    manifest : ManifestDocument
+    manifest : mapping
         Of the finished run.
     """
     own = [row for row in store.read_rows(CONFIRMED) if row["of"] == _identity(manifest)]
@@ -80,8 +81,14 @@ def joined(design: Design, store: Store, manifest: ManifestDocument) -> Joined:
     return Joined(_knowing(design, [record.levels for record in records]), tuple(records))
 
 
-def _identity(manifest: ManifestDocument) -> str:
-    return digest([manifest["design"], manifest["versions"].get("study")])
+def _identity(manifest: Mapping[str, object]) -> str:
+    return digest([manifest["design"], code_of(manifest)])
+
+
+def code_of(manifest: Mapping[str, object]) -> str:
+    """Version of this program that a run was made with."""
+    versions = manifest["versions"]
+    return str(versions.get("study")) if isinstance(versions, Mapping) else ""
 
 
 def _knowing(design: Design, cells: Sequence[Mapping[str, str]]) -> Design:
@@ -123,7 +130,7 @@ def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, 
         own = [level for level in factor.levels if level.label == labels[factor.name]]
         return replace(factor, levels=tuple(own))
     numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-    share = 0.5 * (float(numeric.coded(settings[factor.name])) + 1.0)
+    share = 0.5 * (float(numeric.coded(np.array(settings[factor.name]))) + 1.0)
     return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
 
 
@@ -157,7 +164,7 @@ def confirm(
         If the study was computed by another version of this program.
     """
     manifest = study.manifest
-    if manifest["versions"].get("study") != code_version():
+    if code_of(manifest) != code_version():
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(study.design.name, rule, "run the study again first")))
     design = place(study.design, settings, labels)

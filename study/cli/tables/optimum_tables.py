@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from study.cli import output
 
 if TYPE_CHECKING:
-    from study.api.statistics.inversion import Checked, Inverted
-    from study.api.statistics.optimum import Recommendation
+    from study.api.planning.inversion import Checked, Inverted
+    from study.api.planning.optimum import Recommendation
 
 
 def print_recommendations(found: Sequence[Recommendation]) -> None:

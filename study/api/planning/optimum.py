@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study import units
+from study import api, units
 from study.api.folders import RESULTS
-from study.api.opened_study import open_study
 from study.api.planning.confirmation import Permission, confirm
 from study.api.statistics.prediction import number_in_unit
 from study.api.statistics.response_surface import fit_surface
@@ -260,7 +259,7 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     if numeric:
         rule = "names columns of a table: the factors of a study are known"
         raise InputError(Fault("--numeric", rule, "leave it out"))
-    study = open_study(path, results) if isinstance(path, str | Path) else path
+    study = api.open_study(path, results) if isinstance(path, str | Path) else path
     found = _of_study(study, goal, name, asked, dict(at or {}))
     if not confirming:
         return found

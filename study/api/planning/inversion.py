@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study import tabular, units
+from study import api, tabular, units
 from study.api.folders import RESULTS
-from study.api.opened_study import open_study
 from study.api.planning.confirmation import Permission, confirm, joined
 from study.api.statistics.prediction import number_in_unit
 from study.api.statistics.study_surface import settings_of
@@ -251,7 +250,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    study = open_study(path, results) if isinstance(path, str | Path) else path
+    study = api.open_study(path, results) if isinstance(path, str | Path) else path
     known = _known(study, dict(at or {}))
     curve, notes = _read(Path(to), columns, in_units, decimal), []
     records = _records(study, known)
@@ -340,7 +339,7 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
 
 def _records(study: StudyResult, known: _Known) -> list[Record]:
     """List the runs with a curve at the levels that are known, those that joined included."""
-    more = joined(study.design, Store(study.folder), study.manifest)  # type: ignore[arg-type]
+    more = joined(study.design, Store(study.folder), study.manifest)
     every = [*study.records, *more.records]
     here = [one for one in every if all(one.levels[n] == v for n, v in known.labels.items())]
     return [one for one in here
@@ -366,7 +365,7 @@ def _covered(
 
 def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
     """Coded settings of runs."""
-    more = joined(study.design, Store(study.folder), study.manifest)  # type: ignore[arg-type]
+    more = joined(study.design, Store(study.folder), study.manifest)
     ranges = [(f, f.span) for f in more.design.factors if f.span is not None]
     factors = tuple(NumericFactor(f.name, s.low, s.high, s.log) for f, s in ranges)
     columns = []
