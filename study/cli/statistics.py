@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
-    from study.api.planning.confirmation import Permission
+    from study.api.statistics.confirmation import Permission
     from study.api.statistics.response_surface import Surface as SurfaceKind
 
 #: Flags as they were given; what was not given is None or empty.
@@ -363,7 +363,7 @@ def invert(
 
 def _permission(data: Path | None, allow_commands: bool) -> Permission:
     """Say what confirming runs may use."""
-    from study.api.planning.confirmation import Permission
+    from study.api.statistics.confirmation import Permission
     from study.runner.fitting.external_model import Allowed
 
     return Permission(data, Allowed(allow_commands))

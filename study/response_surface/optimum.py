@@ -231,7 +231,8 @@ def _polished(
         return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
 
     found = optimize.minimize(
-        each(lambda p: sign * _value(model, p)), start, method="SLSQP", constraints=[rule(one) for one in limits],
+        each(lambda p: sign * _value(model, p)), start, method="SLSQP",
+        constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),
         options={"ftol": 1e-13, "maxiter": 200},
     )  # fmt: skip

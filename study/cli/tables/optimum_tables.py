@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from study.cli import output
 
 if TYPE_CHECKING:
-    from study.api.planning.inversion import Checked, Inverted
-    from study.api.planning.optimum import Recommendation
+    from study.study_result.inversion import Checked, Inverted
+    from study.study_result.optimum import Recommendation
 
 
 def print_recommendations(found: Sequence[Recommendation]) -> None:
