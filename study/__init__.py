@@ -18,6 +18,8 @@ _LAZY = {
     "report": "study.api",
     "fit_surface": "study.api",
     "predict": "study.api",
+    "optimize": "study.api",
+    "invert": "study.api",
     "contrasts": "study.api",
     "power": "study.api",
     "export": "study.api",

@@ -20,6 +20,8 @@ PUBLIC = {
     "analyze",
     "fit_surface",
     "predict",
+    "optimize",
+    "invert",
     "contrasts",
     "mixed_model",
     "converge",

@@ -28,6 +28,8 @@ _HOME = {
     "analyze": "study.api.statistics.analysis",
     "fit_surface": "study.api.statistics.response_surface",
     "predict": "study.api.statistics.prediction",
+    "optimize": "study.api.planning.optimum",
+    "invert": "study.api.planning.inversion",
     "contrasts": "study.api.statistics.contrasts",
     "anova": "study.analysis.anova",
     "mixed_model": "study.analysis.error.mixed_model",

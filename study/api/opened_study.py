@@ -8,6 +8,7 @@ from pathlib import Path
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
+from study.api.statistics.confirmation import joined
 from study.api.statistics.contrasts import with_contrasts
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
@@ -65,7 +66,10 @@ def open_study(
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
     analyses = _analyses(design, records, numerical)
     warnings += [f"{a.name}: {a.refused}" for a in analyses if a.refused not in ("", SEE_SURFACE)]
-    fitted = surfaces(design, records, numerical)
+    more = joined(design, store, manifest)
+    fitted = surfaces(more.design, [*records, *more.records], numerical)
+    if more.records:
+        warnings.append(f"{len(more.records)} confirming runs joined those of the surfaces")
     warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
     warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
     return Study(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from study.cli import output
-from study.cli.studies import RESULTS, Json, Results
+from study.cli.studies import RESULTS, Data, Json, Results
 from study.cli.tables import analysis_tables, mixed_effects, surface_tables
 from study.errors import Fault, InputError
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
+    from study.api.statistics.confirmation import Permission
+    from study.api.statistics.response_surface import Surface as SurfaceKind
 
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]
@@ -272,7 +274,102 @@ def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags)
     return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
 
 
-VERBS: tuple[Callable[..., None], ...] = (analyze,)
+At = Annotated[
+    str, typer.Option("--at", help="Settings that are held: thickness='3 mm',plates=bonded.")
+]
+Confirm = Annotated[
+    bool, typer.Option(help="Run the true model there; the run joins the study's surfaces.")
+]
+Commands = Annotated[
+    bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
+]
+Study = Annotated[Path, typer.Argument(help="Results folder, design file or study name.")]
+
+
+def optimize(
+    path: Annotated[
+        Path, typer.Argument(help="Results folder, design file, study name; or a tidy CSV.")
+    ],
+    minimize: Annotated[str | None, typer.Option(help="Response that is to be small.")] = None,
+    maximize: Annotated[str | None, typer.Option(help="Response that is to be large.")] = None,
+    subject_to: Annotated[
+        list[str] | None,
+        typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
+    ] = None,
+    at: At = "",
+    numeric: Numeric = "",
+    surface: Surface = "auto",
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find the best setting among choices, within limits, and confirm it by a run."""
+    from study import api
+    from study.cli.tables import optimum_tables
+
+    found = api.optimize(
+        path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
+        at=surface_tables.settings(at) if at else {}, numeric=_names(numeric),
+        surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
+    )  # fmt: skip
+    output.warn([note for one in found for note in one.notes])
+    if as_json:
+        output.print_json({"recommendations": [one.to_json() for one in found]})
+    else:
+        optimum_tables.print_recommendations(found)
+    if any(one.confirmed is not None and not one.confirmed.predicted for one in found):
+        raise typer.Exit(1)
+
+
+def invert(
+    path: Study,
+    to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
+    at: At = "",
+    columns: Annotated[
+        str, typer.Option(help="Columns of displacement and force.")
+    ] = "displacement_mm,force_N",
+    units: Annotated[str, typer.Option(help="Their units.")] = "mm,N",
+    within: Annotated[
+        str | None, typer.Option(help="What an agreeing curve may miss, rms: '2 %'.")
+    ] = None,
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find all inputs of a study whose curve agrees with a measured one."""
+    from study import api
+    from study.cli.tables import optimum_tables
+
+    found = api.invert(
+        path, to, at=surface_tables.settings(at) if at else {}, columns=_names(columns),
+        in_units=_names(units), within=within, decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
+    )  # fmt: skip
+    output.warn(found.notes)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        optimum_tables.print_inverted(found)
+    if found.best_run is not None and not found.best_run.agrees:
+        raise typer.Exit(1)
+
+
+def _permission(data: Path | None, allow_commands: bool) -> Permission:
+    """Say what confirming runs may use."""
+    from study.api.statistics.confirmation import Permission
+    from study.runner.fitting.external_model import Allowed
+
+    return Permission(data, Allowed(allow_commands))
+
+
+VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
 
 
 def _names(text: str | None) -> list[str]:

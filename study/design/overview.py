@@ -51,7 +51,13 @@ def calibration_groups(design: Design) -> Groups:
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
-    """Names of the factors that enter the calibration problem of some cell."""
+    """Names of the factors that enter the calibration problem of some cell.
+
+    None where nothing is fitted: the cells of a sample of ranges, each with levels of its own,
+    would be made tens of thousands of times to find that out.
+    """
+    if not any(one.cell.is_calibrated for one in design.treatments):
+        return ()
     return tuple(f.name for f in design.factors if _separated(design, f.name, _calibration))
 
 

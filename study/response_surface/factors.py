@@ -150,6 +150,22 @@ class Runs:
             raise InputError([fault for fault in outside if fault is not None])
         return np.column_stack(np.broadcast_arrays(*columns))
 
+    def coded_inside(self, name: str, setting: float) -> float:
+        """Coded setting of one factor.
+
+        Raises
+        ------
+        InputError
+            If it lies outside the settings that were run.
+        """
+        j = self.names.index(name)
+        settings = np.array([setting])
+        coded = self.factors[j].coded(settings)
+        fault = self._outside(j, settings, coded)
+        if fault is not None:
+            raise InputError(fault)
+        return float(coded[0])
+
     def distinct(self) -> tuple[Array, Ints]:
         """Different settings, shape (m, k), and which of them each run has, shape (n,)."""
         rounded = np.round(self.coded / SAME_SETTING)

@@ -93,7 +93,7 @@ def predict(
     if unknown:
         raise InputError(unknown)
     labels = {n: _label(f, at[n]) for n, f in factors.items() if f.span is None}
-    numbers = {n: _number(f, at[n]) for n, f in factors.items() if f.span is not None}
+    numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
     return tuple(_predicted(one, numbers) for one in found if dict(one.labels) == labels)
 
 
@@ -115,8 +115,21 @@ def _label(factor: Factor, setting: Setting) -> str:
     return str(setting)
 
 
-def _number(factor: Factor, setting: Setting) -> Array:
-    """Read settings in the unit of the factor's range."""
+def number_in_unit(factor: Factor, setting: Setting) -> Array:
+    """Read settings in the unit of the factor's range.
+
+    Parameters
+    ----------
+    factor : Factor
+        One that is a range.
+    setting : str, float or array of shape (m,)
+        With its unit, or numbers in the unit of the range.
+
+    Raises
+    ------
+    UnitError
+        If a text has another dimension.
+    """
     kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))

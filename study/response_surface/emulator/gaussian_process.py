@@ -9,6 +9,7 @@ likelihood and the prediction with scikit-learn's.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, optimize
@@ -99,7 +100,19 @@ class GaussianProcess:
 
     def mean(self, x: Array) -> Array:
         """Posterior mean, shape (m,), at points of shape (m, k)."""
-        return self.interpolated(self.y[:, None], self.covariance(x))[:, 0]
+        level, weights = self._solved
+        return np.asarray(level + self.covariance(x) @ weights)
+
+    @cached_property
+    def _solved(self) -> tuple[float, Array]:
+        """Mean by generalized least squares, and weights of the runs, shape (n,)."""
+        level, weights = self._weights(self.y[:, None])
+        return float(level[0]), weights[:, 0]
+
+    def _weights(self, responses: Array) -> tuple[Array, Array]:
+        ones = linalg.cho_solve((self.factor, True), np.ones(self.y.size))
+        level = ones @ responses / ones.sum()
+        return level, linalg.cho_solve((self.factor, True), responses - level)
 
     def covariance(self, x: Array) -> Array:
         """Covariance, shape (m, n), of points of shape (m, k) with the runs."""
@@ -107,9 +120,7 @@ class GaussianProcess:
 
     def interpolated(self, responses: Array, covariance: Array) -> Array:
         """Means (m, p) that the process gives to data (n, p), with the mean of each by GLS."""
-        ones = linalg.cho_solve((self.factor, True), np.ones(self.y.size))
-        level = ones @ responses / ones.sum()
-        weights = linalg.cho_solve((self.factor, True), responses - level)
+        level, weights = self._weights(responses)
         return np.asarray(level + covariance @ weights)
 
     def deviation(self, x: Array) -> Array:

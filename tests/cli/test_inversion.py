@@ -1,0 +1,94 @@
+"""The verb invert against a cylinder whose force is known by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.small import study
+from tests.cli.test_numeric_factors import DESIGN
+
+KNOWN = "specimen.radius=10.2 mm, specimen.height=19.5 mm"
+
+
+def _curve(displacement: np.ndarray) -> np.ndarray:
+    """Force in N of C10 7.3 kPa, radius 10.2 mm, height 19.5 mm (Treloar 1975)."""
+    stretch = 1 - displacement / 19.5
+    return np.asarray(np.pi * 10.2**2 * 2e-3 * 7.3 * (stretch**-2 - stretch))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("inversion")
+    (home / "ranges.toml").write_text(DESIGN)
+    d = np.linspace(0.25, 3.0, 12)
+    rows = [f"{x:.6g},{f:.8g}" for x, f in zip(d, _curve(d), strict=True)]
+    (home / "m.csv").write_text("\n".join(["displacement_mm,force_N", *rows]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(home)
+        answer = study("run", "ranges.toml", "--jobs", 1, "--json")
+    assert answer.code == 0, answer.err
+    return home
+
+
+def test_a_constant_is_found_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    answer = study("invert", "ranges", "--to", "m.csv", "--at", KNOWN, "--json")
+    assert answer.code == 0, answer.err
+    (one,) = answer.json["inputs"]
+    assert one["name"] == "material.C10"
+    assert one["verdict"] == "determined"
+    assert one["low"] <= 7.3 <= one["high"]
+    assert one["best"] == pytest.approx(7.3, rel=1e-3)
+    assert answer.json["combinations"] == []
+    assert answer.json["best_run"]["agrees"]
+
+
+def test_a_set_is_told_where_only_a_product_is_determined(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a known height the force is that of C10 times the square of the radius."""
+    monkeypatch.chdir(folder)
+    known = ("--at", "specimen.height=19.5 mm")
+    answer = study("invert", "ranges", "--to", "m.csv", *known, "--json")
+    assert answer.code == 0, answer.err
+    found = {one["name"]: one for one in answer.json["inputs"]}
+    assert {one["verdict"] for one in found.values()} == {"not determined"}
+    (told,) = answer.json["combinations"]
+    assert told["exponents"] == pytest.approx(
+        {"material.C10": 1.0, "specimen.radius": 2.0}, abs=0.01
+    )
+    assert told["value"] == pytest.approx(7.3 * 1.02**2, rel=5e-3)
+    assert told["ratio"] < 1.02
+    # every radius that was run has its constant, and the true model agrees at both ends
+    for end in ("low", "high"):
+        other = {"low": "high", "high": "low"}[end]
+        radius = found["specimen.radius"][other]
+        assert found["material.C10"][end] == pytest.approx(7.3 * (1.02 / radius) ** 2, rel=2e-3)
+    assert len(answer.json["end_runs"]) == 2
+    assert all(run["agrees"] for run in answer.json["end_runs"])
+    assert "it determines material.C10 * specimen.radius^2" in answer.json["sentence"]
+    members = answer.json["members"]
+    products = [one["material.C10"] * one["specimen.radius"] ** 2 for one in members]
+    np.testing.assert_allclose(products, 7.3 * 1.02**2, rtol=5e-3)
+
+
+def test_what_cannot_be_inverted_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    (folder / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
+    (folder / "far.csv").write_text("displacement_mm,force_N\n1,1\n4,2\n5,3\n")
+    (folder / "stiff.csv").write_text("displacement_mm,force_N\n1,10\n2,20\n3,30\n")
+    every = KNOWN + ", material.C10=7 kPa"
+    for arguments, code, said in (
+        (("back.csv",), 2, "back.csv:4: column 'displacement_mm': displacements must increase"),
+        (("far.csv",), 2, "where the runs end"),
+        (("stiff.csv", "--within", "2 %"), 3, "no curve inside of what was run agrees"),
+        (("m.csv", "--at", every), 2, "holds every number"),
+        (("m.csv", "--at", "specimen.heigth=3 mm"), 2, "specimen.height"),
+        (("m.csv", "--units", "N,mm"), 2, "length"),
+    ):
+        answer = study("invert", "ranges", "--to", *arguments, "--no-confirm")
+        assert answer.code == code, answer.err
+        assert said in answer.err
