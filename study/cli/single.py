@@ -267,6 +267,8 @@ def _print_calibration(found: Document) -> None:
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
     if found["identifiability"] and found["identifiability"]["sentence"]:
         print(found["identifiability"]["sentence"])
+    if found["next_test"] and found["next_test"]["sentence"]:
+        print(found["next_test"]["sentence"])
     print(found["stability"])
     for note in found["notes"]:
         print(f"data: {note}")

@@ -34,6 +34,7 @@ from study.runner.calibration.measured_tests import (
 )
 from study.runner.calibration.multistart import Starts, best, scattered
 from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
+from study.runner.calibration.optimal_design import next_tests
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
 from study.runner.fitting.fit_summary import status_of
@@ -373,6 +374,11 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
         lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
         pattern=order,
         identified=identify(found, _measured(setting, curves)) if found.converged else None,
+        next_tests=(
+            next_tests(found, curves, material, setting.tests)
+            if found.converged and material is not None
+            else None
+        ),
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {table: test[table] for table in ("specimen", "test", "material", "model")}

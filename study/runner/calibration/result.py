@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
+    from study.runner.calibration.optimal_design import NextTests
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,8 @@ class CalibrationResult:
         What fits from other starts found, where asked.
     identified : Identifiability, optional
         What the tests know of the constants, in the units of their curves.
+    next_tests : NextTests, optional
+        Tests that could be made next, by what they would tell of the constants.
     """
 
     name: str
@@ -177,6 +180,7 @@ class CalibrationResult:
     tests: tuple[ResolvedTables, ...] = ()
     starts: Starts | None = None
     identified: Identifiability | None = None
+    next_tests: NextTests | None = None
 
     @property
     def converged(self) -> bool:
@@ -221,6 +225,7 @@ class CalibrationResult:
             "identifiable": found.identifiable,
             "reason": found.reason,
             "identifiability": _identified(self.identified),
+            "next_test": None if self.next_tests is None else self.next_tests.as_dict(),
             "stable": self.stable,
             "stability": self.stability,
             "evaluations": self.evaluations,
