@@ -77,7 +77,7 @@ def errors(found: Any) -> np.ndarray:
 def test_the_best_test_leaves_the_errors_that_were_foretold(tmp_path: Path) -> None:
     """Compression to 14 % hardly tells C10 from C01: the test it asks for is made, and told."""
     rng, ratios, promised = np.random.default_rng(2011), [], []
-    for _ in range(4):
+    for _ in range(8):
         first = [("compression", 0.14)]
         before = calibrated(written(tmp_path, first, rng))
         asked = before["next_test"]
