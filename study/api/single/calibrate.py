@@ -34,6 +34,7 @@ def calibrate(
     results: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
     profiles: bool = False,
+    numerics: bool = False,
 ) -> Calibrated:
     """Find material constants from one or several measured tests.
 
@@ -52,6 +53,8 @@ def calibrate(
         Gets every accepted iteration.
     profiles : bool
         Whether profile-likelihood intervals are computed.
+    numerics : bool
+        Whether the error by meshes and load steps is bounded, by fits on others.
 
     Returns
     -------
@@ -77,6 +80,7 @@ def calibrate(
         calibration_root(config, source, data),
         progress=progress,
         profiles=profiles,
+        numerics=numerics,
         folder=folder,
     )
     if folder is not None:

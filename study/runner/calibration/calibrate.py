@@ -34,6 +34,7 @@ from study.runner.calibration.measured_tests import (
 )
 from study.runner.calibration.multistart import Starts, best, scattered
 from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
+from study.runner.calibration.numerical_bound import NumericalBound, numerical_bound
 from study.runner.calibration.optimal_design import next_tests
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
@@ -93,6 +94,7 @@ def calibrate(
     *,
     progress: Progress | None = None,
     profiles: bool = False,
+    numerics: bool = False,
     folder: Path | None = None,
 ) -> CalibrationResult:
     """Fit one material to all tests of a calibration at once.
@@ -107,6 +109,8 @@ def calibrate(
         Gets every accepted iteration of every stage.
     profiles : bool
         Whether profile-likelihood intervals are computed.
+    numerics : bool
+        Whether the error by meshes and load steps is bounded, by fits on others.
     folder : Path, optional
         Where accepted iterations are kept, so that an interrupted calibration can go on.
 
@@ -132,6 +136,7 @@ def calibrate(
         population=population([one.fit for one in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
+        numerics=_numerics(setting, curves, found) if numerics and found.converged else None,
         starts=starts,
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
@@ -326,6 +331,12 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
         for name in whole.names
         if name in known
     }
+
+
+def _numerics(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> NumericalBound:
+    return numerical_bound(
+        found.names, found.values, setting.tests, curves, setting.bounds, setting.progress
+    )
 
 
 def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
+    from study.runner.calibration.numerical_bound import NumericalBound
     from study.runner.calibration.optimal_design import NextTests
 
 
@@ -155,6 +156,8 @@ class CalibrationResult:
         What the tests know of the constants, in the units of their curves.
     next_tests : NextTests, optional
         Tests that could be made next, by what they would tell of the constants.
+    numerics : NumericalBound, optional
+        How far meshes and load steps may move the constants, where asked.
     """
 
     name: str
@@ -181,6 +184,7 @@ class CalibrationResult:
     starts: Starts | None = None
     identified: Identifiability | None = None
     next_tests: NextTests | None = None
+    numerics: NumericalBound | None = None
 
     @property
     def converged(self) -> bool:
@@ -238,6 +242,7 @@ class CalibrationResult:
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            **({} if self.numerics is None else {"numerics": self.numerics.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
