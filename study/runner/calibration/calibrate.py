@@ -334,9 +334,7 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
 
 
 def _numerics(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> NumericalBound:
-    return numerical_bound(
-        found.names, found.values, setting.tests, curves, setting.bounds, setting.progress
-    )
+    return numerical_bound(found, setting.tests, curves, setting.bounds, setting.progress)
 
 
 def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:

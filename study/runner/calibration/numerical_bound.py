@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from study.runner.numerical.solve_task import steps_of
 from study.runner.response import scale_of
 from study.runner.tables import Tables, on_mesh
 from study.setup.setup import MESH_LEVELS, problem_of
+
+if TYPE_CHECKING:
+    from study.calibration.fit import Fit
 
 #: of the element sizes of neighboring meshes, which is that of the named ones
 _RATIO = 1.5
@@ -75,8 +79,8 @@ class NumericalBound:
             return "no numerical error: every test has a closed form"
         sizes = ", ".join(f"{size:.3g}" for size in self.sizes)
         return (
-            f"numerics: from fits on meshes of {sizes} times the element size, and with "
-            f"{_MORE_STEPS} load steps for one"
+            f"numerics: from fits on meshes of {sizes} times the element size, and with twice "
+            "the load steps"
         )
 
     def as_dict(self) -> dict[str, object]:
@@ -97,8 +101,7 @@ class NumericalBound:
 
 
 def numerical_bound(
-    names: tuple[str, ...],
-    start: Array,
+    known: Fit,
     tests: Sequence[Tables],
     curves: Sequence[FitCurve],
     bounds: Sequence[tuple[float, float]] | None = None,
@@ -110,10 +113,8 @@ def numerical_bound(
 
     Parameters
     ----------
-    names : tuple of str
-        Constants.
-    start : ndarray, shape (p,)
-        Those of the fit, from which the others start, MPa (exponents plain).
+    known : Fit
+        Converged; the others start from it.
     tests : sequence of mapping
         Tables of the tests.
     curves : sequence of FitCurve
@@ -128,15 +129,16 @@ def numerical_bound(
     NumericalBound
         Zero where every test has a closed form.
     """
+    names, start = known.names, known.values
     parts = parts_of(tests, in_order(curves))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
         return NumericalBound(names, (), np.zeros((0, len(names))), zero, zero)
     own, levels = _levels(simulated[0].tables)
-    # from coarse to fine, and the coarsest again with more steps
+    # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
-    made.append([_with_more_steps(part) for part in made[0]])
+    made.append([_with_more_steps(part) for part in parts])
     found = []
     for number, one in enumerate(made):
         stage = f"numerical bound, fit {number + 1} of {len(made)}"
@@ -152,7 +154,12 @@ def numerical_bound(
     values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
     order = min(_order(part, names, start) for part in simulated)
     mesh = np.array([_u(sizes, column, levels.index(own), order) for column in values.T])
-    return NumericalBound(names, sizes, values, mesh, np.abs(stepped - values[0]))
+    # forces between the load steps follow from where a search began, too; with nuisance
+    # parameters the constants of the fit are not those of the same question
+    again = values[levels.index(own)]
+    reference = start if known.joint is None else again
+    steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
+    return NumericalBound(names, sizes, values, mesh, steps)
 
 
 def _levels(tables: Tables) -> tuple[int, tuple[int, ...]]:
