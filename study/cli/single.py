@@ -107,6 +107,9 @@ def calibrate(
             "--numerics", help="Bound the error by meshes and load steps: fits on others."
         ),
     ] = False,
+    bootstrap: Annotated[
+        int, typer.Option(help="Intervals from this many resampled fits (blocks, or specimens).")
+    ] = 0,
     energies: Annotated[
         bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
     ] = False,
@@ -132,13 +135,13 @@ def calibrate(
 
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     if is_analytic(file, asked):
-        if energies or profiles or numerics or by is not None or convention != "study":
-            rule = "takes no --energies, --profile, --numerics, --by or --convention"
+        if energies or profiles or numerics or bootstrap or by is not None or convention != "study":
+            rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
         closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
-        _check_by(by, alone=not (energies or profiles or numerics))
+        _check_by(by, alone=not (energies or profiles or numerics or bootstrap))
         compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
@@ -149,7 +152,7 @@ def calibrate(
     line = _Line()
     found = api.calibrate(
         file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
-        numerics=numerics,
+        numerics=numerics, resamples=bootstrap,
     )  # fmt: skip
     line.end()
     _show(found, convention, results / found.name, as_json)
@@ -160,7 +163,7 @@ def calibrate(
 def _check_by(by: str, *, alone: bool) -> None:
     """Refuse a comparison by anything but tests, or beside other questions."""
     if by != "test" or not alone:
-        mend = "write --by test, without --energies, --profile and --numerics"
+        mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
         raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
 
 
@@ -257,6 +260,13 @@ def _print_calibration(found: Document) -> None:
         _print_converted(found["converted"])
     if bound is not None:
         print(bound["sentence"])
+    if "bootstrap" in found:
+        drawn = found["bootstrap"]
+        said = "; ".join(
+            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
+            for n, pair in drawn["interval"].items()
+        )
+        print(f"{drawn['sentence']}: {said}")
     if found["serial_correlation"]:
         print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])

@@ -35,6 +35,7 @@ def calibrate(
     progress: Callable[[Step], None] | None = None,
     profiles: bool = False,
     numerics: bool = False,
+    resamples: int = 0,
 ) -> Calibrated:
     """Find material constants from one or several measured tests.
 
@@ -55,6 +56,8 @@ def calibrate(
         Whether profile-likelihood intervals are computed.
     numerics : bool
         Whether the error by meshes and load steps is bounded, by fits on others.
+    resamples : int
+        How many resampled fits give bootstrap intervals, 200 or more; 0 for none.
 
     Returns
     -------
@@ -81,6 +84,7 @@ def calibrate(
         progress=progress,
         profiles=profiles,
         numerics=numerics,
+        resamples=resamples,
         folder=folder,
     )
     if folder is not None:

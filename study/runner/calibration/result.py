@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
+    from study.runner.calibration.bootstrap import Bootstrap
     from study.runner.calibration.numerical_bound import NumericalBound
     from study.runner.calibration.optimal_design import NextTests
 
@@ -158,6 +159,8 @@ class CalibrationResult:
         Tests that could be made next, by what they would tell of the constants.
     numerics : NumericalBound, optional
         How far meshes and load steps may move the constants, where asked.
+    bootstrap : Bootstrap, optional
+        Intervals from resampled data, where asked.
     """
 
     name: str
@@ -185,6 +188,7 @@ class CalibrationResult:
     identified: Identifiability | None = None
     next_tests: NextTests | None = None
     numerics: NumericalBound | None = None
+    bootstrap: Bootstrap | None = None
 
     @property
     def converged(self) -> bool:
@@ -243,6 +247,7 @@ class CalibrationResult:
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
             **({} if self.numerics is None else {"numerics": self.numerics.as_dict()}),
+            **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),
