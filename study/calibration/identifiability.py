@@ -148,7 +148,7 @@ def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability |
     """
     if not np.isfinite(found.covariance).all() or not found.curves:
         return None
-    slopes, weights, left = _rows(found, measured)
+    slopes, weights, left = fitted_rows(found, measured)
     jacobian = weights[:, None] * slopes
     norms = np.linalg.norm(jacobian, axis=0)
     freedom = left.size - norms.size
@@ -165,8 +165,23 @@ def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability |
     return Identifiability(noise, directions, constants)
 
 
-def _rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
-    """Slopes of the forces (n, p), weights and residuals in N of the fitted points."""
+def fitted_rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
+    """Slopes of the forces, weights and residuals of the fitted points.
+
+    Parameters
+    ----------
+    found : Fit
+        With its curves.
+    measured : sequence of MeasuredCurve
+        What it was fitted to, in the order of its curves.
+
+    Returns
+    -------
+    slopes : ndarray, shape (n, p)
+        N per MPa.
+    weights, residuals : ndarray, shape (n,)
+        Plain, and in N.
+    """
     slopes, weights, left = [], [], []
     for one, curve in zip(measured, found.curves, strict=True):
         used = one.weights > 0

@@ -101,6 +101,15 @@ def calibrate(
     profiles: Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals.")] = (
         False
     ),
+    numerics: Annotated[
+        bool,
+        typer.Option(
+            "--numerics", help="Bound the error by meshes and load steps: fits on others."
+        ),
+    ] = False,
+    bootstrap: Annotated[
+        int, typer.Option(help="Intervals from this many resampled fits (blocks, or specimens).")
+    ] = 0,
     energies: Annotated[
         bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
     ] = False,
@@ -126,13 +135,13 @@ def calibrate(
 
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     if is_analytic(file, asked):
-        if energies or profiles or by is not None or convention != "study":
-            rule = "takes no --energies, --profile, --by or --convention"
+        if energies or profiles or numerics or bootstrap or by is not None or convention != "study":
+            rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
         closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
-        _check_by(by, alone=not (energies or profiles))
+        _check_by(by, alone=not (energies or profiles or numerics or bootstrap))
         compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
@@ -142,8 +151,9 @@ def calibrate(
         return
     line = _Line()
     found = api.calibrate(
-        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles
-    )
+        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
+        numerics=numerics, resamples=bootstrap,
+    )  # fmt: skip
     line.end()
     _show(found, convention, results / found.name, as_json)
     if not found.usable:
@@ -153,7 +163,7 @@ def calibrate(
 def _check_by(by: str, *, alone: bool) -> None:
     """Refuse a comparison by anything but tests, or beside other questions."""
     if by != "test" or not alone:
-        mend = "write --by test, without --energies and --profile"
+        mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
         raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
 
 
@@ -229,15 +239,20 @@ class _Line:
 
 
 def _print_calibration(found: Document) -> None:
-    rows = [["constant", "value", "unit", "standard error", "95 % interval", "profile interval"]]
+    rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
+             "profile interval"]]  # fmt: skip
+    bound = found.get("numerics")
     for name, entry in found["parameters"].items():
+        u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
         profile = found["profiles"].get(name, {}).get("interval")
         rows.append(
             [name, output.number(entry["value"], 6), entry["unit"],
-             output.number(entry["standard_error"]), _between(entry["ci95"]), _between(profile)]
+             output.number(entry["standard_error"]), _between(entry["ci95"]), u, _between(profile)]
         )  # fmt: skip
     if not found["profiles"]:
         rows = [row[:-1] for row in rows]
+    if bound is None:
+        rows = [[*row[:5], *row[6:]] for row in rows]
     output.table(rows, found["model"])
     output.print_nuisance(found["nuisance"])
     if "shear_moduli" in found:
@@ -246,6 +261,15 @@ def _print_calibration(found: Document) -> None:
               f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
     if "converted" in found:
         _print_converted(found["converted"])
+    if bound is not None:
+        print(bound["sentence"])
+    if "bootstrap" in found:
+        drawn = found["bootstrap"]
+        said = "; ".join(
+            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
+            for n, pair in drawn["interval"].items()
+        )
+        print(f"{drawn['sentence']}: {said}")
     if found["serial_correlation"]:
         print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])
@@ -270,6 +294,8 @@ def _print_calibration(found: Document) -> None:
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
     if found["identifiability"] and found["identifiability"]["sentence"]:
         print(found["identifiability"]["sentence"])
+    if found["next_test"] and found["next_test"]["sentence"]:
+        print(found["next_test"]["sentence"])
     print(found["stability"])
     for note in found["notes"]:
         print(f"data: {note}")

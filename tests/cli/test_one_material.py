@@ -191,3 +191,31 @@ def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: 
     # the same files but one: the other two tests agree under both truths
     assert mu0["lubricated-compression"] == pytest.approx(mu0["flat-indentation"], rel=0.02)
     assert (mu0["bonded-compression"] == pytest.approx(others, rel=0.05)) is (verdict == "agree")
+
+
+def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -> None:
+    """One Ogden solid with alpha = -3; its shear is even in alpha and is fitted at either sign."""
+    mu, alpha, rng = 2.0, -3.0, np.random.default_rng(3)
+    share = np.linspace(0.02, 0.5, 25)
+    stretch = 1 + share
+    longest = 0.5 * (share + np.sqrt(share**2 + 4))
+    by_kind = {
+        "tension": 2 * mu / alpha * (stretch ** (alpha - 1) - stretch ** (-alpha / 2 - 1)),
+        "simple-shear": 2 * mu / alpha * (longest**alpha - longest**-alpha)
+        / (longest + 1 / longest),
+    }  # fmt: skip
+    text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
+    for kind, exact in by_kind.items():
+        s = exact * (1 + 0.01 * rng.normal(size=share.size))
+        rows = ["e,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(share, s, strict=True))]
+        (tmp_path / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        text += TEST.format(kind=kind, file=kind).replace("stretch", "strain").replace('"l"', '"e"')
+    path = tmp_path / "ogden.toml"
+    for start in ("4.0", "-4.0"):
+        started = f'mu = ["2 kPa"]\nalpha = [{start}]\n'
+        path.write_text(text.replace("order = 1\n", "order = 1\n" + started), encoding="utf-8")
+        found = calibrated(path, "--by", "test")
+        alphas = [one["parameters"]["alpha1"]["value"] for one in found["groups"]]
+        assert alphas == pytest.approx([alpha, alpha], rel=0.2)
+        assert found["verdict"] != "differ", found["sentence"]
+        assert found["p"] > 0.05

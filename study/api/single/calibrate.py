@@ -34,6 +34,8 @@ def calibrate(
     results: str | Path | None = None,
     progress: Callable[[Step], None] | None = None,
     profiles: bool = False,
+    numerics: bool = False,
+    resamples: int = 0,
 ) -> Calibrated:
     """Find material constants from one or several measured tests.
 
@@ -52,6 +54,10 @@ def calibrate(
         Gets every accepted iteration.
     profiles : bool
         Whether profile-likelihood intervals are computed.
+    numerics : bool
+        Whether the error by meshes and load steps is bounded, by fits on others.
+    resamples : int
+        How many resampled fits give bootstrap intervals, 200 or more; 0 for none.
 
     Returns
     -------
@@ -77,6 +83,8 @@ def calibrate(
         calibration_root(config, source, data),
         progress=progress,
         profiles=profiles,
+        numerics=numerics,
+        resamples=resamples,
         folder=folder,
     )
     if folder is not None:

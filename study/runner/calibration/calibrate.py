@@ -21,6 +21,7 @@ from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.measurement.conditioning import is_caution
+from study.runner.calibration.bootstrap import Bootstrap, bootstrap
 from study.runner.calibration.judgement import plausible, range_stability
 from study.runner.calibration.measured_tests import (
     FitCurve,
@@ -32,8 +33,10 @@ from study.runner.calibration.measured_tests import (
     read_tests,
     warnings_of,
 )
-from study.runner.calibration.multistart import Starts, best, scattered
+from study.runner.calibration.multistart import Starts, best, excluded, scattered
 from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
+from study.runner.calibration.numerical_bound import NumericalBound, numerical_bound
+from study.runner.calibration.optimal_design import next_tests
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
 from study.runner.fitting.fit_summary import status_of
@@ -92,6 +95,8 @@ def calibrate(
     *,
     progress: Progress | None = None,
     profiles: bool = False,
+    numerics: bool = False,
+    resamples: int = 0,
     folder: Path | None = None,
 ) -> CalibrationResult:
     """Fit one material to all tests of a calibration at once.
@@ -106,6 +111,10 @@ def calibrate(
         Gets every accepted iteration of every stage.
     profiles : bool
         Whether profile-likelihood intervals are computed.
+    numerics : bool
+        Whether the error by meshes and load steps is bounded, by fits on others.
+    resamples : int
+        How many resampled fits give bootstrap intervals; 0 for none.
     folder : Path, optional
         Where accepted iterations are kept, so that an interrupted calibration can go on.
 
@@ -131,6 +140,8 @@ def calibrate(
         population=population([one.fit for one in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
+        numerics=_bounded(setting, curves, found) if numerics and found.converged else None,
+        bootstrap=_resampled(setting, curves, found, resamples) if found.converged else None,
         starts=starts,
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
@@ -159,7 +170,7 @@ def _setting(
     inside = np.clip(start, low, high)
     outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
     if outside and config["material"].get("constants"):
-        raise InputError([_outside(n, start[names.index(n)], given[n]) for n in outside])
+        raise InputError([excluded(n, start[names.index(n)], given[n]) for n in outside])
     moved = tuple(
         f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
         for n in outside
@@ -172,14 +183,6 @@ def _bounds(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
     """Bounds of the file; else those beyond which an energy is not defined."""
     section, given = MaterialSection.of(config["material"]), config["calibration"]["bounds"]
     return [given.get(n) or section.bounds(n) for n in names]
-
-
-def _outside(name: str, value: float, bounds: tuple[float, float]) -> Fault:
-    return Fault(
-        f"calibration.bounds.{name}",
-        f"{bounds[0]:g} to {bounds[1]:g} excludes the start {value:.6g} (MPa; exponents plain)",
-        "widen them, or give constants inside them to start from",
-    )
 
 
 def _from_all_starts(
@@ -327,6 +330,16 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
     }
 
 
+def _bounded(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> NumericalBound:
+    return numerical_bound(found, setting.tests, curves, setting.bounds, setting.progress)
+
+
+def _resampled(
+    setting: _Setting, curves: Sequence[FitCurve], found: Fit, count: int
+) -> Bootstrap | None:
+    return bootstrap(found, setting.config, curves, count, setting.bounds) if count else None
+
+
 def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
     parts = parts_of(setting.tests, in_order(curves))
     return [one for part in parts for one in part.measured]
@@ -373,6 +386,11 @@ def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> Cali
         lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
         pattern=order,
         identified=identify(found, _measured(setting, curves)) if found.converged else None,
+        next_tests=(
+            next_tests(found, curves, material, setting.tests)
+            if found.converged and material is not None
+            else None
+        ),
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {table: test[table] for table in ("specimen", "test", "material", "model")}

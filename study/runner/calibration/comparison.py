@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.fit import Fit
+from study.calibration.iteration import EvaluationFailed
 from study.calibration.wald_test import ALPHA, USUAL_POWER, Agreement, agreement
+from study.curve import Curve
 from study.errors import Fault, InputError, RefusedError
 from study.material.registry import is_dimensionless
 from study.record.record import plain
 from study.runner.calibration.calibrate import calibrate
+from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult, parameters
 from study.runner.calibration.systematic_error import mesh_error, zero_error
+from study.runner.fitting.fit_task import model
 from study.runner.fitting.staged_fit import Progress
 from study.runner.response import ConstantResponse, scale_of
 from study.runner.tables import Tables
+
+#: difference of two curves over the larger force that is rounding
+_ROUNDING = 1e-9
 
 Verdict = Literal["differ", "agree", "undecided"]
 
@@ -207,6 +215,7 @@ def compare(
         if not one.converged:
             mend = "take an energy with fewer constants, or give constants to start from"
             raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
+    fits = _of_one_sign(groups, fits)
     systematic = {
         label: Systematic(
             mesh_error(one, root, fits[label], progress), zero_error(one, root, fits[label], zero)
@@ -223,6 +232,68 @@ def compare(
     return Comparison(
         config["name"], config["material"]["model"], fits, test, systematic, difference, power,
         detectable,
+    )  # fmt: skip
+
+
+def _of_one_sign(
+    groups: Mapping[str, Tables], fits: Mapping[str, CalibrationResult]
+) -> dict[str, CalibrationResult]:
+    """Give exponents whose sign a test cannot tell the sign that the others find.
+
+    The stress of Ogden's terms is even in the exponent where one principal stretch is the
+    inverse of another: in simple shear and in planar tension. A fit ends at either sign.
+    """
+    names = next(iter(fits.values())).fit.names
+    out = dict(fits)
+    for k, name in enumerate(names):
+        if not is_dimensionless(name):
+            continue
+        even = {label for label, one in fits.items() if _is_even(groups[label], one.fit, k)}
+        telling = [label for label in fits if label not in even]
+        sign = np.sign(fits[telling[0]].fit.values[k]) if telling else 1.0
+        for label in even:
+            if out[label].fit.values[k] * sign < 0:
+                out[label] = replace(out[label], fit=_mirrored(out[label].fit, k))
+    return out
+
+
+def _is_even(config: Tables, found: Fit, k: int) -> bool:
+    """Whether the closed form of a test is the same for the other sign of one constant."""
+    (test,) = config["tests"]
+    problem = problem_of(test)
+    if problem.method != "closed-form":
+        return False
+    grids = [Curve(one.displacement_mm, one.force_N, time_s=one.time_s) for one in found.curves]
+    predict = model(problem.method, problem.tables, grids, found.names)
+    other = found.values.copy()
+    other[k] *= -1
+    try:
+        pairs = zip(predict(found.values), predict(other), strict=True)
+        return all(_is_same(one.force_N, two.force_N) for one, two in pairs)
+    except EvaluationFailed:
+        return False
+
+
+def _is_same(one: Array, other: Array) -> bool:
+    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(one).max())
+
+
+def _mirrored(found: Fit, k: int) -> Fit:
+    """Fit with the other sign of one constant."""
+    sign = np.ones(found.values.size)
+    sign[k] = -1
+    ci95 = found.ci95.copy()
+    ci95[k] = -ci95[k, ::-1]
+    turned = np.outer(sign, sign)
+    # slopes by that constant change their sign as well
+    name = found.names[k]
+    curves = tuple(
+        replace(one, force_gradient={**one.force_gradient, name: -one.force_gradient[name]})
+        for one in found.curves
+    )
+    return replace(
+        found, values=sign * found.values, ci95=ci95, covariance=turned * found.covariance,
+        correlation=turned * found.correlation, curves=curves,
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from study.arrays import Array
 from study.calibration.fit import residual_function
 from study.calibration.iteration import EvaluationFailed
+from study.errors import Fault
 from study.material.energy import Energy
 from study.material.registry import ENERGIES
 from study.material.relaxation import is_of_relaxation
@@ -130,3 +131,12 @@ def _with_moduli(
     moved[moduli] += step
     # a modulus of a single term must stay positive, or nothing resists
     return moved if len(moduli) > 1 or (moved[moduli] > 0).all() else values
+
+
+def excluded(name: str, value: float, bounds: tuple[float, float]) -> Fault:
+    """Fault of a start that lies outside the bounds of its constant, both in MPa."""
+    return Fault(
+        f"calibration.bounds.{name}",
+        f"{bounds[0]:g} to {bounds[1]:g} excludes the start {value:.6g} (MPa; exponents plain)",
+        "widen them, or give constants inside them to start from",
+    )

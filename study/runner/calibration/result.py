@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
+    from study.runner.calibration.bootstrap import Bootstrap
+    from study.runner.calibration.numerical_bound import NumericalBound
+    from study.runner.calibration.optimal_design import NextTests
 
 
 @dataclass(frozen=True)
@@ -152,6 +155,12 @@ class CalibrationResult:
         What fits from other starts found, where asked.
     identified : Identifiability, optional
         What the tests know of the constants, in the units of their curves.
+    next_tests : NextTests, optional
+        Tests that could be made next, by what they would tell of the constants.
+    numerics : NumericalBound, optional
+        How far meshes and load steps may move the constants, where asked.
+    bootstrap : Bootstrap, optional
+        Intervals from resampled data, where asked.
     """
 
     name: str
@@ -177,6 +186,9 @@ class CalibrationResult:
     tests: tuple[ResolvedTables, ...] = ()
     starts: Starts | None = None
     identified: Identifiability | None = None
+    next_tests: NextTests | None = None
+    numerics: NumericalBound | None = None
+    bootstrap: Bootstrap | None = None
 
     @property
     def converged(self) -> bool:
@@ -221,6 +233,7 @@ class CalibrationResult:
             "identifiable": found.identifiable,
             "reason": found.reason,
             "identifiability": _identified(self.identified),
+            "next_test": None if self.next_tests is None else self.next_tests.as_dict(),
             "stable": self.stable,
             "stability": self.stability,
             "evaluations": self.evaluations,
@@ -233,6 +246,8 @@ class CalibrationResult:
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            **({} if self.numerics is None else {"numerics": self.numerics.as_dict()}),
+            **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),
             "notes": list(self.notes),

@@ -1,0 +1,123 @@
+"""``study calibrate --bootstrap``: standard errors known in closed form, and coverage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from study.curve import Curve
+from study.runner.fitting.residual_bootstrap import resampled, residuals_of
+from tests.cli.small import study
+
+C10_KPA = 10.0
+HEAD = """
+schema = 1
+[specimen]
+shape = "homogeneous"
+[material]
+model = "neo-hookean"
+incompressible = true
+[calibration]
+seed = 2011
+[[tests]]
+test = { kind = "simple-shear" }
+[tests.measurements]
+file = "shear.csv"
+columns = { strain = "g", stress = "s" }
+units = { strain = "1", stress = "kPa" }
+"""
+
+
+def errors(rows: int, phi: list[float], rng: np.random.Generator) -> np.ndarray:
+    """Stationary autoregression of unit variance."""
+    long = lfilter([1.0], [1.0, *(-np.array(phi))], rng.normal(size=rows + 500))[500:]
+    rho = phi[0] if len(phi) == 1 else phi[0] / (1 - phi[1])
+    explained = phi[0] * rho + (phi[1] * (phi[0] * rho + phi[1]) if len(phi) > 1 else 0.0)
+    return np.asarray(long * np.sqrt(1 - explained))
+
+
+def written(folder: Path, specimens: dict[str, np.ndarray], shear: np.ndarray) -> Path:
+    """Simple shear of a neo-Hookean solid, stress 2 C10 g; one column names the specimens."""
+    many = len(specimens) > 1
+    rows = [
+        f"{g:.9f},{s:.9f}" + (f",{label}" if many else "")
+        for label, stress in specimens.items()
+        for g, s in zip(shear, stress, strict=True)
+    ]
+    (folder / "shear.csv").write_text("\n".join(["g,s" + (",who" if many else ""), *rows]) + "\n")
+    path = folder / "case.toml"
+    path.write_text(HEAD + ('block = "who"\n' if many else ""))
+    return path
+
+
+def drawn(path: Path, count: int = 250) -> Any:
+    more = ("--results", path.parent / "r", "--bootstrap", str(count), "--json")
+    found = study("calibrate", path, "--data", path.parent, *more)
+    assert found.code == 0, found.err
+    return found.json["bootstrap"]
+
+
+@pytest.mark.parametrize(("rho", "rows", "off"), [(0.0, 100, 0.12), (0.8, 600, 0.3)])
+def test_the_standard_error_is_that_of_least_squares(
+    tmp_path: Path, rho: float, rows: int, off: float
+) -> None:
+    shear = np.linspace(0.01, 0.5, rows)
+    noise = 0.3 * errors(rows, [rho], np.random.default_rng(2011))
+    path = written(tmp_path, {"A": 2 * C10_KPA * shear + noise}, shear)
+    found = drawn(path)
+    x = 2 * shear
+    lags = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+    exact = 0.3 * np.sqrt(x @ rho**lags @ x) / (x @ x)
+    # 250 resamples know it to 4.5 %, the scatter of the noise and the blocks to the rest
+    assert found["standard_error"]["C10"] == pytest.approx(exact, rel=off)
+    assert found["specimens"] == 0
+    assert (found["blocks"][0] == 1) == (rho == 0)
+    low, high = found["interval"]["C10"]
+    assert high - low == pytest.approx(2 * 1.96 * found["standard_error"]["C10"], rel=0.2)
+    if not rho:
+        assert drawn(path) == found  # a seed draws the same again
+
+
+def test_specimens_are_drawn_whole(tmp_path: Path) -> None:
+    """Of eight specimens: the scatter of means of draws, sqrt(sum of squares) / 8."""
+    shear, rng = np.linspace(0.05, 0.5, 12), np.random.default_rng(7)
+    own = C10_KPA * (1 + 0.15 * rng.normal(size=8))
+    stresses = {f"s{k}": 2 * c * shear for k, c in enumerate(own)}
+    found = drawn(written(tmp_path, stresses, shear))
+    assert found["specimens"] == 8
+    exact = np.sqrt(np.sum((own - own.mean()) ** 2)) / 8
+    assert found["standard_error"]["C10"] == pytest.approx(exact, rel=0.14)
+
+
+def test_too_few_resamples_are_refused(tmp_path: Path) -> None:
+    shear = np.linspace(0.05, 0.5, 12)
+    path = written(tmp_path, {"A": 2 * C10_KPA * shear + 0.1 * np.sin(shear * 90)}, shear)
+    refused = study("calibrate", path, "--data", tmp_path, "--bootstrap", "50")
+    assert refused.code == 2
+    assert "at least 200 resamples" in refused.err
+
+
+def coverage(phi: list[float], rows: int, tests: int, seed: int = 3) -> float:
+    """Share of percentile intervals of 400 resamples that hold the slope of a straight line."""
+    rng, hits = np.random.default_rng(seed), 0
+    d = np.linspace(1.0, 9.0, rows)
+    for _ in range(tests):
+        force = d + errors(rows, phi, rng)
+        slope = float(d @ force / (d @ d))
+        left = residuals_of(Curve(d, force), slope * d, rows / (rows - 1))
+        again = np.array([d @ resampled(left, rng) for _ in range(400)]) / (d @ d)
+        low, high = np.percentile(again, [2.5, 97.5])
+        hits += int(low <= 1.0 <= high)
+    return hits / tests
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("phi", [[0.9], [1.2, -0.4]])
+def test_blocks_cover_where_the_recording_is_long(phi: list[float]) -> None:
+    # one binomial standard deviation of 800 tests is 0.8 points
+    assert 0.92 <= coverage(phi, 4000, 800) <= 0.98

@@ -1,0 +1,92 @@
+"""``study calibrate --numerics``: data of a far finer mesh, whose constants the bounds hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study import api
+from study.analysis.convergence.grid_convergence import grid_convergence
+from tests.cli.small import study
+
+TRUTH = {"C10": 5.0, "C20": 1.0}
+SPECIMEN = 'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "10 mm"\nheight = "10 mm"\n'
+MATERIAL = '[material]\nmodel = "reduced-polynomial"\norder = 2\npoisson_ratio = 0.49\n'
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bonded compression by elements of 0.45 mm, a quarter of the coarse ones, in 40 steps."""
+    made = tmp_path_factory.mktemp("fine")
+    constants = 'C10 = "5 kPa"\nC20 = "1 kPa"\n'
+    (made / "truth.toml").write_text(
+        f'{SPECIMEN}{MATERIAL}{constants}[model]\nmesh_size = "0.45 mm"\n[test]\n'
+        'kind = "compression"\ninterface = "bonded"\ndisplacement = "3 mm"\nsteps = 40\n'
+    )
+    curve = api.solve(made / "truth.toml", gradients=False).curve
+    rows = zip(curve.displacement_mm, curve.force_N, strict=True)
+    text = "".join(f"{d:.9g},{f:.9g}\n" for d, f in rows)
+    (made / "pressed.csv").write_text("d,f\n0,0\n" + text)
+    return made
+
+
+def written(folder: Path, mesh: str) -> Path:
+    path = folder / "case.toml"
+    path.write_text(
+        f'{SPECIMEN}{MATERIAL}[model]\nmesh = "{mesh}"\n[[tests]]\n'
+        'test = { kind = "compression", interface = "bonded" }\nmeasurements = { '
+        'file = "pressed.csv", columns = { displacement = "d", force = "f" }, '
+        'units = { displacement = "mm", force = "N" }, points = "raw" }\n'
+    )
+    return path
+
+
+def answer(folder: Path, path: Path, *more: str) -> Any:
+    return study("calibrate", path, "--data", folder, "--results", folder / "r", *more)
+
+
+@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+def test_the_truth_lies_within_the_bounds(folder: Path, mesh: str) -> None:
+    found = answer(folder, written(folder, mesh), "--numerics", "--json")
+    assert found.code == 0, found.err
+    bound = found.json["numerics"]
+    for name, truth in TRUTH.items():
+        value, u = found.json["parameters"][name]["value"], bound["u"][name]
+        assert abs(value - truth) < u < 0.03 * truth
+        assert u == pytest.approx(bound["mesh"][name] + bound["steps"][name], rel=1e-12)
+        # the fit's own mesh once more: interpolated between load steps from another start
+        own = bound["values"][bound["sizes"].index(1.0)][name]
+        assert abs(own - value) <= bound["steps"][name] * (1 + 1e-9)
+        # the rules of every response, by hand: without an order thrice the range
+        series = [one[name] for one in bound["values"]]
+        if grid_convergence(bound["sizes"], series).behaviour == "divergent":
+            thrice = 3 * (max(series) - min(series))
+            assert bound["mesh"][name] == pytest.approx(thrice, rel=1e-9)
+
+
+def test_the_terminal_shows_it_beside_the_interval(folder: Path) -> None:
+    said = answer(folder, written(folder, "coarse"), "--numerics")
+    assert said.code == 0, said.err
+    assert "95 % interval" in said.out.splitlines()[1]
+    assert "numerics" in said.out.splitlines()[1]
+    assert said.out.count("+-") == 2
+    assert "numerics: from fits on meshes of 1, 0.667, 0.444 times the element size" in said.out
+
+
+def test_a_closed_form_has_no_numerical_error(tmp_path: Path) -> None:
+    rows = "".join(f"{g / 10},{g * 0.7 + 0.01 * (-1) ** g}\n" for g in range(1, 11))
+    (tmp_path / "shear.csv").write_text("g,s\n" + rows)
+    path = tmp_path / "case.toml"
+    path.write_text(
+        'schema = 1\n[specimen]\nshape = "homogeneous"\n[material]\nmodel = "neo-hookean"\n'
+        'incompressible = true\n[[tests]]\ntest = { kind = "simple-shear" }\nmeasurements = { '
+        'file = "shear.csv", columns = { strain = "g", stress = "s" }, '
+        'units = { strain = "1", stress = "kPa" } }\n'
+    )
+    found = answer(tmp_path, path, "--numerics", "--json").json["numerics"]
+    assert found["u"] == {"C10": 0.0}
+    assert found["sentence"] == "no numerical error: every test has a closed form"
+    refused = answer(tmp_path, path, "--numerics", "--by", "test")
+    assert refused.code == 2
