@@ -12,7 +12,7 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError
-from study.setup.geometry import Block, Cylinder, Specimen, Surface
+from study.setup.geometry import Block, Cylinder, Enclosed, Specimen
 
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
@@ -132,7 +132,7 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 def equivalent_radius(specimen: Specimen) -> float:
     """Radius of the circle with the specimen's cross-section area."""
-    if isinstance(specimen, Surface):
+    if isinstance(specimen, Enclosed):
         raise InputError("a surface has no one radius: take a cylinder or a block")
     return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
 

@@ -70,7 +70,7 @@ def _reference_model(tables: Tables, as_designed: bool) -> dict[str, object]:
     to be made finer still.
     """
     shape = tables["specimen"]["shape"]
-    solid = shape == "surface" or (shape == "block" and tables["test"]["kind"] == "indentation")
+    solid = shape in ("surface", "brain") or (shape == "block" and tables["test"]["kind"] == "indentation")
     found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
     if not as_designed:
         return {**found, "mesh": "fine"}
