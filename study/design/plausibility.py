@@ -184,7 +184,7 @@ def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, st
 
 
 def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
-    model, is_surface = problem.model, problem.specimen.shape == "surface"
+    model, is_surface = problem.model, isinstance(problem.specimen, Enclosed)
     if problem.material.compressibility.incompressible and model.formulation == "displacement":
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
         faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')

@@ -37,12 +37,13 @@ def force(problem: Problem) -> tuple[float, float]:
 def test_elements_are_small_where_the_indenter_comes_down() -> None:
     problem = pressed(BRAIN, 1.0)
     mesh, height = build_mesh(problem.setup), body(BRAIN).axis_height_mm
-    assert height < 45  # far below the highest point of the body, about which they once were small
+    assert height < 48  # below the highest point of the body, at whose height they once were small
     centers = mesh.points[mesh.cells].mean(axis=1)
-    edges = mesh.points[mesh.cells[:, 1:]] - mesh.points[mesh.cells[:, :1]]
-    size = np.cbrt(np.abs(np.linalg.det(edges)))
-    smallest = centers[size < 1.5 * size.min()]
-    assert np.linalg.norm(smallest - [0, 0, height], axis=1).max() < 8
+    corners = mesh.points[mesh.cells]
+    size = np.linalg.norm(corners[:, :, None] - corners[:, None, :], axis=-1).max(axis=(1, 2))
+    smallest = centers[size < np.quantile(size, 0.1)]
+    far = np.linalg.norm(smallest - [0, 0, height], axis=1)
+    assert np.quantile(far, 0.9) < 6
     assert 2 / 3 < expected_unknowns(problem.setup) / unknowns(problem.setup, mesh) < 1.6
 
 
@@ -57,10 +58,8 @@ def test_weight_is_carried_by_the_clamp_too() -> None:
     problem = pressed(BRAIN, 0.5, element_order="quadratic")
     heavy = replace(problem.test, gravity=Gravity(980.0))
     top, below = force(replace(problem, test=heavy))
-    held, unheld = body(BRAIN).volume_mm3, top
-    weight = 9.80665 * 980e-9 * held
-    # nodes below the clamp carry part of the weight themselves
-    assert 0 < below - unheld < weight
+    weight = 9.80665 * 980e-9 * body(BRAIN).volume_mm3
+    assert below - top == pytest.approx(weight, rel=1e-6)
     assert top < force(problem)[0]  # the surface has sagged away from the indenter
 
 
@@ -82,19 +81,19 @@ def test_a_body_may_be_turned_about_the_axis(tmp_path: Path) -> None:
     here = Surface(str(tmp_path / "a.ply"), clamp_below_mm=-2.0, press_x_mm=3.0, press_y_mm=2.0)
     there = Surface(str(tmp_path / "b.ply"), clamp_below_mm=-2.0, press_x_mm=-2.0, press_y_mm=3.0)
     first, second = (force(pressed(one, 0.4))[0] for one in (here, there))
-    print(second / first - 1)
-    assert second == pytest.approx(first, rel=0.02)
+    # another mesh of the same size: measured 1.2 %, as apart as two seeds of one mesh are
+    assert second == pytest.approx(first, rel=0.03)
 
 
-def test_hertz_on_a_half_ball(tmp_path: Path) -> None:
-    """Two spheres, 1/R = 1/R1 + 1/R2, away from the pole: the contact looks the same there."""
+def test_a_sphere_on_a_ball_is_hertz_contact(tmp_path: Path) -> None:
+    """Two spheres that touch, 1/R = 1/R1 + 1/R2 (Hertz 1882), one of them rigid."""
     ball = Surface(write(tmp_path / "ball.stl", sphere(40, 5)), clamp_below_mm=-15.0)
     problem = pressed(ball, 0.4, element_order="quadratic")
     found, _ = force(replace(problem, test=replace(problem.test, indenter=Sphere(8))))
     radius = 1 / (1 / 8 + 1 / 40)
     hertz = 4 / 3 * (2 * GEL.mu0 / 0.5) * np.sqrt(radius) * 0.4**1.5
-    print(found / hertz - 1)
-    assert found == pytest.approx(hertz, rel=0.1)
+    # measured: 4.5 % less on this mesh; the contact radius is 0.23 of the indenter's
+    assert found == pytest.approx(hertz, rel=0.08)
 
 
 def test_a_place_on_a_box_away_from_its_middle(tmp_path: Path) -> None:
@@ -104,5 +103,5 @@ def test_a_place_on_a_box_away_from_its_middle(tmp_path: Path) -> None:
     problem = replace(problem, test=replace(problem.test, indenter=Flat(3, 1)))
     beside, _ = force(problem)
     middle, _ = force(replace(problem, specimen=replace(lump, press_x_mm=0.0, press_y_mm=0.0)))
-    print(beside / middle - 1)
+    # measured: 1.0 %
     assert beside == pytest.approx(middle, rel=0.02)
