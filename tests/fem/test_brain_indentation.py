@@ -105,3 +105,13 @@ def test_a_place_on_a_box_away_from_its_middle(tmp_path: Path) -> None:
     middle, _ = force(replace(problem, specimen=replace(lump, press_x_mm=0.0, press_y_mm=0.0)))
     # measured: 1.0 %
     assert beside == pytest.approx(middle, rel=0.02)
+
+
+def test_a_rough_scan_is_meshed(data_dir: Path) -> None:
+    """Of a brain from images, on which some edges are as bent as those between faces."""
+    file = data_dir / "brain_surface" / "mni152_outer_coarse.stl"
+    scan = Surface(str(file), clamp_below_mm=-20.0, press_x_mm=20.0, press_y_mm=-20.0)
+    mesh = build_mesh(pressed(scan, 3.0).setup)
+    edges = mesh.points[mesh.cells[:, 1:]] - mesh.points[mesh.cells[:, :1]]
+    enclosed = np.linalg.det(edges).sum() / 6
+    assert enclosed == pytest.approx(body(scan).volume_mm3, rel=1e-6)

@@ -26,6 +26,9 @@ from study.surface.surface import Body, body
 #: angle between triangles at which an edge counts as sharp (rad)
 FEATURE = np.radians(35.0)
 
+#: the same for rough scans, on which some edges are so bent though they bound no face
+ROUGH = np.radians(60.0)
+
 #: reference sizes in one cube root of the volume; coarser than for half or quarter models
 CELLS_PER_LENGTH = 12.0
 
@@ -133,21 +136,32 @@ def _bonded(setup: Setup, found: Body) -> tuple[float, ...]:
 
 
 def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]:
+    try:
+        return _between(found, field, FEATURE)
+    except MeshError as first:
+        try:
+            return _between(found, field, ROUGH)
+        except MeshError:
+            raise first from None
+
+
+def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
+    """Tetrahedra between faces that end at edges sharper than ``sharp`` (rad)."""
     with gmsh_session(field, 3) as gmsh:
         try:
-            _enclose(gmsh, found)
+            _enclose(gmsh, found, sharp)
         except Exception as error:  # gmsh raises nothing more specific
             raise MeshError(f"gmsh cannot use the surface: {error}") from error
         return generated(gmsh, 3)
 
 
-def _enclose(gmsh: ModuleType, found: Body) -> None:
+def _enclose(gmsh: ModuleType, found: Body, sharp: float) -> None:
     """Faces and the volume between them, from the triangles."""
     mesh, n = gmsh.model.mesh, len(found.points)
     tag = gmsh.model.addDiscreteEntity(2)
     mesh.addNodes(2, tag, np.arange(1, n + 1), found.points.ravel())
     mesh.addElementsByType(tag, 2, [], (found.triangles + 1).ravel())
-    mesh.classifySurfaces(FEATURE, True, True, FEATURE)
+    mesh.classifySurfaces(sharp, True, True, sharp)
     mesh.createGeometry()
     faces = [face for _, face in gmsh.model.getEntities(2)]
     gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(faces)])
