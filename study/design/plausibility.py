@@ -15,12 +15,12 @@ from study.material.stability import stability
 from study.setup.geometry import (
     Cone,
     Cylinder,
+    Enclosed,
     Flat,
     Homogeneous,
     Indenter,
     Specimen,
     Sphere,
-    Surface,
 )
 from study.setup.material_section import MaterialSection
 from study.setup.plate_motion import PlateMotion
@@ -184,7 +184,7 @@ def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, st
 
 
 def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
-    model, is_surface = problem.model, problem.specimen.shape == "surface"
+    model, is_surface = problem.model, isinstance(problem.specimen, Enclosed)
     if problem.material.compressibility.incompressible and model.formulation == "displacement":
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
         faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')
@@ -248,7 +248,7 @@ def _unstable(
 
 def half_width(specimen: Specimen) -> float | None:
     """Distance in mm from the axis to the nearest side; None for a surface."""
-    if isinstance(specimen, Surface):
+    if isinstance(specimen, Enclosed):
         return None
     if isinstance(specimen, Homogeneous):
         return specimen.half_width_mm

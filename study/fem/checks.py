@@ -9,7 +9,7 @@ from study.fem.cost import size_faults
 from study.fem.mesh.solid import surface_faults
 from study.material.homogeneous import UNIAXIAL
 from study.material.stability import stability, stable_in
-from study.setup.geometry import Surface
+from study.setup.geometry import Enclosed
 from study.setup.setup import Problem, Setup
 from study.surface.surface import body, height_of
 
@@ -42,7 +42,7 @@ def _material(problem: Problem) -> Iterator[Fault]:
 def _loading(setup: Setup) -> Iterator[Fault]:
     """Say why the specimen cannot go through the test."""
     specimen = setup.specimen
-    solid = body(specimen) if isinstance(specimen, Surface) else specimen
+    solid = body(specimen) if isinstance(specimen, Enclosed) else specimen
     return setup.kind.faults(setup.test, solid.height_mm, solid.half_width_mm)
 
 

@@ -23,7 +23,7 @@ from study.fem.mesh.rings import BULGE, CORE, around, has_room, inward
 from study.fem.mesh.size_field import SizeField
 from study.fem.mesh.solid import expected_unknowns as inside
 from study.fem.mesh.structured import CORNER_FRACTION, GROWTH, equivalent_radius
-from study.setup.geometry import Block, Indenter, Specimen, Surface
+from study.setup.geometry import Block, Enclosed, Indenter, Specimen
 from study.setup.load_steps import StepSettings
 from study.setup.setup import Setup
 from study.setup.test_kind import AroundContact, IndenterContact, TowardsPlates
@@ -97,14 +97,14 @@ def size_faults(setup: Setup) -> Iterator[Fault]:
         fits = not too_large(expected_unknowns(finer), there, solid=solid)
         low, high = (low, middle) if fits else (middle, high)
     mend = f'write mesh_size = "{1.05 * high:.2g} mm" or more'
-    if isinstance(setup.specimen, Surface):
+    if isinstance(setup.specimen, Enclosed):
         mend += ", or check specimen.unit"
     yield Fault("model.mesh_size", f"{size:.3g} mm gives {rule}", mend)
 
 
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
-    if isinstance(setup.specimen, Surface):
+    if isinstance(setup.specimen, Enclosed):
         return inside(setup)
     model = setup.model
     grading = setup.grading

@@ -21,7 +21,7 @@ from study.forward import halfspace
 from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.setup.course import course_of
-from study.setup.geometry import Specimen, Surface
+from study.setup.geometry import Enclosed, Specimen
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, ResolvedTables, Setup
 
@@ -34,7 +34,7 @@ _VOLUMETRIC = ("confined", "volumetric")
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
     """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
-    if not isinstance(specimen, Surface):
+    if not isinstance(specimen, Enclosed):
         return specimen.height_mm, specimen.area_mm2
     from study.surface.surface import body
 

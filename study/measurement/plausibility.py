@@ -13,7 +13,7 @@ import math
 from dataclasses import replace
 
 from study.measurement.measured_test import Measurements
-from study.setup.geometry import Cone, Flat, Indenter, Sphere, Surface
+from study.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
 from study.setup.setup import Setup
 
 #: Young's moduli of tissue, gels, silicone and rubber, MPa: 0.1 kPa to 30 MPa
@@ -56,7 +56,7 @@ def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> fl
     indenter = setup.test.indenter
     if indenter is not None:
         return force_N * _PLANE / _half_space(indenter, displacement_mm)
-    if setup.height_mm is None or isinstance(setup.specimen, Surface):
+    if setup.height_mm is None or isinstance(setup.specimen, Enclosed):
         return None
     if setup.kind.mode in _VOLUMETRIC:
         return None  # a bulk modulus, which soft materials have in gigapascals

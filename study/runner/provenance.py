@@ -19,7 +19,7 @@ from study.measurement.data_root import check_relative, locate
 from study.measurement.marker_section import MarkerSpec
 from study.record.atomic_files import write_atomic
 from study.runner.tables import CalibrationTable, Tables
-from study.setup.geometry import Block, Surface
+from study.setup.geometry import Block, Enclosed
 from study.setup.setup import problem_of, specimen_of
 from study.shape_validation.marker_states import read_markers
 
@@ -312,7 +312,7 @@ def _notes(config: Tables) -> Iterator[str]:
 
     if _is_surface(config.get("specimen")):
         made = specimen_of(config["specimen"])
-        if isinstance(made, Surface):
+        if isinstance(made, Enclosed):
             yield from body(made).notes
 
 

@@ -11,13 +11,14 @@ from pydantic import Field
 
 from study.arrays import Array
 from study.errors import Fault
-from study.setup.quantity import Coordinate, LengthOrZero, measured, number, unit_of_length
+from study.setup.quantity import Coordinate, Length, LengthOrZero, measured, number, unit_of_length
 from study.setup.section import Reads, section
 from study.setup.text import relative_path, word
 
 _CYLINDER = measured("length", mend="cylinder takes radius, height")
 _BLOCK = measured("length", mend="block takes width, depth, height")
 _SURFACE = "surface takes file, unit, axis, clamp_below, press_x, press_y, plate_tolerance"
+_BRAIN = measured("length", mend="brain takes length, width, height, fissure, clamp_below")
 _CONE = "cone takes half_angle, tip_radius, shaft_radius"
 
 
@@ -70,8 +71,28 @@ class Block:
         return min(self.width_mm, self.depth_mm) / 2
 
 
+class Enclosed:
+    """Body that triangles enclose: the whole of it is meshed, in 3D with tetrahedra.
+
+    Attributes
+    ----------
+    clamp_below_mm : float, optional
+        Every point below is held.
+    press_x_mm, press_y_mm : float, optional
+        Where the loading axis is; the middle of the bounding box by default.
+    plate_tolerance_mm : float, optional
+        Faces so near to the highest and lowest point lie in the plates; 1e-4 of the height
+        by default.
+    """
+
+    clamp_below_mm: Coordinate | None
+    press_x_mm: Coordinate | None
+    press_y_mm: Coordinate | None
+    plate_tolerance_mm: float | None
+
+
 @section
-class Surface:
+class Surface(Enclosed):
     """Closed surface read from a file, standing on its lowest points.
 
     Parameters
@@ -102,6 +123,35 @@ class Surface:
         default=None, validation_alias="plate_tolerance"
     )
     shape: Literal["surface"] = "surface"
+
+
+@section
+class Brain(Enclosed):
+    """Brain-shaped phantom that is made from five numbers, lying on its base (mm).
+
+    Parameters
+    ----------
+    length_mm, width_mm, height_mm : float
+        Extents from back to front (x), from side to side (y) and from base to top (z).
+    fissure_mm : float
+        Depth of the groove between its halves at the top; 0 for none.
+    clamp_below_mm : float, optional
+        Every point below this height above the lowest one is held.
+    press_x_mm, press_y_mm : float, optional
+        Where the loading axis is, from the middle.
+    plate_tolerance_mm : float, optional
+        Faces so near to the highest and lowest point lie in the plates.
+    """
+
+    length_mm: Annotated[float, _BRAIN] = Field(validation_alias="length")
+    width_mm: Annotated[float, _BRAIN] = Field(validation_alias="width")
+    height_mm: Annotated[float, _BRAIN] = Field(validation_alias="height")
+    fissure_mm: LengthOrZero = Field(default=0.0, validation_alias="fissure")
+    clamp_below_mm: Length | None = Field(default=None, validation_alias="clamp_below")
+    press_x_mm: Coordinate | None = Field(default=None, validation_alias="press_x")
+    press_y_mm: Coordinate | None = Field(default=None, validation_alias="press_y")
+    plate_tolerance_mm: Length | None = Field(default=None, validation_alias="plate_tolerance")
+    shape: Literal["brain"] = "brain"
 
 
 @section
@@ -312,7 +362,7 @@ class Homogeneous:
         return math.sqrt(self.area_mm2) / 2
 
 
-Specimen = Cylinder | Block | Surface | Homogeneous
+Specimen = Cylinder | Block | Surface | Brain | Homogeneous
 Indenter = Flat | Cone | Sphere
 
 #: every shape by its name in a file
@@ -320,6 +370,7 @@ SPECIMENS: dict[str, type[Specimen]] = {
     "cylinder": Cylinder,
     "block": Block,
     "surface": Surface,
+    "brain": Brain,
     "homogeneous": Homogeneous,
 }
 INDENTERS: dict[str, type[Indenter]] = {"flat": Flat, "cone": Cone, "sphere": Sphere}

@@ -13,11 +13,11 @@ from study.material.material import Material
 from study.setup.geometry import (
     INDENTERS,
     SPECIMENS,
+    Enclosed,
     FaceMotion,
     Gravity,
     Indenter,
     Specimen,
-    Surface,
 )
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
@@ -135,7 +135,7 @@ class Setup:
     def is_whole(self) -> bool:
         """Whether the whole specimen is meshed in 3D: no plane through its axis mirrors it."""
         skew = any(face.besides is not None for face in self.faces)
-        return isinstance(self.specimen, Surface) or skew
+        return isinstance(self.specimen, Enclosed) or skew
 
     @property
     def is_homogeneous(self) -> bool:

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, UnitError
-from study.setup.geometry import Specimen, Surface
+from study.setup.geometry import Brain, Enclosed, Specimen, Surface
+from study.surface.brain import brain_surface
 from study.surface.integrity import inspect, volume
 from study.units import parse
 
@@ -53,6 +54,11 @@ _TURNS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
     "-y": ((2, 0, 1), (1, -1, -1)),
 }
 AXES = tuple(_TURNS)
+
+
+def _turn(u: Array, v: Array) -> Array:
+    """Twice the area between two rows of points and the axis, seen from above."""
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,37 @@ class Body:
         low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
         return float(max(min(high.min(), -low.max()), 0.0))
 
+    @property
+    def axis_height_mm(self) -> float:
+        """Height of the highest point on the loading axis; 0 where it misses the body."""
+        a, b, c = (self.points[self.triangles[:, k]] for k in range(3))
+        shares = np.column_stack([_turn(b, c), _turn(c, a), _turn(a, b)])
+        twice = shares.sum(axis=1)
+        hit = (twice > 0) & (shares >= 0).all(axis=1)  # those that face up
+        if not hit.any():
+            return 0.0
+        z = np.column_stack([a[hit, 2], b[hit, 2], c[hit, 2]])
+        return float(((shares[hit] * z).sum(axis=1) / twice[hit]).max())
+
+    def rounding_mm(self, sharp: float) -> float:
+        """Integral of the mean curvature over the round part of the surface, mm.
+
+        Half the sum of length times angle over all edges (Steiner 1840) that are bent by less
+        than ``sharp`` (rad): 4 pi R of a ball, 0 of a box.
+        """
+        corners = self.points[self.triangles]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        a, b, c = self.triangles.T
+        sides = np.sort(np.concatenate([[a, b], [b, c], [c, a]], axis=1), axis=0)
+        first, second = np.lexsort(sides).reshape(-1, 2).T  # closed: every edge has two triangles
+        ends = self.points[sides[:, first]]
+        faces = len(self.triangles)
+        between = (normal[first % faces] * normal[second % faces]).sum(axis=1)
+        angle = np.arccos(np.clip(between, -1, 1))
+        bent = np.linalg.norm(ends[0] - ends[1], axis=1) * angle
+        return float(bent[angle < sharp].sum() / 2)
+
     def plate_area_mm2(self, which: str) -> float:
         """Area that lies in the plate above (``"top"``) or below (``"base"``)."""
         chosen = self.triangles[self.top if which == "top" else self.base]
@@ -110,17 +147,21 @@ class Body:
 
 def height_of(specimen: Specimen) -> float:
     """Height of a specimen in mm; that of a surface is read from its file."""
-    return body(specimen).height_mm if isinstance(specimen, Surface) else specimen.height_mm
+    return body(specimen).height_mm if isinstance(specimen, Enclosed) else specimen.height_mm
 
 
-def body(surface: Surface) -> Body:
-    """Read, check and stand up the surface of a specimen.
+def body(surface: Enclosed) -> Body:
+    """Read or make, check and stand up the surface of a specimen.
 
     Raises
     ------
     InputError
         With everything that is wrong with the file.
     """
+    if isinstance(surface, Brain):
+        return _made(surface)
+    if not isinstance(surface, Surface):
+        raise TypeError(f"no surface is known of {type(surface).__name__}")
     path = Path(surface.file)
     try:
         state = path.stat()
@@ -137,6 +178,19 @@ def _body(surface: Surface, changed: int, size: int) -> Body:
     found = inspect(points, triangles, Path(surface.file).name, surface.unit)
     scale = unit_mm(surface.unit)
     turned = turned_up(found.points * scale, surface.axis)
+    notes = (*found.notes, *_implausible(np.ptp(turned, axis=0), surface.unit))
+    return _stood(turned, found.triangles, surface, notes)
+
+
+@functools.lru_cache(maxsize=8)
+def _made(brain: Brain) -> Body:
+    """Body of a formula, checked as a file would be."""
+    found = inspect(*brain_surface(brain), "brain", "mm")
+    return _stood(found.points, found.triangles, brain, found.notes)
+
+
+def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, ...]) -> Body:
+    """Stand a surface on z = 0, its loading axis at x = y = 0."""
     low, high = turned.min(axis=0), turned.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
     for k, given in enumerate((surface.press_x_mm, surface.press_y_mm)):
@@ -144,9 +198,8 @@ def _body(surface: Surface, changed: int, size: int) -> Body:
     height = float(high[2] - low[2])
     tolerance = surface.plate_tolerance_mm
     within = PLATE_TOLERANCE * height if tolerance is None else tolerance
-    standing, top, base = _flattened(turned - origin, found.triangles, height, within)
-    notes = (*found.notes, *_implausible(high - low, surface.unit))
-    return Body(standing, found.triangles, top, base, float(low[2]), notes)
+    standing, top, base = _flattened(turned - origin, triangles, height, within)
+    return Body(standing, triangles, top, base, float(low[2]), notes)
 
 
 def unit_mm(unit: str) -> float:

@@ -11,7 +11,7 @@ from study.measurement.marker_section import MarkerSpec
 from study.measurement.section import MeasurementSpec
 from study.setup import setup
 from study.setup.forward_model import ForwardModel
-from study.setup.geometry import Specimen, Surface
+from study.setup.geometry import Enclosed, Specimen, Surface
 from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
 from study.setup.setup import Model
@@ -97,7 +97,7 @@ class CellProblem:
         height count, and nothing of the discretisation.
         """
         kept, specimen = self.document(), self.specimen
-        if isinstance(specimen, Surface) or not self.has_closed_form:
+        if isinstance(specimen, Enclosed) or not self.has_closed_form:
             return kept
         test = {k: v for k, v in kept["test"].items() if k != "steps"}
         area = float(f"{specimen.area_mm2:.12g}")

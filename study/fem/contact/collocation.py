@@ -22,7 +22,7 @@ from study.fem.element.function_space import (
     at_level,
 )
 from study.fem.mesh.mesh import Mesh
-from study.setup.geometry import Indenter, Surface
+from study.setup.geometry import Enclosed, Indenter
 from study.setup.setup import Problem, Setup
 from study.setup.test_kind import IndenterContact, PlateContact
 from study.surface.surface import height_of
@@ -54,7 +54,7 @@ def contact_points(
     folding : bool
         Whether the free side between plates is kept from passing through them.
     """
-    whole = isinstance(problem.specimen, Surface)
+    whole = isinstance(problem.specimen, Enclosed)
     found: list[ContactPoints] = []
     for pair in problem.setup.contacts:
         if isinstance(pair, IndenterContact):
@@ -292,7 +292,7 @@ def _onto_plane(
 ) -> tuple[ContactPoints, ...]:
     """Points of a whole surface that may come to lie in a plate; a clamp stands for the base."""
     specimen = problem.specimen
-    clamped = isinstance(specimen, Surface) and specimen.clamp_below_mm is not None
+    clamped = isinstance(specimen, Enclosed) and specimen.clamp_below_mm is not None
     if clamped and pair.face == "base":
         return ()
     held = np.array(sorted(prescribed_rates(problem.setup, space, mesh)), dtype=np.int64)

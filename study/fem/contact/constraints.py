@@ -10,7 +10,7 @@ import numpy as np
 from study.arrays import Array, Ints
 from study.fem.element.function_space import _SAME, Nodes, at_level
 from study.fem.mesh.mesh import Mesh
-from study.setup.geometry import Surface
+from study.setup.geometry import Enclosed
 from study.setup.setup import Setup
 from study.setup.test_kind import FaceCondition
 from study.surface.surface import body
@@ -56,11 +56,18 @@ def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]
     specimen, dim, rate = setup.specimen, space.dim, dict[int, float]()
     for face in setup.faces:
         rate |= _face_rates(face, space, mesh)
-    if not isinstance(specimen, Surface):
+    if not isinstance(specimen, Enclosed):
         return rate
     if not body(specimen).touches("top"):
         rate = _without_top(rate, space, mesh)
-    return rate | {int(n) * dim + i: 0.0 for n in _clamped(specimen, space) for i in range(dim)}
+    if specimen.clamp_below_mm is None:
+        return rate
+    level = specimen.clamp_below_mm - body(specimen).lowest_mm
+    below = np.flatnonzero(space.nodes[:, -1] < level)
+    if setup.model.element_order == "linear":
+        # a bubble is no point of the body: held, it would carry a force that no one applied
+        below = below[below < len(mesh.points)]
+    return rate | {int(n) * dim + i: 0.0 for n in below for i in range(dim)}
 
 
 def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, float]:
@@ -123,14 +130,6 @@ def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, 
     """Leave a round top to contact: it has no face that a plate could move as a whole."""
     top = {int(n) for n in at_level(space, mesh, mesh.height_mm)}
     return {dof: v for dof, v in rate.items() if dof // space.dim not in top}
-
-
-def _clamped(specimen: Surface, space: Nodes) -> Ints:
-    """Nodes below the clamp; the clamp is given along the axis of the file."""
-    if specimen.clamp_below_mm is None:
-        return np.zeros(0, dtype=np.int64)
-    level = specimen.clamp_below_mm - body(specimen).lowest_mm
-    return np.flatnonzero(space.nodes[:, -1] < level)
 
 
 #: motion, over that of the largest, below which a rigid motion counts as held

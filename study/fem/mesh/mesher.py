@@ -24,7 +24,7 @@ from study.fem.mesh.structured import (
     layers,
     rectangle,
 )
-from study.setup.geometry import Surface
+from study.setup.geometry import Enclosed
 from study.setup.setup import Setup, mesh_level
 from study.setup.test_kind import AroundContact, MeshGrading, TowardsPlates
 from study.surface.surface import height_of
@@ -43,7 +43,7 @@ _MADE: dict[tuple[object, ...], Mesh] = {}
 def mesh_size(setup: Setup) -> float:
     """Element size in mm: the given one, or that of the named level."""
     model = setup.model
-    if isinstance(setup.specimen, Surface):
+    if isinstance(setup.specimen, Enclosed):
         return surface_mesh_size(setup)
     if isinstance(setup.grading, AroundContact):
         return graded_size(setup)
@@ -83,7 +83,7 @@ def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
 
 def _regular_mesh(setup: Setup) -> Mesh:
     """Mesh before nodes are moved: the last few are kept."""
-    if isinstance(setup.specimen, Surface):  # the file may have changed
+    if isinstance(setup.specimen, Enclosed):  # its file may have changed
         return surface_mesh(setup)
     asked = setup.specimen, replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
     if asked not in _MADE:

@@ -58,7 +58,7 @@ _RING_FINER = 3.0
 
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH = 0.4
-_LARGEST = 0.3
+LARGEST = 0.3
 
 
 class CFunction(Protocol):
@@ -217,7 +217,7 @@ def reference_field(
         size = min(zone, round_mm / _PER_TIP)
         # pressed in but a little, a tip touches a small part of its own radius
         feature = min(_TIP_ZONE * round_mm, reach)
-    largest = _LARGEST * extent_mm
+    largest = LARGEST * extent_mm
     return SizeField(top_mm, size, size, largest, feature, ring, zone, reach, _GROWTH)
 
 

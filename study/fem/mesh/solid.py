@@ -16,15 +16,18 @@ from study.arrays import Array, Ints
 from study.errors import Fault, MeshError
 from study.fem.mesh.graded import generated, gmsh_session, snapped, turned
 from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.size_field import SizeField, size_field
+from study.fem.mesh.size_field import LARGEST, SizeField, size_field
 from study.fem.mesh.surface_size_field import SizeTable, expected_cubes, graded_table
-from study.setup.geometry import Surface
-from study.setup.setup import Setup, mesh_level
+from study.setup.geometry import Enclosed
+from study.setup.setup import Model, Setup, mesh_level
 from study.setup.test_kind import AroundContact
 from study.surface.surface import Body, body
 
 #: angle between triangles at which an edge counts as sharp (rad)
 FEATURE = np.radians(35.0)
+
+#: the same for rough scans, on which some edges are so bent though they bound no face
+ROUGH = np.radians(60.0)
 
 #: reference sizes in one cube root of the volume; coarser than for half or quarter models
 CELLS_PER_LENGTH = 12.0
@@ -34,6 +37,12 @@ GRADED_PER_LENGTH = 6.5
 
 #: largest part of the volume that straight-sided elements may cut off
 _LOST = 0.05
+
+#: what straight sides of the coarse mesh of an indented body may cut off, over that part
+_SHARE = 0.6
+
+#: a triangle with sides h on a sphere of radius R lies h^2 / 8 R below it, on average
+_SAGITTA = 8.0
 
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
 _PER_CUBE = 6.0
@@ -82,13 +91,13 @@ def expected_unknowns(setup: Setup) -> float:
     else:
         reach = (3 * found.volume_mm3 / (2 * np.pi)) ** (1 / 3)  # a half ball of the same volume
         s = np.linspace(0, reach, 2001)
-        h = field.at(s, np.full(s.shape, found.height_mm))
+        h = field.at(s, np.full(s.shape, found.axis_height_mm))
         cubes = float(np.trapezoid(2 * np.pi * s**2 / h**3, s))
     return _PER_CUBE * _UNKNOWNS[setup.model.element_order] * cubes
 
 
 def _body_of(setup: Setup) -> Body:
-    if not isinstance(setup.specimen, Surface):
+    if not isinstance(setup.specimen, Enclosed):
         raise MeshError("a mesh inside a surface needs a surface")
     return body(setup.specimen)
 
@@ -97,11 +106,21 @@ def _field(setup: Setup, found: Body) -> SizeField:
     """Sizes of an indented surface; of a compressed one before bonded plates are looked at."""
     grading, model = setup.grading, setup.model
     if isinstance(grading, AroundContact):
-        extent = min(found.height_mm, found.half_width_mm)
-        return size_field(model, grading, found.height_mm, extent)
+        extent = min(found.height_mm, found.half_width_mm, _followed(found) / LARGEST)
+        # where the indenter comes down on a round body is lower than its highest point
+        return size_field(model, grading, found.axis_height_mm, extent)
     per_length = GRADED_PER_LENGTH if _bonded(setup, found) else CELLS_PER_LENGTH
     usual = found.volume_mm3 ** (1 / 3) / per_length
     return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
+
+
+def _followed(found: Body) -> float:
+    """Largest reference size whose straight sides follow the round parts on a coarse mesh too."""
+    rounding = found.rounding_mm(FEATURE)
+    if not rounding:
+        return float("inf")
+    coarse = np.sqrt(_SHARE * _LOST * _SAGITTA * found.volume_mm3 / rounding)
+    return float(coarse / mesh_level(Model(mesh="coarse")))
 
 
 def _bonded(setup: Setup, found: Body) -> tuple[float, ...]:
@@ -117,21 +136,32 @@ def _bonded(setup: Setup, found: Body) -> tuple[float, ...]:
 
 
 def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]:
+    try:
+        return _between(found, field, FEATURE)
+    except MeshError as first:
+        try:
+            return _between(found, field, ROUGH)
+        except MeshError:
+            raise first from None
+
+
+def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
+    """Tetrahedra between faces that end at edges sharper than ``sharp`` (rad)."""
     with gmsh_session(field, 3) as gmsh:
         try:
-            _enclose(gmsh, found)
+            _enclose(gmsh, found, sharp)
         except Exception as error:  # gmsh raises nothing more specific
             raise MeshError(f"gmsh cannot use the surface: {error}") from error
         return generated(gmsh, 3)
 
 
-def _enclose(gmsh: ModuleType, found: Body) -> None:
+def _enclose(gmsh: ModuleType, found: Body, sharp: float) -> None:
     """Faces and the volume between them, from the triangles."""
     mesh, n = gmsh.model.mesh, len(found.points)
     tag = gmsh.model.addDiscreteEntity(2)
     mesh.addNodes(2, tag, np.arange(1, n + 1), found.points.ravel())
     mesh.addElementsByType(tag, 2, [], (found.triangles + 1).ravel())
-    mesh.classifySurfaces(FEATURE, True, True, FEATURE)
+    mesh.classifySurfaces(sharp, True, True, sharp)
     mesh.createGeometry()
     faces = [face for _, face in gmsh.model.getEntities(2)]
     gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop(faces)])
@@ -185,7 +215,7 @@ def surface_faults(setup: Setup) -> list[Fault]:
     InputError
         If the surface itself has faults.
     """
-    if not isinstance(setup.specimen, Surface):
+    if not isinstance(setup.specimen, Enclosed):
         return []
     wrong = list(_model(setup))
     if wrong:
@@ -206,7 +236,7 @@ def _model(setup: Setup) -> Iterator[Fault]:
 
 def _plates(setup: Setup, found: Body) -> Iterator[Fault]:
     specimen = setup.specimen
-    clamped = isinstance(specimen, Surface) and specimen.clamp_below_mm is not None
+    clamped = isinstance(specimen, Enclosed) and specimen.clamp_below_mm is not None
     if not clamped and not found.touches("base"):
         rule = "no face of the specimen lies in the plane of its lowest point: nothing holds it"
         mend = "hold it with clamp_below, turn it with axis, or raise plate_tolerance"

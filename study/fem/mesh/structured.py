@@ -12,7 +12,7 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError
-from study.setup.geometry import Block, Cylinder, Specimen, Surface
+from study.setup.geometry import Block, Cylinder, Enclosed, Specimen
 
 #: largest side of the square in a disc of quadrilaterals, over the radius: from 1 / sqrt(2) on
 #: the cells at the square's corner fold over
@@ -136,7 +136,7 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 def equivalent_radius(specimen: Specimen) -> float:
     """Radius of the circle with the specimen's cross-section area."""
-    if isinstance(specimen, Surface):
+    if isinstance(specimen, Enclosed):
         raise InputError("a surface has no one radius: take a cylinder or a block")
     return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
 

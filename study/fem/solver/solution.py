@@ -21,7 +21,7 @@ from study.fem.solver.internal_force import StoredEnergy
 from study.fem.solver.sensitivity import Rate, StepGradients
 from study.fem.solver.state import Assembly, State
 from study.fem.solver.system import System
-from study.setup.geometry import Surface
+from study.setup.geometry import Enclosed
 from study.setup.setup import Problem
 from study.surface.surface import body
 
@@ -307,7 +307,7 @@ class Logbook:
                 said.append(_OUT_OF_REACH)
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
-        if isinstance(self.problem.specimen, Surface):
+        if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from study.design.spec import Case
 from study.material.material import Material
 from study.runner.tables import Tables
-from study.setup.geometry import Cylinder, Surface
+from study.setup.geometry import Cylinder, Enclosed
 from study.setup.setup import Problem, problem_of
 from study.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
 
@@ -71,7 +71,7 @@ def _limits(problem: Problem) -> list[tuple[float, str]]:
     found = [_limit(problem, singularity) for singularity in singularities]
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
         found.append((2.0, "the cylinder's straight-sided elements"))
-    if isinstance(problem.specimen, Surface):
+    if isinstance(problem.specimen, Enclosed):
         found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
     return found
 

@@ -69,8 +69,8 @@ def _reference_model(tables: Tables, as_designed: bool) -> dict[str, object]:
     Where every test is as the design has it, the mesh is the finest that the design uses,
     to be made finer still.
     """
-    shape = tables["specimen"]["shape"]
-    solid = shape == "surface" or (shape == "block" and tables["test"]["kind"] == "indentation")
+    shape, is_indented = tables["specimen"]["shape"], tables["test"]["kind"] == "indentation"
+    solid = shape in ("surface", "brain") or (shape == "block" and is_indented)
     found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
     if not as_designed:
         return {**found, "mesh": "fine"}
