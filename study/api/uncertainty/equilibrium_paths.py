@@ -72,11 +72,11 @@ def _energy(solved: Sequence[Record]) -> Check:
 
 
 def _at_most(fraction: float) -> str:
-    """Write an upper bound of a share.
+    r"""Write an upper bound of a share.
 
     Examples
     --------
-    >>> [_at_most(share).replace("\\xa0", " ") for share in (0.004, 0.0001, 0.0)]
+    >>> [_at_most(share).replace("\xa0", " ") for share in (0.004, 0.0001, 0.0)]
     ['at most 0.40 %', 'less than 0.1 %', 'none']
     """
     if fraction == 0:
