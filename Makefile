@@ -4,6 +4,7 @@
 #   make verify   the long verification: expected, got, error
 #   make bench    the speed comparisons
 #   make elements error of every element against unknowns and seconds: docs/elements.md
+#   make gallery  the shipped studies that are quick, run and photographed for the documentation
 #   make docs     the documentation site: docs/_build/index.html
 #   make newest   the test suite with the newest versions of all packages instead of the locked ones
 #   make check    the gates: style, types, layers, generated code, doctests
@@ -15,7 +16,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup newest demo test verify bench elements docs check lint format-check types layers generated doctests
+.PHONY: help setup newest demo test verify bench elements gallery docs check lint format-check types layers generated doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -47,6 +48,9 @@ bench: $(ready)
 elements: $(ready)
 	@$(one_thread) .venv/bin/python docs/elements.py measure
 	@.venv/bin/python docs/elements.py draw
+
+gallery: $(ready)
+	@PYTHONPATH=. .venv/bin/python docs/gallery_pictures.py
 
 # Warnings are errors: a broken link, a page in no table of contents, a docstring that no one can read.
 docs: $(ready)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import inspect
 import json
 import re
+import shutil
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+import gallery_pictures
 from numpydoc.docscrape import NumpyDocString
 
 import study
@@ -22,6 +24,7 @@ from study.setup.geometry import INDENTERS, SPECIMENS
 from study.setup.setup import Model
 from study.setup.test_section import TestSection
 
+HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
 TABLES: tuple[tuple[str, type], ...] = (
     ("[study]", study_file.Study),
@@ -143,40 +146,93 @@ def cookbook(path: Path) -> str:
     return "\n\n".join([parts[0], note, *parts[1:]]) + "\n"
 
 
-def gallery(folder: Path) -> str:
-    """Return the page of the shipped studies: their question, factors and command."""
+def gallery(folder: Path, reports: Iterable[str] = ()) -> str:
+    """Return the page of the shipped studies: question, factors, commands, answer and report.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of the design files.
+    reports : iterable of str
+        Addresses below the site of the reports that were found, `studies/<name>/<page>.html`.
+    """
+    answers = json.loads((HERE / "gallery" / "answers.json").read_text(encoding="utf-8"))
+    links = {address.split("/")[1]: address for address in reports}
     parts = [
         "# Shipped studies",
         "",
-        "Every file stands in `designs/` and runs with the command below it. What a file needs "
-        "beforehand stands in its first lines.",
+        "Every file stands in `designs/` and runs with the commands below it. Where a command says "
+        "`FOLDER`, put the folder of your measurements. `make gallery` runs those with a picture "
+        "(some minutes) and takes the pictures; after it, and after a study of your own run of any "
+        "other, `make docs` puts the whole report beside it.",
         "",
     ]
-    for path in sorted(folder.glob("*.toml")):
-        parts += _shipped(path)
+    for path in sorted(folder.glob("*.toml"), key=lambda path: (path.stem not in answers, path)):
+        parts += _shipped(path, answers.get(path.stem, {}).get("answer", ""), links)
     return "\n".join(parts) + "\n"
 
 
-def _shipped(path: Path) -> Iterable[str]:
+def gather(designs: Path, folders: Iterable[Path], site: Path) -> list[str]:
+    """Copy the reports of shipped studies to where the site takes them from.
+
+    Parameters
+    ----------
+    designs : Path
+        The folder of the design files.
+    folders : iterable of Path
+        Folders of reports; where two hold the same study, the later one counts.
+    site : Path
+        Folder that is copied into the site; it is made anew.
+
+    Returns
+    -------
+    list of str
+        The addresses of the reports below the site.
+    """
+    shutil.rmtree(site, ignore_errors=True)
+    site.mkdir(parents=True)
+    found = {}
+    for folder in folders:
+        for name in sorted(path.stem for path in designs.glob("*.toml")):
+            page = gallery_pictures.report(name, folder)
+            if page is not None:
+                shutil.copytree(page.parent, site / "studies" / name, dirs_exist_ok=True)
+                found[name] = f"studies/{name}/{page.name}"
+    return list(found.values())
+
+
+def _factors(table: Mapping[str, object], above: str = "") -> Iterator[str]:
+    """One line for each factor; `model.space` is read as a table in a table."""
+    for name, levels in table.items():
+        if isinstance(levels, dict) and {"low", "high"} <= set(levels):
+            yield f"- `{above}{name}`: {levels['low']} to {levels['high']}"
+        elif isinstance(levels, dict):
+            yield from _factors(levels, f"{above}{name}.")
+        else:
+            yield f"- `{above}{name}`: {', '.join(map(str, levels))}"
+
+
+def _shipped(path: Path, answer: str, links: Mapping[str, str]) -> Iterator[str]:
     """Section of one shipped file."""
     text = path.read_text(encoding="utf-8")
     document = tomllib.loads(text)
     yield f"## {path.stem}"
     yield ""
-    question = document.get("study", {}).get("question", "")
-    if question:
-        yield f"*{question}*"
-        yield ""
-    for name, levels in document.get("factors", {}).items():
-        shown = ", ".join(map(str, levels)) if isinstance(levels, list) else str(levels)
-        yield f"- `{name}`: {shown}"
+    first = text.partition("\n")[0].removeprefix("# ")
+    yield f"*{document.get('study', {}).get('question', first)}*"
     yield ""
-    commands = [
-        line.removeprefix("#").strip()
-        for line in text.splitlines()[:12]
-        if line.startswith("#   study")
-    ]
+    yield from _factors(document.get("factors", {}))
+    yield ""
     yield "```sh"
-    yield "\n".join(commands or [f"study run designs/{path.name}"])
+    yield "\n".join(gallery_pictures.commands(text))
     yield "```"
     yield ""
+    if answer:
+        shown = gallery_pictures.SHOWN[path.stem].relative_to(HERE)
+        yield f"{answer}"
+        yield ""
+        yield f"![First screen of the report of {path.stem}: {answer}]({shown})"
+        yield ""
+    if path.stem in links:
+        yield f'<a href="{links[path.stem]}">The whole report of {path.stem}</a>'
+        yield ""

@@ -17,6 +17,7 @@ _NAMES = {
     "rms_force_error": "RMS force error",
     "peak_force_error": "peak force error",
     "work_error": "work error",
+    "curve_rms": "RMS force",
     "marker_error": "marker error",
     "predicted_marker_error": "error of predicted markers",
     "mu0": "initial shear modulus",

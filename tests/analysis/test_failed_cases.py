@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import fisher_exact
 
-from study.analysis.assumption.failed_cases import CaseFate, failure_pattern
+from study.analysis.assumption.failed_cases import CaseFate, cause, failure_pattern
 
 
 def independent(table: dict[str, tuple[int, int]]) -> list[CaseFate]:
@@ -136,3 +136,13 @@ def test_ten_thousand_cases_fit_into_memory_and_seconds() -> None:
         for k in range(10_000)
     ]
     assert [rule.settings for rule in failure_pattern(fates).rules] == [{"a": "7"}]
+
+
+def test_a_cause_is_cut_between_words_and_says_so():
+    told = "unstable below stretch 0.61 in uniaxial loading, " * 9
+    found = cause("unstable", told)
+    assert found.startswith("unstable: unstable below stretch … in uniaxial loading,")
+    assert found.endswith(" …")
+    words = {*told.replace(",", "").split(), "…"}
+    assert found.removeprefix("unstable: ").replace(",", "").split()[-2] in words
+    assert cause("unstable", "below stretch 0.61") == cause("unstable", "below stretch 0.7")

@@ -11,7 +11,12 @@ import pytest
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.analysis.convergence.validation import compare
 from study.reporting.figure import convergence, style, validation
-from study.reporting.output.convergence_page import convergence_figures, write_convergence
+from study.reporting.numbers import MISSING, THIN
+from study.reporting.output.convergence_page import (
+    convergence_figures,
+    sources_tables,
+    write_convergence,
+)
 
 
 def cell(order: float, label: str = "quadratic / mixed") -> dict[str, Any]:
@@ -109,3 +114,14 @@ def test_validation_is_drawn_and_tabled() -> None:
     assert "within u_val" in table.rows[1][-1]
     svg = style.render(lambda: validation.draw_errors(frame), "v", "v")
     assert "<b>" not in svg
+
+
+def test_parts_of_a_value_are_percentages() -> None:
+    sources = [
+        {"quantity": "curve_rms", "source": "mesh", "u": 0.2, "unit": "N", "relative": share}
+        for share in (8.8e-3, 5.3e-10, 0.0, None)
+    ]
+    (table,) = sources_tables([cell(2.0) | {"sources": sources}])
+    shown = [row[-1].replace(THIN, " ") for row in table.rows]
+    assert shown == ["0.88 %", "< 0.001 %", "0 %", MISSING]
+    assert table.rows[0][1] == "RMS force"

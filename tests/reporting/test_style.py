@@ -26,6 +26,11 @@ NOT_USED = {
     r"\butili[sz]e": "use",
     r"\bobviously|clearly|of course\b": "nothing",
     r"\bproves?\b": "shows",
+    r"\b(at most|at least|below|above|within|under) [<>]": "less than 0.1 %, and no second bound",
+    r"(?<!\w)# (mm|N|%|kPa)|stretch #": "dots where a number was left out",
+    r"better than their number alone": "that no level or combination can be named",
+    r"\d\.\d{7,}": "three significant digits",
+    r"\brms\b|\banova\b": "the name as it is written: RMS, analysis of variance",
     r"\bnan\b|\bNone\b(?!: )|\binf\b": "a dash, or what is missing",
 }
 
@@ -67,6 +72,10 @@ def test_no_sentence_has_a_word_that_is_not_used(html: str):
 def test_the_list_of_words_finds_a_breach():
     assert breaches("whether material matters these data cannot tell")
     assert breaches("a significant effect")
+    assert breaches("the two differ by at most < 0.1 % of it")
+    assert breaches("unstable below stretch #")
+    assert breaches("stopped at # mm of # mm")
+    assert breaches("a force of 0.028937628 N")
     assert not breaches("These data cannot show whether material matters.")
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from study.reporting.numbers import count, listing, percent, quantity
+from study.reporting.numbers import count, listing, name_of, percent, quantity
 from study.study_result.report_data import Check
 
 if TYPE_CHECKING:
     from study.record.record import Record
-    from study.study_result.report_data import Check
 
 
 #: Largest share of the stored energy by which the work of a test may be off without a snap.
@@ -53,8 +52,8 @@ def _energy(solved: Sequence[Record]) -> Check:
     worst = max(smooth, default=0.0)
     held = max(float(r.solver["stabilization_share"]) for r in solved)
     finding = (
-        f"the two differ by at most {percent(worst, 2)} of the largest energy where nothing "
-        f"snaps; the stabilization of the elements holds at most {percent(held, 2)} of it"
+        f"the two differ by {_at_most(worst)} of the largest energy where nothing snaps; the "
+        f"stabilization of the elements holds {_at_most(held)} of it"
     )
     if not snapped:
         good = worst <= MISMATCH
@@ -72,6 +71,20 @@ def _energy(solved: Sequence[Record]) -> Check:
     )  # fmt: skip
 
 
+def _at_most(fraction: float) -> str:
+    r"""Write an upper bound of a share.
+
+    Examples
+    --------
+    >>> [_at_most(share).replace("\xa0", " ") for share in (0.004, 0.0001, 0.0)]
+    ['at most 0.40 %', 'less than 0.1 %', 'none']
+    """
+    if fraction == 0:
+        return "none"
+    shown = percent(fraction, 2)
+    return shown.replace("< ", "less than ") if shown.startswith("<") else f"at most {shown}"
+
+
 def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
     """Say what every other load step changes, response by response."""
     worst: dict[str, tuple[float, str]] = {}
@@ -79,12 +92,12 @@ def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
         if u >= worst.get(name, (0.0, ""))[0]:
             worst[name] = u, "pp" if unit == "%" else unit
     told = [
-        f"{name.replace('_', ' ')} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
+        f"{name_of(name)} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
         for name, (u, unit) in worst.items()
     ]
     finding = (
-        "left out every other load step, responses change by at most: "
-        f"{listing(told)}; this is part of the numerical uncertainty"
+        "with every other load step left out, each response changes by no more than this: "
+        f"{listing(told)}; it is part of the numerical uncertainty"
     )
     name = "responses do not depend on the load steps"
     if all(u <= STEP_CHANGE_PP for u, unit in worst.values() if unit == "pp"):

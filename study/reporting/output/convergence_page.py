@@ -14,12 +14,14 @@ from study.arrays import Array, Ints
 from study.reporting.content.table import Table
 from study.reporting.figure import convergence
 from study.reporting.figure.registry import Drawn, Figure, make
-from study.reporting.numbers import MISSING, clean, significant
+from study.reporting.numbers import MISSING, clean, name_of, quantity, significant
 from study.reporting.output.answer_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
     from study.reporting.figure.convergence import Document
 
+#: Parts of a value below this are written as "less than".
+SMALLEST_PART = 1e-5
 Meshes = Sequence[tuple[str, Array, Ints]]
 
 
@@ -143,7 +145,7 @@ def series_table(cells: Sequence[Document]) -> Table:
                 else f"{100 * u / abs(q['value'][0]):.2g} %"
             )  # noqa: E501
             rows.append((
-                clean(convergence.label_of(cell)), clean(str(name).replace("_", " ")),
+                clean(convergence.label_of(cell)), name_of(str(name)),
                 f"{significant(q['value'][0], 4)} {clean(q['unit'])}".strip(),
                 significant(q["extrapolated"], 4), significant(q["observed_order"]),
                 significant(q["formal_order"]), share, clean(str(q["behaviour"])),
@@ -164,8 +166,8 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     rows, raw = [], []
     for cell in cells:
         for row in cell.get("sources") or ():
-            part = MISSING if row["relative"] is None else f"{row['relative']:.1e}"
-            name = clean(str(row["quantity"]).replace("_", " "))
+            part = _part(row["relative"])
+            name = name_of(str(row["quantity"]))
             rows.append((clean(convergence.label_of(cell)), name, clean(row["source"]), part))
             raw.append({"cell": convergence.label_of(cell)} | {
                 k: row[k] for k in ("quantity", "source", "unit", "u", "relative")
@@ -174,6 +176,13 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
         return []
     columns = ("cell", "quantity", "source of error", "part of the value")
     return [Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw))]
+
+
+def _part(share: float | None) -> str:
+    """Write an error as a part of the value; what no one can measure is only said to be small."""
+    if share is not None and 0 < share < SMALLEST_PART:
+        return "< " + quantity(100 * SMALLEST_PART, "%", 1)
+    return quantity(None if share is None else 100 * share, "%", 2)
 
 
 def _warnings(cells: Sequence[Document]) -> list[str]:

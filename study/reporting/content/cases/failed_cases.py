@@ -47,8 +47,8 @@ def sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tuple[str, 
         found = f"Where cases fail: {where}."
     else:
         found = (
-            "No setting, nor any two or three together, say where cases fail better than their "
-            f"number alone: {pattern.failed:,} of {pattern.total:,}."
+            f"{pattern.failed:,} of {pattern.total:,} cases failed. No level of a factor, and no "
+            "combination of two or three, holds enough of them to be named as the place."
         )
     return found, f"Causes: {causes}.", _blamed(pattern, labels)
 
@@ -75,7 +75,9 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
         if test.p_holm < _ALPHA
     ]
     if not blamed:
-        return "No factor on its own fails significantly more often at one level than at another."
+        return (
+            "No factor's levels differ in how often their cases fail by more than chance explains."
+        )
     return f"Failing depends on {listing(blamed)}, adjusted for the number of factors."
 
 
