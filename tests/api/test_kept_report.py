@@ -26,7 +26,7 @@ def again() -> Path:
     found = api.run("small.toml", data="data", jobs=1)
     assert found.report is not None
     assert not [said for said in found.warnings if "could not be written" in said]
-    return found.report
+    return Path(found.report)
 
 
 def state(home: Path) -> dict[str, tuple[int, bytes]]:
