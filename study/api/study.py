@@ -32,12 +32,13 @@ from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
 from study.record.manifests import is_same
 from study.record.store import Store
-from study.reporting.output.write import checked_formats, write
+from study.reporting.output import provenance
+from study.reporting.output.write import checked_formats, main_file, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
-from study.runner.provenance import surface_files
-from study.runner.tasks import computing_on
+from study.runner.provenance import surface_files, versions
+from study.runner.tasks import computing_on, processes
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 from study.units import parse
@@ -185,7 +186,8 @@ def run(
     work = expand(continued(loaded, store), root, allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
-    executor = None
+    # one executor for cells and refined cases alike, so that all of them fit into the memory
+    executor = None if room is None else processes(jobs or default_jobs(), timeout_s, room)
     if engine is not None:
         read = {path for job in work.jobs for path in surface_files(job.case.config)}
         executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
@@ -193,7 +195,7 @@ def run(
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
         work, summary = _compute(
-            work, store, clock, jobs, progress, timeout_s, refine, room, executor,
+            work, store, clock, jobs, progress, timeout_s, refine, executor,
             lambda design: expand(design, root, allowed),
         )  # fmt: skip
         _finish(store, work, clock.parts, summary)
@@ -233,7 +235,6 @@ def _compute(
     progress: Callable[[Progress], None] | None,
     timeout_s: float | None,
     refine: bool,
-    memory_MB: float | None,  # noqa: N803
     executor: Executor | None,
     expanded: Callable[[Design], Work],
 ) -> tuple[Work, Summary]:
@@ -246,8 +247,7 @@ def _compute(
         work,
         store,
         lambda part: run_batch(
-            part, store, jobs=jobs, progress=noted, timeout_s=timeout_s, memory_MB=memory_MB,
-            executor=executor,
+            part, store, jobs=jobs, progress=noted, timeout_s=timeout_s, executor=executor
         ),
         expanded,
         lambda part: store.begin_run(manifest_of(part)),
@@ -338,13 +338,29 @@ def report(
         timings = dict(study.manifest.get("timings", {}))
         if began is not None:
             timings["statistics"] = began.parts.get("statistics", 0.0)
-        written = write(report_data(study, timings), Path(reports) / study.design.name, wanted)
+        written = _written(study, timings, Path(reports) / study.design.name, wanted)
     except (InputError, RefusedError):
         raise
     except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
         message = f"the report could not be written: {type(error).__name__}: {error}"
         return replace(study, warnings=(*study.warnings, message))
     return replace(study, report=written)
+
+
+def _written(
+    study: StudyResult, timings: Mapping[str, float], folder: Path, formats: Sequence[str]
+) -> Path:
+    """Write a report and name its main file; one that would be the same again stays as it is."""
+    name, asked = study.design.name, checked_formats(formats)
+    made_from = provenance.made_of(study.folder, [*asked, *study.warnings], versions())
+    # of a second study beside it nothing is known here: such a report is made every time
+    if study.beside is None and provenance.is_kept(folder, name, made_from):
+        return main_file(folder, name, asked)
+    provenance.forget(folder, name)
+    written = write(report_data(study, timings), folder, asked)
+    if study.beside is None:
+        provenance.keep(folder, name, made_from)
+    return written
 
 
 def demo(

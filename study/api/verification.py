@@ -26,6 +26,7 @@ from study.design.load import loads
 from study.errors import Fault, InputError
 from study.record.record import Record
 from study.record.store import Store
+from study.reporting.output import provenance
 from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed
@@ -199,7 +200,8 @@ def _compare_report(home: Path, folder: Path, found: Verification, tolerance: fl
 
 
 def _texts(folder: Path) -> Iterator[Path]:
-    return (p for p in folder.rglob("*") if p.suffix in _TEXTS and p.is_file())
+    found = (p for p in folder.rglob("*") if p.suffix in _TEXTS and p.is_file())
+    return (p for p in found if p.name != provenance.NAME)
 
 
 def _lines(path: Path) -> list[str]:

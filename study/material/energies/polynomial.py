@@ -56,7 +56,7 @@ class TableEnergy(InvariantEnergy):
         """Slopes of the table's derivatives."""
         table = self.table(constants)
         aa, ab = _slopes(_derivative(table, 0), a, b)
-        bb = _slopes(_derivative(table, 1), a, b).by_b
+        bb = _value(_derivative(_derivative(table, 1), 1), a, b)
         return Curvatures(aa, ab, bb)
 
     def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
@@ -274,10 +274,13 @@ def _slopes(table: Array, x: Array, y: Array) -> Slopes:
 
 
 def _derivative(table: Array, axis: int) -> Array:
-    """Coefficients of the derivative of a polynomial by one of its two variables."""
+    """Coefficients of the derivative of a polynomial by one of its two variables.
+
+    That of a constant is one zero, however many coefficients there are of the other variable.
+    """
     size = table.shape[axis]
     if size == 1:
-        return np.zeros_like(table)
+        return np.zeros((1, 1))
     power = np.arange(1.0, size)
     return table[1:] * power[:, None] if axis == 0 else table[:, 1:] * power
 

@@ -16,7 +16,7 @@ from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
 from study.reporting.output.page import _environment
-from study.reporting.output.write import _replace
+from study.reporting.output.write import replace_file
 from study.shape_validation.deviation import ShapeDeviation
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult
@@ -74,17 +74,17 @@ def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
     beside.mkdir(parents=True, exist_ok=True)
     for figure in page.figures:
         if figure.data is not None:
-            _replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
     for table in page.tables:
-        _replace(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+        replace_file(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
     numbers = json.dumps(page.document, indent=1, allow_nan=False)
-    _replace(beside / "numbers.json", numbers + "\n")
+    replace_file(beside / "numbers.json", numbers + "\n")
     text = _environment().get_template("accuracy.html.j2").render(
         kicker=page.kicker, name=clean(page.name), question=clean(page.question),
         answer=page.answer, figures=page.figures, tables=page.tables,
         warnings=[clean(line) for line in page.warnings],
     )  # fmt: skip
-    _replace(folder / f"{stem}.html", clean(text))
+    replace_file(folder / f"{stem}.html", clean(text))
     return folder / f"{stem}.html"
 
 

@@ -272,11 +272,11 @@ def write_analysis(
     _write_data(report, contents, beside)
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in asked or "pdf" in asked:
-        write._replace(html, render(report, contents))
+        write.replace_file(html, render(report, contents))
     if "tex" in asked:
         shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
         captions = [(t.name.capitalize(), t) for _, t in shown]
-        write._replace(latex, write.document(captions, _methods(contents)))
+        write.replace_file(latex, write.document(captions, _methods(contents)))
     if "pdf" in asked:
         write.print_page(html, portable)
     return {"html": html, "pdf": html, "tex": latex, "csv": beside / "rows.csv"}[asked[0]]
@@ -288,17 +288,17 @@ _IN_LATEX = ("verdicts", "anova", "coefficients", "means", "pairs", "reference")
 def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -> None:
     numbers = report.found.to_json()
     text = json.dumps(numbers, indent=1, allow_nan=False)
-    write._replace(beside / "numbers.json", text + "\n")
+    write.replace_file(beside / "numbers.json", text + "\n")
     rows = report.found.data.residuals if report.rows is None else report.rows
-    write._replace(beside / "rows.csv", write.of_frame(rows))
+    write.replace_file(beside / "rows.csv", write.of_frame(rows))
     sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
     for table in (*contents.tables.values(), *sizes):
         records = write.of_records(table.raw) if table.raw else write.of_rows(
             table.columns, table.rows
         )  # fmt: skip
-        write._replace(beside / f"table-{slug(table.name)}.csv", records)
+        write.replace_file(beside / f"table-{slug(table.name)}.csv", records)
     for figure in contents.all_figures:
         if figure.data is not None:
-            write._replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            write.replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
         if figure.svg:
-            write._replace(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
+            write.replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")

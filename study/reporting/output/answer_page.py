@@ -11,7 +11,7 @@ from study.reporting.figure.registry import Figure, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
 from study.reporting.output.page import _environment
-from study.reporting.output.write import _replace
+from study.reporting.output.write import replace_file
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     beside.mkdir(parents=True, exist_ok=True)
     for figure in page.figures:
         if figure.data is not None:
-            _replace(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
     for table in page.tables:
-        _replace(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+        replace_file(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
     text = _environment().get_template("answer.html.j2").render(
         kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
         figures=page.figures, tables=page.tables, warnings=page.warnings,
     )  # fmt: skip
-    _replace(folder / f"{stem}.html", clean(text))
+    replace_file(folder / f"{stem}.html", clean(text))
     return folder / f"{stem}.html"

@@ -57,22 +57,40 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     beside.mkdir(parents=True, exist_ok=True)
     _numbers(contents, beside)
     _tables(contents, beside)
-    _replace(beside / "cases.csv", of_frame(report_data.table))
+    replace_file(beside / "cases.csv", of_frame(report_data.table))
     if report_data.curves:
         _replace_packed(beside / "curves.csv.gz", _points(report_data.curves))
     for figure in contents.all_figures:
         if figure.data is not None:
-            _replace(beside / f"figure-{figure.name}.csv", of_frame(figure.data))
+            replace_file(beside / f"figure-{figure.name}.csv", of_frame(figure.data))
         if figure.svg:
-            _replace(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
+            replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in asked or "pdf" in asked:
-        _replace(html, render(contents))
+        replace_file(html, render(contents))
     if "tex" in asked:
-        _replace(latex, _latex(contents))
+        replace_file(latex, _latex(contents))
     if "pdf" in asked:
         print_page(html, portable)
-    return {"html": html, "pdf": html, "tex": latex, "csv": beside / "cases.csv"}[asked[0]]
+    return main_file(folder, report_data.name, asked)
+
+
+def main_file(folder: Path, name: str, formats: Sequence[str]) -> Path:
+    """Name the file of a report that is opened first.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the report goes.
+    name : str
+        The study.
+    formats : sequence of str
+        By :func:`checked_formats`.
+    """
+    stem = slug(name)
+    page = folder / f"{stem}.html"
+    beside = {"tex": folder / f"{stem}.tex", "csv": folder / f"{stem}-data" / "cases.csv"}
+    return beside.get(formats[0], page)
 
 
 def checked_formats(formats: Sequence[str]) -> tuple[str, ...]:
@@ -102,7 +120,7 @@ def _tables(contents: Contents, beside: Path) -> None:
     known += [table for table in every if table is not None]
     for table in known:
         text = of_records(table.raw) if table.raw else of_rows(table.columns, table.rows)
-        _replace(beside / f"table-{slug(table.name)}.csv", text)
+        replace_file(beside / f"table-{slug(table.name)}.csv", text)
 
 
 def _numbers(contents: Contents, beside: Path) -> None:
@@ -113,7 +131,7 @@ def _numbers(contents: Contents, beside: Path) -> None:
     text = json.dumps(
         {"study": contents.data.name, "responses": numbers}, indent=1, allow_nan=False
     )
-    _replace(beside / "numbers.json", text + "\n")
+    replace_file(beside / "numbers.json", text + "\n")
 
 
 def _points(curves: Sequence[CurvePair]) -> str:
@@ -153,8 +171,8 @@ def _replace_packed(path: Path, text: str) -> None:
     os.replace(partial, path)
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write beside, then rename: a reader never sees half a file."""
+def replace_file(path: Path, text: str) -> None:
+    """Write a text beside, then rename: a reader never sees half a file."""
     partial = path.with_name(path.name + ".part")
     partial.write_text(text, encoding="utf-8", newline="\n")
     os.replace(partial, path)
