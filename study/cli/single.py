@@ -24,6 +24,16 @@ if TYPE_CHECKING:
     from study.runner.fitting.staged_fit import Step
 
 
+Numerics = Annotated[
+    bool,
+    typer.Option("--numerics", help="Bound the error by meshes and load steps."),
+]
+Resamples = Annotated[
+    int,
+    typer.Option("--bootstrap", help="Intervals from this many resampled fits."),
+]
+
+
 def solve(
     file: Annotated[Path, typer.Argument(help="Problem file.")],
     settings: Set = None,
@@ -101,15 +111,8 @@ def calibrate(
     profiles: Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals.")] = (
         False
     ),
-    numerics: Annotated[
-        bool,
-        typer.Option(
-            "--numerics", help="Bound the error by meshes and load steps: fits on others."
-        ),
-    ] = False,
-    bootstrap: Annotated[
-        int, typer.Option(help="Intervals from this many resampled fits (blocks, or specimens).")
-    ] = 0,
+    numerics: Numerics = False,
+    bootstrap: Resamples = 0,
     energies: Annotated[
         bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
     ] = False,
@@ -134,14 +137,13 @@ def calibrate(
     from study.api.single.method import is_analytic
 
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
+    alone = not (profiles or numerics or bootstrap)
     if is_analytic(file, asked):
-        if energies or profiles or numerics or bootstrap or by is not None or convention != "study":
-            rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
-            raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
+        _check_analytic(alone=alone and by is None and not energies and convention == "study")
         closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
-        _check_by(by, alone=not (energies or profiles or numerics or bootstrap))
+        _check_by(by, alone=alone and not energies)
         compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
@@ -158,6 +160,13 @@ def calibrate(
     _show(found, convention, results / found.name, as_json)
     if not found.usable:
         raise typer.Exit(1)
+
+
+def _check_analytic(*, alone: bool) -> None:
+    """Refuse what the closed form of indentations has no answer to."""
+    if not alone:
+        rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
+        raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
 
 
 def _check_by(by: str, *, alone: bool) -> None:
@@ -239,21 +248,7 @@ class _Line:
 
 
 def _print_calibration(found: Document) -> None:
-    rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
-             "profile interval"]]  # fmt: skip
-    bound = found.get("numerics")
-    for name, entry in found["parameters"].items():
-        u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
-        profile = found["profiles"].get(name, {}).get("interval")
-        rows.append(
-            [name, output.number(entry["value"], 6), entry["unit"],
-             output.number(entry["standard_error"]), _between(entry["ci95"]), u, _between(profile)]
-        )  # fmt: skip
-    if not found["profiles"]:
-        rows = [row[:-1] for row in rows]
-    if bound is None:
-        rows = [[*row[:5], *row[6:]] for row in rows]
-    output.table(rows, found["model"])
+    _print_constants(found)
     output.print_nuisance(found["nuisance"])
     if "shear_moduli" in found:
         both = found["shear_moduli"]
@@ -261,15 +256,7 @@ def _print_calibration(found: Document) -> None:
               f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
     if "converted" in found:
         _print_converted(found["converted"])
-    if bound is not None:
-        print(bound["sentence"])
-    if "bootstrap" in found:
-        drawn = found["bootstrap"]
-        said = "; ".join(
-            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
-            for n, pair in drawn["interval"].items()
-        )
-        print(f"{drawn['sentence']}: {said}")
+    _print_further_bounds(found)
     if found["serial_correlation"]:
         print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])
@@ -300,6 +287,38 @@ def _print_calibration(found: Document) -> None:
     for note in found["notes"]:
         print(f"data: {note}")
     output.warn(found["warnings"])
+
+
+def _print_constants(found: Document) -> None:
+    rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
+             "profile interval"]]  # fmt: skip
+    bound = found.get("numerics")
+    for name, entry in found["parameters"].items():
+        u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
+        profile = found["profiles"].get(name, {}).get("interval")
+        rows.append(
+            [name, output.number(entry["value"], 6), entry["unit"],
+             output.number(entry["standard_error"]), _between(entry["ci95"]), u, _between(profile)]
+        )  # fmt: skip
+    if not found["profiles"]:
+        rows = [row[:-1] for row in rows]
+    if bound is None:
+        rows = [[*row[:5], *row[6:]] for row in rows]
+    output.table(rows, found["model"])
+
+
+def _print_further_bounds(found: Document) -> None:
+    """Say how the numerical bound was had, and what the bootstrap gives."""
+    bound = found.get("numerics")
+    if bound is not None:
+        print(bound["sentence"])
+    if "bootstrap" in found:
+        drawn = found["bootstrap"]
+        said = "; ".join(
+            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
+            for n, pair in drawn["interval"].items()
+        )
+        print(f"{drawn['sentence']}: {said}")
 
 
 def _print_population(found: Document) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.comparison import compare
 from study.runner.calibration.model_selection import choose
+from study.runner.numerical.numerical_bound import numerical_bound
 
 if TYPE_CHECKING:
     from study.runner.calibration.comparison import Comparison
@@ -83,10 +85,13 @@ def calibrate(
         calibration_root(config, source, data),
         progress=progress,
         profiles=profiles,
-        numerics=numerics,
         resamples=resamples,
         folder=folder,
     )
+    if numerics and found.converged:
+        root = calibration_root(config, source, data)
+        bound = numerical_bound(config, root, found.fit, progress)
+        found = replace(found, numerics=bound.as_dict())
     if folder is not None:
         save_calibration(found, folder)
     return Calibrated.of(found)

@@ -21,7 +21,7 @@ from study.canonical import digest
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.measurement.conditioning import is_caution
-from study.runner.calibration.bootstrap import Bootstrap, bootstrap
+from study.runner.calibration.bootstrap import bootstrap
 from study.runner.calibration.judgement import plausible, range_stability
 from study.runner.calibration.measured_tests import (
     FitCurve,
@@ -35,7 +35,6 @@ from study.runner.calibration.measured_tests import (
 )
 from study.runner.calibration.multistart import Starts, best, excluded, scattered
 from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
-from study.runner.calibration.numerical_bound import NumericalBound, numerical_bound
 from study.runner.calibration.optimal_design import next_tests
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
 from study.runner.fitting import fit_task
@@ -95,7 +94,6 @@ def calibrate(
     *,
     progress: Progress | None = None,
     profiles: bool = False,
-    numerics: bool = False,
     resamples: int = 0,
     folder: Path | None = None,
 ) -> CalibrationResult:
@@ -111,8 +109,6 @@ def calibrate(
         Gets every accepted iteration of every stage.
     profiles : bool
         Whether profile-likelihood intervals are computed.
-    numerics : bool
-        Whether the error by meshes and load steps is bounded, by fits on others.
     resamples : int
         How many resampled fits give bootstrap intervals; 0 for none.
     folder : Path, optional
@@ -140,8 +136,11 @@ def calibrate(
         population=population([one.fit for one in specimens]),
         cross_validation=cross,
         profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
-        numerics=_bounded(setting, curves, found) if numerics and found.converged else None,
-        bootstrap=_resampled(setting, curves, found, resamples) if found.converged else None,
+        bootstrap=(
+            bootstrap(found, config, curves, resamples, setting.bounds)
+            if resamples and found.converged
+            else None
+        ),
         starts=starts,
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
@@ -165,7 +164,7 @@ def _setting(
 ) -> _Setting:
     tests, given = config["tests"], config["calibration"]["bounds"]
     names, start = _start(tests, curves, progress, checkpoint)
-    bounds = _bounds(config, names)
+    bounds = bounds_of(config, names)
     low, high = np.array(bounds).T
     inside = np.clip(start, low, high)
     outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
@@ -179,8 +178,21 @@ def _setting(
     return _Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
 
 
-def _bounds(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
-    """Bounds of the file; else those beyond which an energy is not defined."""
+def bounds_of(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
+    """Bounds of the file; else those beyond which an energy is not defined.
+
+    Parameters
+    ----------
+    config : mapping
+        Of a calibration.
+    names : sequence of str
+        Constants.
+
+    Returns
+    -------
+    list of (low, high)
+        MPa (exponents plain); may be infinite.
+    """
     section, given = MaterialSection.of(config["material"]), config["calibration"]["bounds"]
     return [given.get(n) or section.bounds(n) for n in names]
 
@@ -328,16 +340,6 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
         for name in whole.names
         if name in known
     }
-
-
-def _bounded(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> NumericalBound:
-    return numerical_bound(found, setting.tests, curves, setting.bounds, setting.progress)
-
-
-def _resampled(
-    setting: _Setting, curves: Sequence[FitCurve], found: Fit, count: int
-) -> Bootstrap | None:
-    return bootstrap(found, setting.config, curves, count, setting.bounds) if count else None
 
 
 def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from study.calibration.random_effects import Population
     from study.material.convention import Converted
     from study.runner.calibration.bootstrap import Bootstrap
-    from study.runner.calibration.numerical_bound import NumericalBound
     from study.runner.calibration.optimal_design import NextTests
 
 
@@ -157,8 +156,8 @@ class CalibrationResult:
         What the tests know of the constants, in the units of their curves.
     next_tests : NextTests, optional
         Tests that could be made next, by what they would tell of the constants.
-    numerics : NumericalBound, optional
-        How far meshes and load steps may move the constants, where asked.
+    numerics : mapping, optional
+        Document of how far meshes and load steps may move the constants, where asked.
     bootstrap : Bootstrap, optional
         Intervals from resampled data, where asked.
     """
@@ -187,7 +186,7 @@ class CalibrationResult:
     starts: Starts | None = None
     identified: Identifiability | None = None
     next_tests: NextTests | None = None
-    numerics: NumericalBound | None = None
+    numerics: Mapping[str, object] | None = None
     bootstrap: Bootstrap | None = None
 
     @property
@@ -246,7 +245,7 @@ class CalibrationResult:
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
-            **({} if self.numerics is None else {"numerics": self.numerics.as_dict()}),
+            **({} if self.numerics is None else {"numerics": self.numerics}),
             **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
             "warnings": list(self.warnings),

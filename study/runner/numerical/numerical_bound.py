@@ -11,13 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.arrays import Array
-from study.runner.calibration.measured_tests import FitCurve, in_order, parts_of
+from study.runner.calibration.calibrate import bounds_of
+from study.runner.calibration.measured_tests import in_order, parts_of, read_tests
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Checkpoint, Part, Progress, single_stage
 from study.runner.numerical.formal_order import formal_order
@@ -101,11 +103,7 @@ class NumericalBound:
 
 
 def numerical_bound(
-    known: Fit,
-    tests: Sequence[Tables],
-    curves: Sequence[FitCurve],
-    bounds: Sequence[tuple[float, float]] | None = None,
-    progress: Progress | None = None,
+    config: Tables, root: Path, known: Fit, progress: Progress | None = None
 ) -> NumericalBound:
     """Fit again on other meshes and with more load steps, and judge every constant.
 
@@ -113,14 +111,12 @@ def numerical_bound(
 
     Parameters
     ----------
+    config : mapping
+        Of the calibration.
+    root : Path
+        Data root.
     known : Fit
-        Converged; the others start from it.
-    tests : sequence of mapping
-        Tables of the tests.
-    curves : sequence of FitCurve
-        Measured ones.
-    bounds : sequence of (low, high), optional
-        Of the constants.
+        Its converged fit, from which the others start.
     progress : callable, optional
         Gets every accepted iteration.
 
@@ -130,7 +126,8 @@ def numerical_bound(
         Zero where every test has a closed form.
     """
     names, start = known.names, known.values
-    parts = parts_of(tests, in_order(curves))
+    bounds = bounds_of(config, names)
+    parts = parts_of(config["tests"], in_order(read_tests(config["tests"], root)[0]))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
