@@ -30,7 +30,7 @@ _HOME = {
     "predict": "study.api.statistics.prediction",
     "optimize": "study.api.planning.optimum",
     "invert": "study.api.planning.inversion",
-    "contrasts": "study.api.statistics.contrasts",
+    "contrasts": "study.api.statistics.contrast",
     "anova": "study.analysis.anova",
     "mixed_model": "study.analysis.error.mixed_model",
     "ryan_joiner": "study.analysis.assumption.normality",

@@ -9,7 +9,7 @@ from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
 from study.api.folders import RESULTS, results_folder
 from study.api.statistics.confirmation import joined
-from study.api.statistics.contrasts import with_contrasts
+from study.api.statistics.contrast import with_contrasts
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import cross_validated, scored_on
