@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from study.calibration.measured_curve import MeasuredCurve
     from study.calibration.profile_likelihood import Profile
 
-
 #: correlation of neighboring rows from which a misfit is more likely than noise
 _ORDERED = 0.5
 
