@@ -315,6 +315,11 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
         "it is \u00d7 1.020, and the numerical uncertainty there, \u00d7 1.11, would have to be "
         "below \u00d7 1.07."
     )
+    pair = SimpleEffect("b", "c", (), 1.03, (1.02, 1.04), None, 2.0, NOT_RESOLVED)
+    of_three = replace(order, largest=("a", "c"), simple_effects=(pair,))
+    assert "; between b and c it is \u00d7 1.030, and the numerical uncertainty there" in flat(
+        verdicts.verdict(of_three, modulus())
+    )
     alone = replace(order, simple_effects=())
     assert "and its numerical uncertainty \u00d7 1.02 would have to be below" in flat(
         verdicts.verdict(alone, modulus())

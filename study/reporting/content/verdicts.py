@@ -84,11 +84,15 @@ def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
     if effect.u_needed is None or (one is not None and one.u is None):
         return f", and {clean(effect.why)}"
     below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
-    if one is None or not effect.depends_on_settings:
+    if one is None or (not one.at and {one.first, one.second} == set(effect.largest or ())):
         return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
+    # another setting, or another pair of levels, has the larger uncertainty
+    where = (
+        setting(one, labels) if one.at else f"between {clean(one.first)} and {clean(one.second)}"
+    )
     return (
-        f"; {setting(one, labels)} it is {shown_difference(one.difference, effect, facts)}, and "
-        f"the numerical uncertainty there, {bound(one.u or 0.0, effect, facts)}, {below}"
+        f"; {where} it is {shown_difference(one.difference, effect, facts)}, and the numerical "
+        f"uncertainty there, {bound(one.u or 0.0, effect, facts)}, {below}"
     )
 
 
