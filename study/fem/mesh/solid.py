@@ -18,7 +18,7 @@ from study.fem.mesh.graded import generated, gmsh_session, snapped, turned
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.size_field import LARGEST, SizeField, size_field
 from study.fem.mesh.surface_size_field import SizeTable, expected_cubes, graded_table
-from study.setup.geometry import Enclosed
+from study.setup.geometry import Enclosed, Surface
 from study.setup.setup import Model, Setup, mesh_level
 from study.setup.test_kind import AroundContact
 from study.surface.surface import Body, body
@@ -79,8 +79,8 @@ def surface_mesh_size(setup: Setup) -> float:
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that the mesh of a problem will have, from volume and sizes alone.
 
-    Right within a factor of 1.5. In indentation the sizes are integrated over spheres about
-    the point of contact.
+    Right within a factor of 1.5, of 2 under an indenter. There the sizes are integrated over
+    spheres about the point of contact.
     """
     found = _body_of(setup)
     field = _field(setup, found)
@@ -142,7 +142,8 @@ def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]
         try:
             return _between(found, field, ROUGH)
         except MeshError:
-            raise first from None
+            # a unit that was mistaken is told with what came of it
+            raise MeshError("; ".join([str(first), *found.notes])) from None
 
 
 def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
@@ -227,7 +228,8 @@ def surface_faults(setup: Setup) -> list[Fault]:
 def _model(setup: Setup) -> Iterator[Fault]:
     model = setup.model
     if model.space == "axisymmetric":
-        rule = "a surface from a file has no axis of symmetry that could be relied on"
+        what = "a surface from a file" if isinstance(setup.specimen, Surface) else "a brain"
+        rule = f"{what} has no axis of symmetry that could be relied on"
         yield Fault("model.space", rule, 'write space = "3d"')
     if model.element_shape == "tensor":
         rule = "the inside of a surface is meshed with tetrahedra"
