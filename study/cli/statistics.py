@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -135,7 +135,8 @@ def analyze(
         **_options(flags, alpha),
     )  # fmt: skip
     asked = api.contrasts(found, contrast) if contrast else ()
-    page = None if report is None else _write_page(found, source, report, flags)
+    told = replace(found, contrasts=asked)
+    page = None if report is None else _write_page(told, source, report, flags)
     _show(found, _Beside(_compared(found, reference), asked, page), as_json)
     if not as_json and all(e.verdict == "cannot tell" for e in found.effects if e.is_main):
         _hint_practical(practical)
@@ -267,9 +268,8 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
 def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
     from study.api.statistics.table_report import Source, write_page
 
-    at = Source(
-        source, {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
-    )
+    given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
+    at = Source(source, given, tuple(one.name for one in found.contrasts))
     wanted = tuple(_names(flags["--format"])) or ("html",)
     return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
 

@@ -70,6 +70,27 @@ def test_a_study_answers_the_differences_that_it_names(asked: Path) -> None:
     assert "small - large" in said
 
 
+def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path: Path) -> None:
+    rows = ["a,b,y", *(f"{a},{b},{x + 2 * y + e}" for x, a in enumerate("pq")
+                       for y, b in enumerate("uv") for e in (-0.1, 0.1))]  # fmt: skip
+    (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")
+    out = tmp_path / "out"
+    asked = ("a=p, b=v - a=p, b=u", "q - p")
+    flags = [word for text in asked for word in ("--contrast", text)]
+    found = study("analyze", tmp_path / "t.csv", "--response", "y", "--factors", "a,b",
+                  *flags, "--report", out)  # fmt: skip
+    assert found.code == 0, found.err
+    raw = pd.read_csv(next(out.rglob("table-contrasts-y.csv")))
+    assert raw["contrast"].tolist() == list(asked)
+    # by construction: two of b, one of a; four runs a side, pooled variance .02 on 4 df
+    assert raw["difference"].tolist() == pytest.approx([2.0, 1.0])
+    half = stats.t.ppf(1 - 0.025 / 2, 4) * np.sqrt(0.02 * (1 / 2 + 1 / 2))
+    assert raw["high"][0] - raw["difference"][0] == pytest.approx(half, rel=1e-9)
+    page = next(out.glob("*.html")).read_text(encoding="utf-8")
+    assert "--contrast" in page
+    assert "Differences that were asked for" in page
+
+
 @pytest.mark.parametrize(
     ("text", "rule"),
     [

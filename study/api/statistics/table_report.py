@@ -44,10 +44,13 @@ class Source:
         The CSV; None for a table in memory.
     flags : mapping of str to str
         What the command line was given: ``{"--response": "life"}``.
+    contrasts : tuple of str
+        Differences that were asked for by name.
     """
 
     path: Path | None = None
     flags: Mapping[str, str] = field(default_factory=dict)
+    contrasts: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -64,7 +67,8 @@ class Source:
             return ()
         check = f"{self.digest()}  {self.path}"
         given = [word for flag, value in self.flags.items() if value for word in (flag, value)]
-        again = ["study", "analyze", str(self.path), *given]
+        asked = [word for text in self.contrasts for word in ("--contrast", text)]
+        again = ["study", "analyze", str(self.path), *given, *asked]
         return (f"echo {shlex.quote(check)} | sha256sum --check", shlex.join(again))
 
 

@@ -79,7 +79,7 @@ def prepare(report: AnalysisReport) -> page.Contents:
             for e in item.terms
             if e.is_main or e.strength == "matters"
         ),
-        contrasts=analysis_tables.contrasts(item),
+        contrasts=None,  # among the tables of the page
         anova=tables.anova(item, report.data) if item.rows else None,
         strata=None,
         figures=figures,
@@ -100,6 +100,7 @@ def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
             "coefficients": analysis_tables.coefficients(report.coefficients, item),
             "means": analysis_tables.means(item, data),
             "simple": analysis_tables.simple_effects(item, data),
+            "contrasts": analysis_tables.contrasts(item),
             "pairs": analysis_tables.pairwise(report.pairs, item, data),
             "checks": analysis_tables.checks(found),
             "unusual": analysis_tables.unusual(report.unusual),
