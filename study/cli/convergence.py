@@ -131,9 +131,11 @@ def _quantity_rows(quantities: Mapping[str, Document]) -> list[list[str]]:
 
 
 def _source_rows(sources: Sequence[Document]) -> list[list[str]]:
+    from study.reporting.output.convergence_page import part_of_value
+
     rows = [["quantity", "source", "u", "unit", "part of the value"]]
     for row in sources:
-        part = "-" if row["relative"] is None else f"{row['relative']:.1e}"
+        part = part_of_value(row["relative"]).replace("\N{NO-BREAK SPACE}", " ")
         rows.append([row["quantity"], row["source"], output.number(row["u"], 2), row["unit"], part])
     return rows
 

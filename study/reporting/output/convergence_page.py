@@ -166,7 +166,7 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     rows, raw = [], []
     for cell in cells:
         for row in cell.get("sources") or ():
-            part = _part(row["relative"])
+            part = part_of_value(row["relative"])
             name = name_of(str(row["quantity"]))
             rows.append((clean(convergence.label_of(cell)), name, clean(row["source"]), part))
             raw.append({"cell": convergence.label_of(cell)} | {
@@ -178,7 +178,7 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     return [Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw))]
 
 
-def _part(share: float | None) -> str:
+def part_of_value(share: float | None) -> str:
     """Write an error as a part of the value; what no one can measure is only said to be small."""
     if share is not None and 0 < share < SMALLEST_PART:
         return "< " + quantity(100 * SMALLEST_PART, "%", 1)
