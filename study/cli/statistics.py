@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -16,7 +16,6 @@ from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.analysis.effects.comparisons import Comparisons
-    from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
     from study.api.statistics.confirmation import Permission
@@ -134,28 +133,25 @@ def analyze(
         source, response, [*_names(factors), *_names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
-    asked = api.contrasts(found, contrast) if contrast else ()
-    told = replace(found, contrasts=asked)
-    page = None if report is None else _write_page(told, source, report, flags)
-    _show(found, _Beside(_compared(found, reference), asked, page), as_json)
+    if contrast:
+        found = replace(found, contrasts=api.contrasts(found, contrast))
+    page = None if report is None else _write_page(found, source, report, flags)
+    _show(found, _Beside(_compared(found, reference), page), as_json)
     if not as_json and all(e.verdict == "cannot tell" for e in found.effects if e.is_main):
         _hint_practical(practical)
 
 
 @dataclass(frozen=True)
 class _Beside:
-    """What was asked for beside the table: a reference, contrasts, a page."""
+    """What was asked for beside the table: a reference, a page."""
 
     compared: tuple[str, Comparisons] | None
-    contrasts: Sequence[Contrast]
     page: Path | None
 
     def to_json(self) -> dict[str, object]:
         found: dict[str, object] = {}
         if self.compared is not None:
             found["reference"] = analysis_tables.reference_json(*self.compared)
-        if self.contrasts:
-            found["contrasts"] = mixed_effects.contrasts_json(self.contrasts)
         return found if self.page is None else found | {"report": str(self.page)}
 
 
@@ -165,9 +161,9 @@ def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
         output.print_json(found.to_json() | beside.to_json())
         return
     analysis_tables.print_analysis(found)
-    if beside.contrasts:
+    if found.contrasts:
         what = analysis_tables.what_of(found)
-        mixed_effects.print_contrasts(beside.contrasts, what, found.request.alpha)
+        mixed_effects.print_contrasts(found.contrasts, what, found.request.alpha)
     if beside.compared is not None:
         analysis_tables.print_reference(*beside.compared)
     if beside.page is not None:

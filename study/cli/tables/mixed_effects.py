@@ -58,11 +58,6 @@ def print_mixed(found: MixedModel, alpha: float) -> None:
         print()
 
 
-def contrasts_json(found: Sequence[Contrast]) -> list[dict[str, object]]:
-    """Named contrasts as ``--json`` shows them."""
-    return [asdict(one) for one in found]
-
-
 def print_contrasts(found: Sequence[Contrast], unit: str, alpha: float) -> None:
     """Print named differences with their intervals and verdicts."""
     ends = f"{100 * (1 - alpha):.4g} % interval"
