@@ -124,7 +124,9 @@ def balanced(
 ) -> tuple[EnergyBalance, Array]:
     """Energy balance of a run, and the work done up to each state, shape (n,), N mm.
 
-    The work is what the specimen stores, but where it jumped: there it is interpolated.
+    The work is what the specimen stores, but where it jumped: there it is interpolated. A jump
+    that is known counts however little energy was lost in it: as a missing work it would bend
+    the curve of a short interval by more than the whole change of force.
     """
     if not states:
         return EnergyBalance(np.zeros(0), np.zeros(0), np.zeros(0)), np.zeros(0)
@@ -133,7 +135,7 @@ def balanced(
     missing = np.array([unexplained_work(*pair) for pair in pairs])
     lost = np.array(
         [
-            m if jumped(*pair, whole_mm, share) else 0.0
+            m if _holds(jumps_mm, *pair) or jumped(*pair, whole_mm, share) else 0.0
             for m, pair in zip(missing, pairs, strict=True)
         ]
     )
@@ -146,3 +148,8 @@ def balanced(
         jumps_mm,
     )
     return balance, total + np.r_[0.0, np.cumsum(lost)]
+
+
+def _holds(jumps_mm: tuple[float, ...], before: LoadedState, after: LoadedState) -> bool:
+    """Whether one of the jumps lies between two states."""
+    return any(before.displacement_mm <= d < after.displacement_mm for d in jumps_mm)

@@ -21,6 +21,9 @@ from study.setup.setup import Problem
 #: steps past a limit point over the largest step: long enough to leave it behind, or just past it
 _LEAPS = (0.5, 0.1)
 
+#: places at which the new equilibrium is looked for, as shares of the way back from there
+_BACK = (0.02, 0.5)
+
 #: longest extrapolation over the last step: a step may grow and still be extrapolated
 _FARTHEST = 1.7
 
@@ -139,6 +142,7 @@ class LoadPath:
         self.state, self.J, self.min_j = place.state, place.J, place.min_j
         self.previous, self.step_mm = place.previous, place.step_mm
         self.reason = ""
+        self.logbook.forget_jumps()
 
     def _fill_in(self, error: float) -> None:
         """Add steps in the middle of intervals in which the curve bends."""
@@ -258,10 +262,40 @@ class LoadPath:
             result = solve_through(self.system, start, newton, lifted_from=lift)
             spent += result.iterations
             if result.converged:
+                self._write_down_both_sides(result.state)
                 self.step_mm, self.previous = 0.5 * step, None
                 self.logbook.snaps.append(here)
                 return replace(result, iterations=spent)
         return None
+
+    def _write_down_both_sides(self, landed: State) -> None:
+        """Write down the last state before a limit point, and the first one past it.
+
+        Else nobody could tell where between two load steps the force has jumped.
+        """
+        if self.system.sticks:
+            return
+        here_mm, lift = self.state.displacement_mm, self._lift() is not None
+        last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
+        if here_mm - last_mm > self.rule.smallest_mm():
+            self._write_down(solve_step(self.system, self.state, self.options.newton), self.state)
+        for share in _BACK:
+            back_mm = here_mm + share * (landed.displacement_mm - here_mm)
+            start = replace(landed, displacement_mm=back_mm)
+            newton = self.options.newton
+            found = solve_step(self.system, start, newton, lifted_from=landed if lift else None)
+            if self._write_down(found, landed):
+                return
+
+    def _write_down(self, found: NewtonResult, neighbor: State) -> bool:
+        """Write down an equilibrium if it converged near its neighbor, and say whether it did."""
+        J = self.system.volume_ratios(neighbor.x)
+        if not (found.converged and _near(found, J)):
+            return False
+        row = self._row(found)
+        loaded = self.logbook.loaded(found.state, row)
+        self.logbook.add(found.state, found.equilibrium(), row, loaded, found.iterations)
+        return True
 
     def _extrapolated(self, displacement: float) -> State | None:
         """Linear extrapolation of the last two states, where it keeps every J."""

@@ -197,6 +197,11 @@ class Logbook:
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
 
+    def forget_jumps(self) -> None:
+        """Drop the jumps past the last step written down: the way that led there is given up."""
+        last_mm = self.reached[-1] if self.reached else 0.0
+        self.snaps = [place for place in self.snaps if place < last_mm]
+
     def around(self, displacement_mm: float) -> tuple[State | None, State]:
         """States next to a displacement; before the first step there is none."""
         at = int(np.searchsorted(self.reached, displacement_mm))
@@ -219,7 +224,7 @@ class Logbook:
         """
         if not self.complete:
             return []
-        _, work = balanced(self.states, (), self._whole_mm)
+        _, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
         return self.curve(work).coarse_intervals(error)
 
     @property
