@@ -265,7 +265,9 @@ class LoadPath:
                 self._write_down_both_sides(result.state)
                 self.step_mm, self.previous = 0.5 * step, None
                 self.logbook.snaps.append(here)
-                return replace(result, iterations=spent)
+                # assembled once more: slopes are those of the state that was assembled last
+                again = solve_step(self.system, result.state, newton)
+                return replace(again, iterations=spent + again.iterations)
         return None
 
     def _write_down_both_sides(self, landed: State) -> None:
