@@ -37,7 +37,7 @@ demo: $(ready)
 	@.venv/bin/study demo
 
 test: $(ready)
-	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) -q
+	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadgroup -q
 
 verify: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests

@@ -96,6 +96,8 @@ def test_a_specimen_that_fails_everywhere_is_found_among_the_blocks() -> None:
     assert [rule.settings for rule in found.rules] == [{"specimen": "3"}]
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised() -> None:
     """Cells that fail as a whole, at random: 5 % of data sets may blame a factor."""
     rng, blamed, ruled, sets = np.random.default_rng(7), 0, 0, 120
@@ -109,6 +111,8 @@ def test_failures_by_chance_are_blamed_on_nothing_more_often_than_promised() -> 
     assert ruled < sets / 2
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_rules_that_only_list_cases_by_chance_are_not_given() -> None:
     """Single cases fail at random: no conjunction is worth its name."""
     rng, given = np.random.default_rng(3), 0

@@ -39,6 +39,8 @@ def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gc.collect", lambda *_: 0)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_test_has_its_size_whatever_cells_have_in_common() -> None:
     random = np.random.default_rng(3)
     terms = ("energy", "space", "energy:space")

@@ -179,6 +179,8 @@ def coverage(tmp_path, studies, seed=2011):
     return hits / studies
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_intervals_cover_with_nuisances_drawn_from_their_priors(tmp_path):
     # 40 of 95 %: fewer than 34 in one of 300
     assert np.all(coverage(tmp_path, 40) >= 34 / 40)

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import study.compilation
 from study.compilation import cache_folder
 
@@ -78,6 +80,8 @@ def digits(cache: Path) -> tuple[str, int]:
     return found, int(hits)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_process_that_compiles_gets_the_same_digits(tmp_path: Path) -> None:
     """A study stopped in its first minute and resumed holds cases of both processes."""
     compiled, none = digits(tmp_path)

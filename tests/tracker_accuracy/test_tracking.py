@@ -123,6 +123,8 @@ def test_samples_are_not_taken_for_independent(tmp_path: Path) -> None:
     assert rest.sd_mm == pytest.approx(virtual.SAMPLE_SD, rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_intervals_of_stage_and_bias_hold_the_truth_in_95_of_100(tmp_path: Path) -> None:
     held = np.zeros(2)
     studies = 30
