@@ -113,7 +113,7 @@ class Ogden(OgdenSeries, IsochoricEnergy):
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Sum of 2 mu bar^alpha times the direction."""
-        v = direction[:, None]
+        v = direction[..., None]
         terms = zip(*ogden_terms(constants), strict=True)
         return np.asarray(sum(2 * mu * bar**alpha * v for mu, alpha in terms))
 
