@@ -31,6 +31,8 @@ from study.record.document import (
 )
 
 SCHEMA = 1
+#: where a record keeps the text that it was read from
+_READ = "_read"
 #: status of a case that has an answer
 CONVERGED = "converged"
 STATUSES = (
@@ -163,7 +165,13 @@ class Record:
         return next(found, None)
 
     def to_json(self) -> str:
-        """Text of the record with its checksum; never holds a bare NaN."""
+        """Text of the record with its checksum; never holds a bare NaN.
+
+        Of a record that was read it is the text itself, where this version wrote it.
+        """
+        known = self.__dict__.get(_READ)
+        if known is not None:
+            return str(known)
         lost: dict[str, str] = {}
         content = {
             f.name: plain(getattr(self, f.name), f.name, lost)
@@ -200,9 +208,12 @@ class Record:
         try:
             kept = content.pop("curves")
             curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in kept.items()}
-            return cls(**content, curves=curves)
+            record = cls(**content, curves=curves)
         except (TypeError, ValueError, KeyError, AttributeError, StoreError) as error:
             raise StoreError(f"{source}: is not a valid record ({error})") from error
+        if isinstance(text, str) and _SEALED.fullmatch(text.encode()):
+            record.__dict__[_READ] = text  # a worker's, on its way to the disk
+        return record
 
 
 _KINDS: Mapping[str, tuple[type, ...]] = {
@@ -255,6 +266,11 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
     TypeError
         For a type that has no place in a record.
     """
+    kind = type(value)
+    if kind is float:  # nine values in ten
+        return value if math.isfinite(value) else _lost(value, where, lost)
+    if kind is list and set(map(type, value)) == {float} and all(map(math.isfinite, value)):
+        return value  # a curve, as it stands
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, (np.bool_, np.ndarray, np.generic)):
@@ -262,15 +278,16 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
     if isinstance(value, int):
         return value
     if isinstance(value, float):
-        if math.isfinite(value):
-            return value
-        lost[where] = str(value)
-        return None
+        return value if math.isfinite(value) else _lost(value, where, lost)
     if isinstance(value, Mapping):
         return {_key(k, where): plain(v, f"{where}.{k}", lost) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v, f"{where}.{k}", lost) for k, v in enumerate(value)]
     raise TypeError(f"{where}: {type(value).__name__} has no place in a record")
+
+
+def _lost(value: float, where: str, lost: dict[str, str]) -> None:
+    lost[where] = str(value)
 
 
 def _key(key: object, where: str) -> str:
