@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from typing import overload
 
@@ -29,7 +29,23 @@ def case_id(content: object) -> str:
     >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
     True
     """
-    text = canonical_json(content)
+    return _name(canonical_json(content))
+
+
+def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
+    """Names of some content in every block, of which it is walked once.
+
+    Examples
+    --------
+    >>> block_ids({"a": 1}, ["x"]) == [case_id({"a": 1, "block": "x"})]
+    True
+    """
+    walked = without_places(plain(content))
+    shared = walked if isinstance(walked, dict) else {}
+    return [_name(_text({**shared, "block": block})) for block in blocks]
+
+
+def _name(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 
@@ -46,7 +62,10 @@ def canonical_json(content: object) -> str:
     >>> canonical_json({"b": (1.0, 2), "a": None})
     '{"a":null,"b":[1,2]}'
     """
-    named = without_places(plain(content))
+    return _text(without_places(plain(content)))
+
+
+def _text(named: Json) -> str:
     return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
