@@ -253,6 +253,10 @@ class IsochoricEnergy(Energy):
         """Whether it is known to be strongly elliptic at every stretch; False says nothing."""
         return False
 
+    def always_stable(self, constants: Constants) -> bool:
+        """Whether Drucker's criterion is known to hold at every stretch; False says nothing."""
+        return False
+
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
     ) -> float:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.material.energy import CompressibleEnergy
+from study.material.energy import CompressibleEnergy, IsochoricEnergy
 from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
 from study.material.material import Material
 from study.material.relaxation import unphysical
@@ -88,8 +88,9 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
     low, high = float(given.min()), float(given.max())
     if material.small_strain:
         return StabilityResult(True, "stable: small strain, positive modulus", {})
-    limits, parts = {}, []
-    for mode in (UNIAXIAL, EQUIBIAXIAL, PLANAR):
+    energy, limits, parts = material.energy, {}, []
+    proven = isinstance(energy, IsochoricEnergy) and energy.always_stable(material.constants)
+    for mode in () if proven else (UNIAXIAL, EQUIBIAXIAL, PLANAR):
         limit = _limit(material, mode, low, high)
         if limit is not None:
             limits[mode.name] = limit

@@ -147,6 +147,16 @@ class PolynomialEnergy(TableEnergy):
         convex[:, 0] = convex[0, 1:2] = 0.0
         return bool((table >= 0).all() and not convex.any() and table.any())
 
+    def always_stable(self, constants: Constants) -> bool:
+        """Positive constants of the first invariant alone and of the second invariant itself.
+
+        By logarithmic stretches the second derivatives of I1 are 4 diag(b), those of I2 are
+        4 diag(1 / b), with squares b of stretches: both positive, and a growing convex function
+        of I1 adds a square.
+        """
+        resists = constants.get("C10", 0.0) + constants.get("C01", 0.0) > 0
+        return resists and self.always_elliptic(constants)
+
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """C10 alone: higher constants of a closed form soften too much for a bonded specimen."""
         return {"C10": shear_modulus / 2}
