@@ -110,6 +110,8 @@ steps = 2
 [material]
 model = "neo-hookean"
 poisson_ratio = 0.4995
+[forward]
+model = "closed-form"
 [calibration]
 method = "none"
 [factors]

@@ -192,9 +192,7 @@ class Supervisor:
         each = seconds / len(tasks)
         return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
 
-    def _died(
-        self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str
-    ) -> list[Outcome]:
+    def _died(self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str) -> list[Outcome]:
         desk.slot.kill()
         if len(tasks) > 1:
             return self._apart(tasks)

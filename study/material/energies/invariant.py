@@ -145,7 +145,7 @@ def _stress(at: Invariants, slopes: Slopes) -> Array:
 def _stress_slope(
     at: Invariants, slopes: Slopes, curvatures: Curvatures, direction: Array
 ) -> Array:
-    """Derivative of the stress along one direction or several, shape (..., 3, n)."""
+    """Differentiate the stress along one direction or several, shape (..., 3, n)."""
     b = at.squares
     (w1, w2), (w11, w12, w22) = slopes, curvatures
     db = 2 * b * direction[..., None]

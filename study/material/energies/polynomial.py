@@ -25,7 +25,6 @@ from study.material.energy import (
     no_counterpart,
 )
 
-
 #: coefficients of a polynomial in two variables, as :func:`_columns` orders them
 Coefficients = tuple[tuple[float, ...], ...]
 
