@@ -266,10 +266,9 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
     TypeError
         For a type that has no place in a record.
     """
-    kind = type(value)
-    if kind is float:  # nine values in ten
-        return value if math.isfinite(value) else _lost(value, where, lost)
-    if kind is list and set(map(type, value)) == {float} and all(map(math.isfinite, value)):
+    if type(value) is float and math.isfinite(value):  # nine values in ten
+        return value
+    if type(value) is list and set(map(type, value)) == {float} and all(map(math.isfinite, value)):
         return value  # a curve, as it stands
     if value is None or isinstance(value, (bool, str)):
         return value
@@ -278,16 +277,15 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
     if isinstance(value, int):
         return value
     if isinstance(value, float):
-        return value if math.isfinite(value) else _lost(value, where, lost)
+        if math.isfinite(value):
+            return value
+        lost[where] = str(value)
+        return None
     if isinstance(value, Mapping):
         return {_key(k, where): plain(v, f"{where}.{k}", lost) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v, f"{where}.{k}", lost) for k, v in enumerate(value)]
     raise TypeError(f"{where}: {type(value).__name__} has no place in a record")
-
-
-def _lost(value: float, where: str, lost: dict[str, str]) -> None:
-    lost[where] = str(value)
 
 
 def _key(key: object, where: str) -> str:

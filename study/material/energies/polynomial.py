@@ -93,8 +93,11 @@ def _differentiated(
     by_a, by_b = _derivative(table, 0), _derivative(table, 1)
     rates = {name: energy.table_rate(named, name) for name in named}
     return _Differentiated(
-        *map(_columns, (by_a, by_b)),
-        *map(_columns, (_derivative(by_a, 0), _derivative(by_a, 1), _derivative(by_b, 1))),
+        _columns(by_a),
+        _columns(by_b),
+        _columns(_derivative(by_a, 0)),
+        _columns(_derivative(by_a, 1)),
+        _columns(_derivative(by_b, 1)),
         {n: (_columns(_derivative(r, 0)), _columns(_derivative(r, 1))) for n, r in rates.items()},
     )
 
