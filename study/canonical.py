@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import Field, fields, is_dataclass
-from typing import ClassVar, Protocol, TypeAlias, overload
+from typing import ClassVar, Protocol, TypeAlias, cast, overload
 
 import numpy as np
 
@@ -66,6 +66,8 @@ def canonical(value: object) -> Json:
     TypeError
         For what JSON cannot hold.
     """
+    if value is None or type(value) in (str, bool):
+        return cast("Json", value)
     if isinstance(value, Mapping):
         # where a file lies on this machine is no content; its sha256 stands beside it
         return {str(k): canonical(v) for k, v in value.items() if k != "path"}

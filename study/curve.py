@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -184,18 +184,60 @@ class Curve:
 
     def gradient_at(self, name: str, displacement_mm: ArrayLike) -> Array:
         """dF/dtheta at given displacements (cubic spline through the solved steps)."""
+        return self.gradients_at((name,), displacement_mm)[:, 0]
+
+    def gradients_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> Array:
+        """dF/dtheta of several constants at given displacements, shape (n, p): one spline."""
+        d = np.asarray(displacement_mm, dtype=float)
+        if self.time_s is not None:
+            self._check_rows(d)
+            return self._gradients(names)
+        if np.array_equal(d, self.displacement_mm):  # the spline passes through its points
+            return self._gradients(names)
+        return self._splined(self._gradients(names), d)
+
+    def smooth_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> tuple[Array, Array]:
+        """Force and dF/dtheta, without the corners of chords between few points.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Constants.
+        displacement_mm : array_like, shape (n,)
+
+        Returns
+        -------
+        force : ndarray, shape (n,)
+            By a cubic spline where the curve has no tangents.
+        gradients : ndarray, shape (n, p)
+        """
+        d = np.asarray(displacement_mm, dtype=float)
+        is_course = self.time_s is not None
+        if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
+            return self.force_at(d), self.gradients_at(names, d)
+        found = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        return found[:, 0], found[:, 1:]
+
+    def _gradients(self, names: Sequence[str]) -> Array:
+        """DF/dtheta at the points, shape (len, p)."""
+        if not names:
+            return np.empty((len(self), 0))
+        return np.stack([self.force_gradient[name] for name in names], axis=1)
+
+    def _splined(self, values: Array, d: Array) -> Array:
+        """Columns of values at the points, zero at the unloaded origin, at other places."""
         from scipy.interpolate import CubicSpline
 
-        if self.time_s is not None:
-            self._check_rows(np.asarray(displacement_mm, dtype=float))
-            return self.force_gradient[name]
-        knots, values = self.displacement_mm, self.force_gradient[name]
+        knots = self.displacement_mm
         if knots[0] > 0:
-            knots, values = np.r_[0.0, knots], np.r_[0.0, values]
-        d = np.clip(np.asarray(displacement_mm, dtype=float), 0, knots[-1])
+            knots = np.r_[0.0, knots]
+            values = np.concatenate([np.zeros((1, values.shape[1])), values])
+        places = np.clip(d, 0, knots[-1])
+        if not values.size:
+            return np.empty((d.size, values.shape[1]))
         if knots.size < 3:
-            return np.asarray(np.interp(d, knots, values))
-        return np.asarray(CubicSpline(knots, values)(d))
+            return np.stack([np.interp(places, knots, column) for column in values.T], axis=1)
+        return np.asarray(CubicSpline(knots, values)(places))
 
     def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
         """Plain lists, for JSON; with the recorded rows where asked."""

@@ -236,8 +236,8 @@ class _Model:
             force = predicted.force_at(d)
         except ValueError as error:  # the solution stopped before the end of the test
             raise EvaluationFailed(str(error)) from error
-        slopes = [predicted.gradient_at(name, d) for name in self.names]
-        return weight * (force - measured.curve.force_N[used]), weight[:, None] * np.array(slopes).T
+        slopes = predicted.gradients_at(self.names, d)
+        return weight * (force - measured.curve.force_N[used]), weight[:, None] * slopes
 
     def watch(self, callback: Progress | None) -> Progress:
         def accepted(iteration: Iteration) -> bool | None:

@@ -186,7 +186,7 @@ def fitted_rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, A
     for one, curve in zip(measured, found.curves, strict=True):
         used = one.weights > 0
         d = one.curve.displacement_mm[used]
-        slopes.append(np.array([curve.gradient_at(n, d) for n in found.names]).T)
+        slopes.append(curve.gradients_at(found.names, d))
         weights.append(one.weights[used])
         left.append(curve.force_at(d) - one.curve.force_N[used])
     return np.concatenate(slopes), np.concatenate(weights), np.concatenate(left)

@@ -143,53 +143,42 @@ def _series(
         by_point = inverse @ (jacobian * one.weights[used][:, None]).T
         places = one.curve.places[used]
         recordings = one.recordings or (one.curve.at_points(np.flatnonzero(used)),)
-        for recording in recordings:
-            made = _recorded(one, recording, len(recordings), predicted, names)
-            if made is None:
-                continue
-            weight, where, residual, gradient = made
-            own = interpolation_transposed(by_point, places, where) / len(recordings)
-            out.append(Series(residual, gradient, own / weight))
+        for weight, rows_used, force, slopes in _recorded(one, recordings, predicted, names):
+            residual = weight * (force - rows_used.force_N)
+            own = interpolation_transposed(by_point, places, rows_used.places) / len(recordings)
+            out.append(Series(residual, weight[:, None] * slopes, own / weight))
     return out, known_covariance(priors, names, inverse)
 
 
 def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -> Array:
     used = measured.weights > 0
     d = measured.curve.displacement_mm[used]
-    slopes = np.array([predicted.gradient_at(name, d) for name in names]).T
-    return np.asarray(measured.weights[used][:, None] * slopes)
+    return np.asarray(measured.weights[used][:, None] * predicted.gradients_at(names, d))
 
 
 def _recorded(
-    measured: MeasuredCurve, recording: Curve, repeats: int, predicted: Curve, names: Sequence[str]
-) -> tuple[Array, Array, Array, Array] | None:
-    """Weight, place, weighted residual and gradient of the rows in the fitted range."""
+    measured: MeasuredCurve, recordings: Sequence[Curve], predicted: Curve, names: Sequence[str]
+) -> list[tuple[Array, Curve, Array, Array]]:
+    """Weight, rows in the fitted range, predicted force and slopes of each recording with any."""
     places = measured.curve.places[measured.weights > 0]
-    inside = (recording.places >= places[0]) & (recording.places <= places[-1])
-    if not inside.any():
-        return None
-    # the mean of k repeats scatters by one over root k of one of them
-    weights = np.interp(recording.places, measured.curve.places, measured.weights)
-    weights /= math.sqrt(repeats)
-    used = inside & (weights > 0)
-    rows = recording.at_points(np.flatnonzero(used))
-    d, weights = rows.displacement_mm, weights[used]
-    slopes = np.array([predicted.gradient_at(name, d) for name in names]).T
-    residual = weights * (_force_at(predicted, d) - rows.force_N)
-    return weights, rows.places, residual, weights[:, None] * slopes
-
-
-def _force_at(predicted: Curve, d: Array) -> Array:
-    """Predicted force at the rows, N; chords between few points would pass for misfit."""
-    knots, force = predicted.displacement_mm, predicted.force_N
-    is_course = predicted.time_s is not None
-    if predicted.stiffness_N_per_mm is not None or is_course or knots.size < 3:
-        return predicted.force_at(d)
-    from scipy.interpolate import CubicSpline
-
-    if knots[0] > 0:  # the unloaded origin is part of every curve
-        knots, force = np.r_[0.0, knots], np.r_[0.0, force]
-    return np.asarray(CubicSpline(knots, force)(d))
+    found = []
+    for recording in recordings:
+        inside = (recording.places >= places[0]) & (recording.places <= places[-1])
+        if not inside.any():
+            continue
+        # the mean of k repeats scatters by one over root k of one of them
+        weights = np.interp(recording.places, measured.curve.places, measured.weights)
+        weights /= math.sqrt(len(recordings))
+        used = inside & (weights > 0)
+        found.append((weights[used], recording.at_points(np.flatnonzero(used))))
+    at = [rows.displacement_mm for _, rows in found]
+    if predicted.time_s is not None or not found:  # a course is known at its own rows alone
+        known = [predicted.smooth_at(names, d) for d in at]
+    else:
+        ends = np.cumsum([d.size for d in at])[:-1]
+        force, slopes = predicted.smooth_at(names, np.concatenate(at))
+        known = list(zip(np.split(force, ends), np.split(slopes, ends), strict=True))
+    return [(*one, *told) for one, told in zip(found, known, strict=True)]
 
 
 def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Array:

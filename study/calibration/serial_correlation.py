@@ -35,6 +35,10 @@ _NEGLIGIBLE = 15.0
 #: values of rho over which is averaged: 7 to a standard error
 _VALUES = 81
 
+#: most steps of Newton's method, and the relative one whose square is rounding
+_STEPS = 50
+_LAST_STEP = 1e-8
+
 #: rounding of a sum of squares relative to its first term
 _ROUNDING = 1e-13
 
@@ -177,12 +181,8 @@ def intervals(
     total = scaled if known is None else scaled + known
     variances = np.diagonal(total, axis1=1, axis2=2).T
     own = np.diagonal(scaled, axis1=1, axis2=2).T
-    half = np.array(
-        [
-            _half_width(np.sqrt(v), weight, freedom * float(weight @ (v / o)) ** 2)
-            for v, o in zip(variances, own, strict=True)
-        ]
-    )
+    satterthwaite = freedom * ((variances / own) @ weight) ** 2
+    half = _half_widths(np.sqrt(variances), weight, satterthwaite)
     likely = -0.5 * freedom * np.log(squares) - determinant
     deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho**2))
     return Intervals(
@@ -299,27 +299,61 @@ def _propagated(series: Sequence[Series], rho: Array) -> Array:
 
     R has the elements rho^|i - j| / (1 - rho^2), so that lagged products are all it takes.
     """
-    p = series[0].influence.shape[0]
-    total = np.zeros((rho.size, p, p))
-    for one in series:
-        n = one.residual.size
-        spectrum = np.fft.rfft(one.influence, 2 * n, axis=1)
-        products = np.fft.irfft(spectrum[:, None] * spectrum[None].conj(), 2 * n, axis=2)[..., :n]
-        power = rho[:, None] ** np.arange(n)
-        power[:, 0] = 0.5
-        half = np.einsum("kn,ijn->kij", power, products)
-        total += half + half.transpose(0, 2, 1)
-    return np.asarray(total / (1 - rho**2)[:, None, None])
+    p, rows = series[0].influence.shape[0], max(one.residual.size for one in series)
+    # the lags of all recordings are added up before rho weighs them; twice the rows, so that
+    # the ends of a recording do not meet
+    size = 1 << (2 * rows - 1).bit_length()
+    spectra = [np.fft.rfft(one.influence, size, axis=1) for one in series]
+    power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
+    products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
+    weight = _powers(rho, rows)
+    weight[:, 0] = 0.5
+    half = (weight @ products.reshape(p * p, rows).T).reshape(rho.size, p, p)
+    return np.asarray((half + half.transpose(0, 2, 1)) / (1 - rho**2)[:, None, None])
 
 
-def _half_width(errors: Array, weight: Array, freedom: float) -> float:
-    """Half width that holds 95 % of a mixture of Student's t of several scales; bisection."""
-    from scipy.special import stdtr, stdtrit
+def _powers(base: Array, count: int) -> Array:
+    """Powers 0 to ``count`` - 1 of every number, shape (k, count): each by few products."""
+    out = np.ones((base.size, count))
+    known, factor = 1, base[:, None]
+    while known < count:
+        out[:, known : 2 * known] = out[:, : min(known, count - known)] * factor
+        known, factor = 2 * known, factor**2
+    return out
 
-    quantile = float(stdtrit(freedom, 1 - _OUTSIDE / 2))
-    low, high = quantile * float(errors.min()), quantile * float(errors.max())
-    while high - low > 1e-10 * high:
-        middle = 0.5 * (low + high)
-        inside = float(weight @ stdtr(freedom, middle / errors))
-        low, high = (low, middle) if inside > 1 - _OUTSIDE / 2 else (middle, high)
-    return high
+
+def _half_widths(errors: Array, weight: Array, freedom: Array) -> Array:
+    """Half widths that hold 95 % of mixtures of Student's t of several scales.
+
+    The distribution function is concave above zero, so that Newton's method does not pass the
+    answer from below, where it is at the latest after its first step.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (p, k)
+        Scales of each mixture.
+    weight : ndarray, shape (k,)
+        Of the scales.
+    freedom : ndarray, shape (p,)
+        Degrees of freedom.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+    """
+    from scipy.special import gammaln, stdtr, stdtrit
+
+    nu, wanted = freedom[:, None], 1 - _OUTSIDE / 2
+    quantile = stdtrit(freedom, wanted)
+    low = quantile * errors.min(axis=1)
+    log_density = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
+    half = np.asarray(quantile * np.sqrt(errors**2 @ weight))
+    for _ in range(_STEPS):
+        t = half[:, None] / errors
+        missing = wanted - stdtr(nu, t) @ weight
+        density = np.exp(log_density - 0.5 * (nu + 1) * np.log1p(t**2 / nu))
+        step = missing / ((density / errors) @ weight)
+        half = np.maximum(half + step, low)
+        if np.all(np.abs(step) <= _LAST_STEP * half):
+            break
+    return half

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from study.design.sections.content import case_id
+from study.design.sections.content import block_ids
 from study.design.spec import Case, Design
 from study.errors import Fault, InputError
 
@@ -32,8 +32,9 @@ def cases(design: Design, blocks: Sequence[str] = ()) -> tuple[Case, ...]:
     if len(cells) * max(1, len(blocks)) > MAX_CASES:
         rule = f"{len(cells)} cells in {len(blocks)} blocks are more than {MAX_CASES} cases"
         raise InputError(Fault("factors", rule, "use fewer levels, or several studies"))
+    places = tuple(blocks) or (None,)
     return tuple(
-        Case(cell, block, cell.config, case_id({**cell.config, "block": block}))
+        Case(cell, block, cell.config, name)
         for cell in cells
-        for block in (blocks or (None,))
+        for block, name in zip(places, block_ids(cell.config, places), strict=True)
     )

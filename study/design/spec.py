@@ -266,7 +266,24 @@ class Design:
         return tuple((one, why) for one, why in reasons if why is not None)
 
     def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
-        """Resolve one cell; faults name the keys of the merged file."""
+        """Resolve one cell, once where it is sound; faults name the keys of the merged file."""
+        known, place = self._sound, tuple(map(id, levels))
+        if place in known:
+            return known[place]
+        own = Faults()
+        cell = self._resolved(levels, own)
+        if not own:
+            known[place] = cell
+        for fault in own:
+            faults.add(fault.where, fault.rule, fault.mend)
+        return cell
+
+    @cached_property
+    def _sound(self) -> dict[tuple[int, ...], Cell]:
+        """Cells that were resolved without a fault, by the levels, which are the design's own."""
+        return {}
+
+    def _resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         settings = {k: v for level in levels for k, v in level.settings.items()}
         tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
         return resolve(overlay.lay(tables, settings), faults, self.converge.ratio)

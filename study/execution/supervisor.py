@@ -7,7 +7,7 @@ import math
 import queue
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from study.execution.queue import ReadyQueue
@@ -18,6 +18,13 @@ MAX_DEATHS = 2
 #: longest wait in seconds, so that Ctrl-C is seen at once on every system
 LONGEST_WAIT_S = 0.5
 
+
+#: predicted seconds up to which tasks are handed out several at a time, and those of all together:
+#: a way to a worker and back costs a thousandth of a second, and each of the owner's waits too
+SHORT_S = 0.05
+TOGETHER_S = 0.4
+#: hand-outs to each slot into which what is left is divided at least, so that none waits long
+SHARES = 4
 
 #: seconds within which a worker is up, or never will be: it imports nothing until then
 START_LIMIT_S = 60.0
@@ -52,10 +59,10 @@ class Slot(Protocol):
 
 @dataclass
 class Desk:
-    """A slot and what it is doing."""
+    """A slot and what it is doing: one task, or several short ones."""
 
     slot: Slot
-    task: Task | None = None
+    tasks: tuple[Task, ...] = ()
     ticket: object = None
     started: float = 0.0
     began: bool = False
@@ -90,29 +97,32 @@ class Supervisor:
     memory_MB: float | None = None  # noqa: N815
     arrivals: Callable[[], Sequence[Slot]] = tuple
     deaths: dict[str, int] = field(default_factory=dict)
+    #: tasks whose worker died, or was late, while it did several: each has one to itself then
+    alone: set[str] = field(default_factory=set)
 
     def outcomes(self) -> Generator[Outcome, None, None]:
         """Yield every outcome as it comes; kills all slots when closed."""
         desks = [Desk(slot) for slot in self.slots]
         done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
         try:
-            while len(self.ready) or any(desk.task for desk in desks):
+            while len(self.ready) or any(desk.tasks for desk in desks):
                 desks += [Desk(slot) for slot in self.arrivals()]
                 self._hand_out(desks, done)
-                busy = [desk for desk in desks if desk.task]
+                busy = [desk for desk in desks if desk.tasks]
                 if not busy:
                     names = ", ".join(self.ready.waiting)
                     raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
-                for outcome in [*self._answered(busy, done), *self._late(busy)]:
+                found = [*self._answered(busy, done), *self._late(busy)]
+                for outcome in found:
                     self.ready.finish(outcome.key, outcome.result)
-                    yield outcome
+                    yield replace(outcome, followed=outcome is not found[-1])
         finally:
             for desk in desks:
                 desk.slot.kill()
 
     def _hand_out(self, desks: list[Desk], done: queue.SimpleQueue[tuple[object, Answer]]) -> None:
         for desk in desks:
-            task = self.ready.take(desk.group) if desk.task is None else None
+            task = None if desk.tasks else self.ready.take(desk.group)
             if task is None:
                 continue
             if not self._has_room(task, desks):
@@ -122,14 +132,37 @@ class Supervisor:
                 self.ready.release(desk.group)
                 self.ready.hold(task.group)
                 desk.group = task.group  # kept while the worker does tasks of no group
-            text = json.dumps(task.payload(self.ready.results), allow_nan=False)
-            desk.task, desk.ticket = task, object()
+            desk.tasks, desk.ticket = (task, *self._together(task, len(desks))), object()
+            asked = [one.payload(self.ready.results) for one in desk.tasks]
+            text = json.dumps(asked if len(asked) > 1 else asked[0], allow_nan=False)
             desk.started = time.monotonic()
             desk.began = not desk.slot.start(text, done, desk.ticket)
 
+    def _together(self, first: Task, desks: int) -> list[Task]:
+        """Short tasks that go to a worker along with a short one."""
+        found: list[Task] = []
+        if not self._is_short(first):
+            return found
+        seconds, share = first.seconds, len(self.ready) // (SHARES * desks)
+        while len(found) < share and seconds < TOGETHER_S:
+            task = self.ready.take("")
+            if task is None:
+                break
+            if not self._is_short(task):
+                self.ready.put_back(task)
+                break
+            found.append(task)
+            seconds += task.seconds
+        return found
+
+    def _is_short(self, task: Task) -> bool:
+        """Whether a task is known to need next to no time and memory, and shares nothing."""
+        small = 0 < task.seconds <= SHORT_S and not task.memory_MB
+        return small and not task.group and task.key not in self.alone
+
     def _has_room(self, task: Task, desks: list[Desk]) -> bool:
         """Whether a task fits beside those that run; one always does."""
-        running = [desk.task.memory_MB for desk in desks if desk.task]
+        running = [one.memory_MB for desk in desks for one in desk.tasks]
         return (
             self.memory_MB is None
             or not running
@@ -145,24 +178,37 @@ class Supervisor:
         except queue.Empty:
             return []
         desk = next((d for d in busy if d.ticket is ticket), None)
-        if desk is None or desk.task is None:
+        if desk is None or not desk.tasks:
             return []  # of a task that was stopped: its limit has been told already
         if answer.began:
             desk.started, desk.began = time.monotonic(), True
             return []
-        task, seconds = desk.task, time.monotonic() - desk.started
-        desk.task = None
+        tasks, seconds = desk.tasks, time.monotonic() - desk.started
+        desk.tasks = ()
         if answer.death:
-            return self._died(desk, task, seconds, answer.death)
-        return [Outcome(task.key, json.loads(answer.text), seconds)]
+            return self._died(desk, tasks, seconds, answer.death)
+        found = json.loads(answer.text)
+        results = found if len(tasks) > 1 else [found]
+        each = seconds / len(tasks)
+        return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
 
-    def _died(self, desk: Desk, task: Task, seconds: float, how: str) -> list[Outcome]:
+    def _died(self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str) -> list[Outcome]:
         desk.slot.kill()
+        if len(tasks) > 1:
+            return self._apart(tasks)
+        task = tasks[0]
         self.deaths[task.key] = self.deaths.get(task.key, 0) + 1
         if self.deaths[task.key] < MAX_DEATHS:
             self.ready.give_back(task)
             return []
         return [Outcome(task.key, {"status": "crashed", "message": f"{how}, twice"}, seconds)]
+
+    def _apart(self, tasks: tuple[Task, ...]) -> list[Outcome]:
+        """Have tasks done one by one, whose worker died or was late: nobody knows of which."""
+        self.alone.update(one.key for one in tasks)
+        for one in tasks:
+            self.ready.give_back(one)
+        return []
 
     def _patience(self, busy: list[Desk]) -> float:
         """Seconds until somebody may be late."""
@@ -179,13 +225,16 @@ class Supervisor:
         found = []
         for desk in busy:
             seconds, limit = time.monotonic() - desk.started, self._limit(desk)
-            task = desk.task
-            if task is None or limit is None or seconds <= limit:
+            tasks = desk.tasks
+            if not tasks or limit is None or seconds <= limit:
                 continue
-            desk.task = None
+            desk.tasks = ()
             if not desk.began:
-                found += self._died(desk, task, seconds, f"no worker was up within {limit:g} s")
+                found += self._died(desk, tasks, seconds, f"no worker was up within {limit:g} s")
                 continue
             desk.slot.kill()
-            found.append(Outcome(task.key, stopped_late(limit), seconds))
+            if len(tasks) > 1:
+                found += self._apart(tasks)
+            else:
+                found.append(Outcome(tasks[0].key, stopped_late(limit), seconds))
         return found

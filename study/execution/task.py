@@ -57,6 +57,8 @@ class Outcome:
     key: str
     result: Document
     seconds: float = 0.0
+    #: whether another one is there already and follows at once
+    followed: bool = False
 
     @property
     def status(self) -> str:
@@ -80,23 +82,31 @@ class Executor(Protocol):
 
 
 def answer(perform: Perform, text: str) -> str:
-    """Do one task given as JSON and answer in JSON; a bug is an answer too.
+    """Do one task given as JSON, or a list of them, and answer in JSON; a bug is an answer too.
 
     Parameters
     ----------
     perform : callable
         Does the task.
     text : str
-        The task's plain data as JSON.
+        The task's plain data as JSON, or those of several.
 
     Returns
     -------
     str
-        JSON of the result; its ``status`` is ``failed`` with the traceback where ``perform``
+        JSON of the result, or of the list of them; its ``status`` is ``failed`` with the traceback
+        where ``perform``
         raised or gave something that JSON cannot hold, ``out-of-memory`` where memory was short.
     """
+    asked = json.loads(text)
+    if isinstance(asked, list):
+        return f"[{','.join(_answer(perform, one) for one in asked)}]"
+    return _answer(perform, asked)
+
+
+def _answer(perform: Perform, asked: dict[str, object]) -> str:
     try:
-        return json.dumps(perform(json.loads(text)), allow_nan=False)
+        return json.dumps(perform(asked), allow_nan=False)
     except MemoryError as error:
         return json.dumps({"status": "out-of-memory", "message": f"out of memory: {error}"})
     except Exception as error:  # noqa: BLE001 - the boundary: a bug must not stop the others

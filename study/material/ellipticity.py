@@ -55,7 +55,7 @@ def ellipticity(material: Material, stretches: Array) -> Array:
     bar = _apart(stretches / np.cbrt(stretches.prod(axis=0)))
     energy, constants = material.isochoric, material.constants
     t = energy.principal_stress(constants, bar)
-    h = np.array([energy.principal_stress_slope(constants, bar, unit) for unit in np.eye(3)])
+    h = energy.principal_stress_slope(constants, bar, np.eye(3))
     worst = np.full(bar.shape[1], np.inf)
     for i, j in combinations(range(3), 2):
         a, b = bar[i], bar[j]

@@ -218,7 +218,7 @@ class IsochoricEnergy(Energy):
 
     @abstractmethod
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
-        """Differentiate :meth:`principal_stress` along a direction of ``ln bar``.
+        """Differentiate :meth:`principal_stress` along a direction of ``ln bar``, or along several.
 
         Parameters
         ----------
@@ -226,13 +226,20 @@ class IsochoricEnergy(Energy):
             In MPa, exponents plain.
         bar : ndarray, shape (3, n)
             Isochoric principal stretches.
-        direction : ndarray, shape (3,)
+        direction : ndarray, shape (3,) or (k, 3)
             Rates of ``ln bar``.
 
         Returns
         -------
-        ndarray, shape (3, n)
+        ndarray, shape (3, n) or (k, 3, n)
         """
+
+    def stress_and_slope(
+        self, constants: Constants, bar: Array, direction: Array
+    ) -> tuple[Array, Array]:
+        """Both of them at once, for energies that need the same invariants for both."""
+        stress = self.principal_stress(constants, bar)
+        return stress, self.principal_stress_slope(constants, bar, direction)
 
     @abstractmethod
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
@@ -244,6 +251,10 @@ class IsochoricEnergy(Energy):
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Whether it is known to be strongly elliptic at every stretch; False says nothing."""
+        return False
+
+    def always_stable(self, constants: Constants) -> bool:
+        """Whether Drucker's criterion is known to hold at every stretch; False says nothing."""
         return False
 
     def initial_shear_modulus(

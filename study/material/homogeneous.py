@@ -159,7 +159,8 @@ def _compressible(
     known = material.constants, material.compressibility
 
     def at(z: Array) -> Array:
-        return np.asarray(np.exp(a[:, None] * x + v[:, None] * z))
+        log = np.tile(x, z.size // x.size)
+        return np.asarray(np.exp(a[:, None] * log + v[:, None] * z))
 
     def lateral(z: Array) -> tuple[Array, Array]:
         sides = at(z)
@@ -186,9 +187,9 @@ def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:
     log = a[:, None] * x + v[:, None] * z
     bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
     energy, constants = material.isochoric, material.constants
-    kirchhoff = deviator(energy.principal_stress(constants, bar))
-    along_x = deviator(energy.principal_stress_slope(constants, bar, deviator(a)))
-    along_z = deviator(energy.principal_stress_slope(constants, bar, deviator(v)))
+    directions = np.array([deviator(a), deviator(v)])
+    stress, slopes = energy.stress_and_slope(constants, bar, directions)
+    kirchhoff, along_x, along_z = deviator(stress), deviator(slopes[0]), deviator(slopes[1])
     by_constant = energy.principal_stress_gradient(constants, bar)
     partial = {n: deviator(g) for n, g in by_constant.items()}
     if mode is CONFINED:
@@ -232,23 +233,38 @@ def _free_log_stretch(material: Material, mode: Mode, x: Array) -> Array:
     t, bulk = mode.free_axis, material.bulk
     energy, constants = material.isochoric, material.constants
 
+    loaded, turn, sides = a[:, None] * x, deviator(v), v.sum()
+
     def lateral(z: Array) -> tuple[Array, Array]:
-        log = a[:, None] * x + v[:, None] * z
-        bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
-        tau = deviator(energy.principal_stress(constants, bar))[t] + bulk * J * (J - 1)
-        slope = deviator(energy.principal_stress_slope(constants, bar, deviator(v)))[t]
-        return tau, slope + bulk * (2 * J - 1) * J * v.sum()
+        log = loaded if z.size == x.size else np.tile(loaded, z.size // x.size)
+        log = log + v[:, None] * z
+        volume = np.add.reduce(log)
+        bar, J = np.exp(log - volume / 3), np.exp(volume)
+        stress, along = energy.stress_and_slope(constants, bar, turn)
+        tau, slope = (q[t] - np.add.reduce(q) / 3 for q in (stress, along))
+        return tau + bulk * J * (J - 1), slope + bulk * (2 * J - 1) * J * sides
 
     return _safeguarded_newton(lateral, z0)
+
+
+#: largest step of Newton's method after which the next one, about its square, is rounding
+_LAST_STEP = 1e-9
 
 
 def _safeguarded_newton(
     function: Callable[[Array], tuple[Array, Array]], start: Array, width: float = 0.02
 ) -> Array:
-    """Root of an elementwise function that rises through zero near ``start``; NaN if none."""
+    """Root of an elementwise function that rises through zero near ``start``; NaN if none.
+
+    Parameters
+    ----------
+    function : callable
+        Values and slopes at places of shape (n,), or at several such sets one after the other.
+    """
     low, high = start - width, start + width
     for _ in range(8):  # widen until the root is bracketed, to 0.02 * 2^8 = 5 in log stretch
-        below, above = function(low)[0] < 0, function(high)[0] > 0
+        ends = function(np.concatenate([low, high]))[0]
+        below, above = ends[: low.size] < 0, ends[low.size :] > 0
         if np.all(below & above):
             break
         low = np.where(below, low, start - 2 * (start - low))
@@ -258,12 +274,15 @@ def _safeguarded_newton(
         value, slope = function(z)
         low, high = np.where(value < 0, z, low), np.where(value > 0, z, high)
         new = z - value / slope
-        new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
+        inside = (new >= low) & (new <= high)
+        new = np.where(inside, new, 0.5 * (low + high))
         new = np.where(value == 0, z, new)
         last, moved = moved, float(np.max(np.abs(new - z), initial=0.0))
         z = new
+        if moved <= _LAST_STEP and (moved <= 4e-16 or inside.all()):
+            break
         # rounding of the stress leaves the last digit of z moving to and fro
-        if moved <= 4e-16 or last <= moved < 1e-13:
+        if last <= moved < 1e-13:
             break
     return np.where(below & above, z, np.nan)
 

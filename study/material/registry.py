@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 from study.errors import Fault, InputError, nearest
 from study.material.energies.arruda_boyce import ArrudaBoyce
 from study.material.energies.extended_tube import ExtendedTube
@@ -111,6 +113,7 @@ def is_constant_key(key: str) -> bool:
     return any(energy.has_key(key) for energy in ENERGIES.values())
 
 
+@functools.cache
 def is_dimensionless(name: str) -> bool:
     """Whether a constant, or its key in a study file, is a plain number in an energy that has it.
 

@@ -92,7 +92,8 @@ def _reached(material: Material, values: Array) -> Array:
 
 def deviator(values: Array) -> Array:
     """Subtract the mean over the first axis."""
-    return np.asarray(values - values.mean(0))
+    # what ``mean`` computes, at half its cost for a few points
+    return np.asarray(values - np.add.reduce(values) / len(values))
 
 
 def _assemble(F: Array, stretch: Array, axes: Array, kirchhoff: Array) -> Array:

@@ -53,11 +53,13 @@ def last_of_loading(displacement_mm: Array) -> int:
 def _turns(d: Array, least: float) -> list[int]:
     """Rows at which the displacement turns, by at least so much."""
     turns: list[int] = []
-    extreme, sense = 0, 1.0
-    for row, value in enumerate(d):
-        if sense * (value - d[extreme]) >= 0:
-            extreme = row
-        elif sense * (d[extreme] - value) > least:
-            turns.append(extreme)
-            extreme, sense = row, -sense
-    return turns
+    start, sense = 0, 1.0
+    while True:
+        way = sense * d[start:]
+        furthest = np.maximum.accumulate(way)
+        back = np.flatnonzero(furthest - way > least)
+        if not back.size:
+            return turns
+        row = int(back[0])
+        turns.append(start + int(np.flatnonzero(way[:row] == furthest[row])[-1]))
+        start, sense = start + row, -sense

@@ -99,6 +99,9 @@ class Measurements:
     notes: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     time_s: Array | None = None
+    _paired: dict[str | None, list[tuple[MeasuredTest, MeasuredTest]]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -177,7 +180,15 @@ class Measurements:
         return out
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
-        """Pair fit with score for a block: one pair, or two where they also change places."""
+        """Pair fit with score for a block: one pair, or two where they also change places.
+
+        Made once for all the materials that are fitted to them.
+        """
+        if block not in self._paired:
+            self._paired[block] = self._pairs(block)
+        return self._paired[block]
+
+    def _pairs(self, block: str | None) -> list[tuple[MeasuredTest, MeasuredTest]]:
         fit, score = dict(self.fit or {}), dict(self.score or self.fit or {})
         pairs = [(self.curve(block, **fit), self.curve(block, **score))]
         if self.swap:

@@ -53,8 +53,25 @@ def _sync(path: Path, flags: int) -> None:
         os.close(handle)
 
 
-def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> None:
+def write_atomic(
+    path: Path,
+    data: bytes,
+    system: FileSystem | None = None,
+    later: dict[Path, None] | None = None,
+) -> None:
     """Write ``data`` to ``path`` so that a crash leaves the old content or the new.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file belongs.
+    data : bytes
+        All of it.
+    system : FileSystem, optional
+        Operations that change the disk.
+    later : dict of Path, optional
+        Takes the folders whose names are still to be flushed, for a caller that writes many files
+        and flushes each folder once. Until then a loss of power may bring the old content back.
 
     Raises
     ------
@@ -65,11 +82,12 @@ def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> N
     system = system or FileSystem()
     part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
     try:
-        _make_folder(path.parent, system)
+        for folder in _make_folder(path.parent, system):
+            _sync_names(folder, system, later)
         system.write(part, data)
         system.sync_file(part)
         system.replace(part, path)
-        system.sync_folder(path.parent)
+        _sync_names(path.parent, system, later)
     except OSError as error:
         _discard(part, system)
         raise StoreError(
@@ -78,14 +96,22 @@ def write_atomic(path: Path, data: bytes, system: FileSystem | None = None) -> N
         ) from error
 
 
-def _make_folder(folder: Path, system: FileSystem) -> None:
-    """Make a folder whose name survives a power loss too."""
+def _sync_names(folder: Path, system: FileSystem, later: dict[Path, None] | None) -> None:
+    """Flush the names in a folder, now or later."""
+    if later is None:
+        system.sync_folder(folder)
+    else:
+        later[folder] = None
+
+
+def _make_folder(folder: Path, system: FileSystem) -> list[Path]:
+    """Make a folder; those to be flushed for its name to survive a power loss too."""
+    if folder.is_dir():
+        return []
     new = [path for path in (folder, *folder.parents) if not path.exists()]
-    if not new:
-        return
-    system.make_folder(folder)
-    for path in reversed(new):
-        system.sync_folder(path.parent)
+    if new:
+        system.make_folder(folder)
+    return [path.parent for path in reversed(new)]
 
 
 def is_leftover(name: str) -> bool:

@@ -42,6 +42,8 @@ class SealedFolder:
         self._warn = warn
         self._system = system or FileSystem()
         self._locked = False
+        #: folders with names that a loss of power may still take back
+        self._unflushed: dict[Path, None] = {}
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[Self]:
@@ -79,13 +81,36 @@ class SealedFolder:
         """Pid, host, start and progress of the runner in this folder; None if there is none."""
         return lock.holder(self.path) if lock.is_locked(self.path) else None
 
-    def write_json(self, name: str, content: object) -> None:
-        """Store any JSON content under a name such as ``"study"``, sealed and atomically."""
+    def write_json(self, name: str, content: object, *, followed: bool = False) -> None:
+        """Store any JSON content under a name such as ``"study"``, sealed and atomically.
+
+        Parameters
+        ----------
+        followed : bool
+            Whether another write comes at once, with which its folder is flushed: a runner that
+            is killed loses nothing by that, a machine without power what follows at once.
+        """
         lost: dict[str, str] = {}
         clean = plain(content, name, lost)
         if lost and isinstance(clean, dict):
             clean["not_finite"] = lost
-        write_atomic(self._json(name), seal(clean).encode(), self._system)
+        self._write(self._json(name), seal(clean).encode(), followed)
+
+    def _write(self, path: Path, data: bytes, followed: bool = False) -> None:
+        """Write a file; what went before it and was left unflushed is flushed first."""
+        if not followed:
+            self._flush()
+        write_atomic(path, data, self._system, self._unflushed if followed else None)
+
+    def _flush(self) -> None:
+        """Make the names of all that was written survive a loss of power."""
+        try:
+            while self._unflushed:
+                self._system.sync_folder(next(iter(self._unflushed)))
+                del self._unflushed[next(iter(self._unflushed))]
+        except OSError as error:
+            why = error.strerror or error
+            raise StoreError(f"{self.path}: could not be flushed to the disk ({why})") from error
 
     def read_json(self, name: str) -> object:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""

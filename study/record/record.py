@@ -31,6 +31,8 @@ from study.record.document import (
 )
 
 SCHEMA = 1
+#: where a record keeps the text that it was read from
+_READ = "_read"
 #: status of a case that has an answer
 CONVERGED = "converged"
 STATUSES = (
@@ -163,7 +165,13 @@ class Record:
         return next(found, None)
 
     def to_json(self) -> str:
-        """Text of the record with its checksum; never holds a bare NaN."""
+        """Text of the record with its checksum; never holds a bare NaN.
+
+        Of a record that was read it is the text itself, where this version wrote it.
+        """
+        known = self.__dict__.get(_READ)
+        if known is not None:
+            return str(known)
         lost: dict[str, str] = {}
         content = {
             f.name: plain(getattr(self, f.name), f.name, lost)
@@ -200,9 +208,12 @@ class Record:
         try:
             kept = content.pop("curves")
             curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in kept.items()}
-            return cls(**content, curves=curves)
+            record = cls(**content, curves=curves)
         except (TypeError, ValueError, KeyError, AttributeError, StoreError) as error:
             raise StoreError(f"{source}: is not a valid record ({error})") from error
+        if isinstance(text, str) and _SEALED.fullmatch(text.encode()):
+            record.__dict__[_READ] = text  # a worker's, on its way to the disk
+        return record
 
 
 _KINDS: Mapping[str, tuple[type, ...]] = {
@@ -255,6 +266,10 @@ def plain(value: object, where: str, lost: dict[str, str]) -> object:
     TypeError
         For a type that has no place in a record.
     """
+    if type(value) is float and math.isfinite(value):  # nine values in ten
+        return value
+    if type(value) is list and set(map(type, value)) == {float} and all(map(math.isfinite, value)):
+        return value  # a curve, as it stands
     if value is None or isinstance(value, (bool, str)):
         return value
     if isinstance(value, (np.bool_, np.ndarray, np.generic)):

@@ -75,7 +75,13 @@ class Store(ManifestFolder):
         """
         self._libraries, self._strict = name_of(versions), strict
 
-    def write(self, record: Record, fields: Mapping[str, ArrayLike] | None = None) -> Record:
+    def write(
+        self,
+        record: Record,
+        fields: Mapping[str, ArrayLike] | None = None,
+        *,
+        followed: bool = False,
+    ) -> Record:
         """Store a record, whole or not at all, and after its fields.
 
         Parameters
@@ -84,6 +90,8 @@ class Store(ManifestFolder):
             What to store; a record of the same case is replaced.
         fields : mapping of str to ndarray, optional
             Arrays to keep beside it.
+        followed : bool
+            Whether another write comes at once, as for :meth:`write_json`.
 
         Returns
         -------
@@ -103,7 +111,7 @@ class Store(ManifestFolder):
             write_atomic(folder / name, data, self._system)
         path = folder / CURRENT
         self._lay_by(record)
-        write_atomic(path, record.to_json().encode(), self._system)
+        self._write(path, record.to_json().encode(), followed)
         self._drop_other_fields(folder, name)
         if self._locked:
             self._index.note(record, FileStamp.of(path))
@@ -246,17 +254,21 @@ class Store(ManifestFolder):
             lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
         )
 
-    def write_fit(self, fit_id: str, content: Mapping[str, object]) -> None:
-        """Store a calibration that several cases share."""
-        self.write_result(f"fits/{fit_id}", content)
+    def write_fit(
+        self, fit_id: str, content: Mapping[str, object], *, followed: bool = False
+    ) -> None:
+        """Store a calibration that several cases share; ``followed`` as for a record."""
+        self.write_result(f"fits/{fit_id}", content, followed=followed)
 
     def read_fit(self, fit_id: str) -> dict[str, object] | None:
         """Read a shared calibration; None if it is missing, was damaged, or does not count."""
         return self.read_result(f"fits/{fit_id}")
 
-    def write_result(self, name: str, content: Mapping[str, object]) -> None:
+    def write_result(
+        self, name: str, content: Mapping[str, object], *, followed: bool = False
+    ) -> None:
         """Store a result that is no record, with the name of the libraries that made it."""
-        self.write_json(name, {**content, _MADE_WITH: self._libraries})
+        self.write_json(name, {**content, _MADE_WITH: self._libraries}, followed=followed)
 
     def read_result(self, name: str) -> dict[str, object] | None:
         """Read what :meth:`write_result` stored; None also where other libraries made it."""
@@ -299,13 +311,14 @@ class Store(ManifestFolder):
         self._clear_leftovers([*own, *names])
 
     def _end(self) -> None:
+        self._flush()
         self._write_index()
 
     def _write_index(self) -> None:
         """Write the index where it would say something new."""
         index = self._index
         if index.is_stale:
-            write_atomic(self._json(INDEX), index.text().encode(), self._system)
+            self._write(self._json(INDEX), index.text().encode())
             index.written()
 
     def _said(self, case_id: str, wanted: str) -> Entry | None:
@@ -379,5 +392,6 @@ class Store(ManifestFolder):
     def _drop_other_fields(self, folder: Path, keep: str) -> None:
         for name in os.listdir(folder):
             if field_files.is_name(name) and name != keep:
+                self._flush()  # the record that names them is gone for good
                 with contextlib.suppress(OSError):  # only space is lost
                     self._system.unlink(folder / name)

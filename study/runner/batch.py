@@ -317,7 +317,7 @@ class _Batch:
         if outcome.key in self.fits:
             self.spent["fits"] += outcome.seconds
             if outcome.status in _KEPT:
-                self.store.write_fit(outcome.key, outcome.result)
+                self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             return
         self.spent["cases"] += outcome.seconds
         record = self._record(outcome)
@@ -325,7 +325,7 @@ class _Batch:
         tried = self.notes.get(record.case_id)
         if tried:
             record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in tried]})
-        self.store.write(record)
+        self.store.write(record, followed=outcome.followed)
 
     def _record(self, outcome: Outcome) -> Record:
         text = outcome.result.get("record")

@@ -14,6 +14,7 @@ from study.design.spec import Case, Design
 from study.measurement import plausibility
 from study.measurement.conditioning import is_caution
 from study.measurement.measured_test import Measurements
+from study.measurement.quantities import Gauge
 from study.measurement.reading import read_measurements
 from study.measurement.recording import Recordings, read_recordings
 from study.measurement.section import MeasurementSpec
@@ -44,6 +45,9 @@ class DataCache:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
         self._recorded: dict[str, Recordings] = {}
+        # what was asked for already, by the specification itself, which is kept so that its
+        # identity stays its own
+        self._asked: dict[tuple[object, ...], tuple[object, Measurements]] = {}
 
     def scored(self, tables: Tables) -> Measurements | None:
         """Measurements that a case is scored on."""
@@ -71,6 +75,19 @@ class DataCache:
         height, depth = known_height_mm(tables["specimen"]), tables["test"].get("displacement_mm")
         made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
         gauge = gauge_of(tables["specimen"], tables["test"])
+        asked = (id(spec), height, depth, gauge)
+        if asked not in self._asked:
+            self._asked[asked] = (spec, self._conditioned(made, height, depth, gauge, tables))
+        return self._asked[asked][1]
+
+    def _conditioned(
+        self,
+        made: MeasurementSpec,
+        height: float | None,
+        depth: float | None,
+        gauge: Gauge | None,
+        tables: Tables,
+    ) -> Measurements:
         key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
             rows = self._recordings(made)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from threading import Timer
 from typing import Any
@@ -292,6 +293,27 @@ def test_no_more_run_at_once_than_there_is_room_for() -> None:
     )
     assert len(found) == len(sizes)
     assert sorted(set(most)) == [3.0, 6.0, 20.0]
+
+
+def short(key: str, kind: str = "work", **values: Any) -> Task:
+    return replace(task(key, kind, **values), seconds=0.02)
+
+
+def test_short_tasks_go_to_a_worker_together_and_come_back_one_by_one() -> None:
+    found = list(Loky(perform, 2).run([short(f"{k}", value=k) for k in range(40)]))
+    assert {one.key: one.result["value"] for one in found} == {f"{k}": k + 1 for k in range(40)}
+    # the last of those that came together has nothing behind it
+    assert any(one.followed for one in found)
+    assert not found[-1].followed
+
+
+@pytest.mark.parametrize(("kind", "status"), [("die", "crashed"), ("hang", "timeout")])
+def test_a_short_task_that_misbehaves_costs_those_beside_it_nothing(kind: str, status: str) -> None:
+    tasks = [short("bad", kind), *(short(f"{k}") for k in range(30))]
+    found = {one.key: one for one in Loky(perform, 2, 1.5).run(tasks)}
+    assert found.pop("bad").status == status
+    assert {one.status for one in found.values()} == {"converged"}
+    assert len(found) == 30
 
 
 def test_results_are_kept_while_somebody_needs_them() -> None:

@@ -7,7 +7,9 @@ import pytest
 from scipy.optimize import brentq
 
 from study.material.ellipticity import always_elliptic, ellipticity
+from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL
 from study.material.material import Material
+from study.material.stability import tangent
 
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 
@@ -48,6 +50,29 @@ def test_exponents_of_one_and_more_never_give_way(alpha: float) -> None:
     """Ogden's terms are polyconvex there (Ball 1977)."""
     assert always_elliptic(ogden(alpha))
     assert (ellipticity(ogden(alpha), ANYWHERE) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "constants", "always"),
+    [
+        ("neo-hookean", {"C10": 1.0}, True),
+        ("mooney-rivlin", {"C10": 0.2, "C01": 0.9}, True),
+        ("mooney-rivlin", {"C10": 1.0, "C01": -0.2}, False),
+        ("reduced-polynomial", {"C10": 0.2, "C20": 0.3, "C30": 0.1}, True),
+        ("reduced-polynomial", {"C10": 0.2, "C20": -0.01}, False),
+        ("ogden", {"mu1": 1.0, "alpha1": 0.5, "mu2": 0.1, "alpha2": -4.0}, True),
+        ("ogden", {"mu1": 1.0, "alpha1": 2.0, "mu2": -0.1, "alpha2": 4.0}, False),
+    ],
+)
+def test_drucker_stability_that_is_known_without_looking(
+    model: str, constants: dict[str, float], always: bool
+) -> None:
+    """Where it is said to be known, the scan along every mode finds the same."""
+    material = Material(model, constants, incompressible=True)
+    assert material.isochoric.always_stable(constants) is always
+    for mode in (UNIAXIAL, EQUIBIAXIAL, PLANAR) if always else ():
+        d = tangent(material, mode, np.geomspace(0.1, 10.0, 300))
+        assert (np.linalg.eigvalsh(np.moveaxis(d, -1, 0)) > 0).all()
 
 
 @pytest.mark.parametrize(

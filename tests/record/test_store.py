@@ -33,17 +33,18 @@ CASES = ("a1", "b2", "c3")
 WANTED = {name: "h-" + name for name in CASES}
 
 
-def run(path: Path, disk: FailingDisk | None = None) -> Store:
+def run(path: Path, disk: FailingDisk | None = None, followed: bool = False) -> Store:
     """A study of three cases that share a fit: what is missing is computed and stored."""
     store = Store(path, system=disk)
     with store.lock():
         store.write_manifest({"name": "demo"})
         if store.read_fit("f1") is None:
-            store.write_fit("f1", {"C10": 1 / 3})
+            store.write_fit("f1", {"C10": 1 / 3}, followed=followed)
         done = store.done_ids(WANTED)
         for name in CASES:
             if name not in done:
-                store.write(record(name), {"u": np.arange(6.0).reshape(2, 3)})
+                fields = {"u": np.arange(6.0).reshape(2, 3)}
+                store.write(record(name), fields, followed=followed and name != CASES[-1])
     return store
 
 
@@ -69,22 +70,28 @@ def clean(tmp_path_factory):
     return state(path), disk.count
 
 
+@pytest.mark.parametrize("followed", [False, True], ids=["one by one", "together"])
 @pytest.mark.parametrize("power_loss", [False, True], ids=["disk full", "power loss"])
-def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss):
+def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss, followed):
     expected, operations = clean
     assert operations > 30
+    if followed:
+        whole = FailingDisk()
+        run(tmp_path / "whole", whole, followed)
+        assert whole.count <= operations
+        operations = whole.count
     for k in range(1, operations + 1):
         path = tmp_path / str(k)
         disk = FailingDisk(k, power_loss)
         with pytest.raises(PowerLoss if power_loss else StoreError):
-            run(path, disk)
+            run(path, disk, followed)
         # nothing in between: what can be read now is exactly what a clean run has
         seen = Store(path)
         for found in seen.read_all():
             assert found.to_json() in expected[1], k
             assert seen.read_fields(found)["u"].tolist() == expected[2][0], k
         assert seen.warnings == [], k
-        run(path)
+        run(path, followed=followed)
         assert state(path) == expected, k
         left = [p for p in path.rglob("*") if p.name.endswith(TEMPORARY)]
         assert left == [], k

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
-from typing import overload
+from typing import cast, overload
 
 import numpy as np
 
@@ -29,7 +29,23 @@ def case_id(content: object) -> str:
     >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
     True
     """
-    text = canonical_json(content)
+    return _name(canonical_json(content))
+
+
+def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
+    """Names of some content in every block, of which it is walked once.
+
+    Examples
+    --------
+    >>> block_ids({"a": 1}, ["x"]) == [case_id({"a": 1, "block": "x"})]
+    True
+    """
+    walked = without_places(plain(content))
+    shared = walked if isinstance(walked, dict) else {}
+    return [_name(_text({**shared, "block": block})) for block in blocks]
+
+
+def _name(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 
@@ -46,7 +62,10 @@ def canonical_json(content: object) -> str:
     >>> canonical_json({"b": (1.0, 2), "a": None})
     '{"a":null,"b":[1,2]}'
     """
-    named = without_places(plain(content))
+    return _text(without_places(plain(content)))
+
+
+def _text(named: Json) -> str:
     return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
 
 
@@ -76,7 +95,16 @@ def plain(value: object) -> Json:
     return _plain(value)
 
 
+#: types that are plain as they are, asked for first: nine values in ten
+_ATOMS = frozenset({str, int, bool, type(None)})
+
+
 def _plain(value: object) -> Json:
+    kind = type(value)
+    if kind in _ATOMS:
+        return cast("Json", value)
+    if kind is dict:
+        return {str(k): _plain(v) for k, v in cast("dict[object, object]", value).items()}
     if isinstance(value, MeasurementSpec):
         return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
     if is_dataclass(value) and not isinstance(value, type):

@@ -65,6 +65,13 @@ class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
         tubes = _ENTANGLEMENT.principal_stress_slope(_term(constants), bar, direction)
         return crosslinks + tubes
 
+    def stress_and_slope(
+        self, constants: Constants, bar: Array, direction: Array
+    ) -> tuple[Array, Array]:
+        """One after the other: only crosslinks go by the invariants."""
+        stress = self.principal_stress(constants, bar)
+        return stress, self.principal_stress_slope(constants, bar, direction)
+
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Of both; the exponent is -beta."""
         crosslinks = super().principal_stress_gradient(constants, bar)

@@ -64,7 +64,7 @@ class Invariants(NamedTuple):
     def of(cls, bar: Array) -> Invariants:
         """Of isochoric principal stretches, shape (3, ...)."""
         b = bar**2
-        i1 = b.sum(0)
+        i1 = np.add.reduce(b)
         i2 = b[0] * b[1] + b[1] * b[2] + b[2] * b[0]
         return cls(b, i1, i1 - 3, i2 - 3)
 
@@ -95,16 +95,18 @@ class InvariantEnergy(IsochoricEnergy):
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Differentiate by the chain rule through both invariants."""
-        at, v = Invariants.of(bar), direction[:, None]
-        b, i1 = at.squares, at.i1
-        w1, w2 = self.slopes(constants, at.a, at.b)
-        w11, w12, w22 = self.curvatures(constants, at.a, at.b)
-        db = 2 * b * v
-        di1, di2 = db.sum(0), ((i1 - b) * db).sum(0)
-        dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
-        return np.asarray(
-            2 * db * (w1 + w2 * (i1 - b)) + 2 * b * (dw1 + dw2 * (i1 - b) + w2 * (di1 - db))
-        )
+        at = Invariants.of(bar)
+        slopes = self.slopes(constants, at.a, at.b)
+        return _stress_slope(at, slopes, self.curvatures(constants, at.a, at.b), direction)
+
+    def stress_and_slope(
+        self, constants: Constants, bar: Array, direction: Array
+    ) -> tuple[Array, Array]:
+        """Both from the same invariants and slopes of W."""
+        at = Invariants.of(bar)
+        slopes = self.slopes(constants, at.a, at.b)
+        curvatures = self.curvatures(constants, at.a, at.b)
+        return _stress(at, slopes), _stress_slope(at, slopes, curvatures, direction)
 
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Stress of each derivative of W."""
@@ -135,7 +137,30 @@ class InvariantEnergy(IsochoricEnergy):
 
 def _stress(at: Invariants, slopes: Slopes) -> Array:
     w1, w2 = slopes
+    if _vanish(w2):
+        return np.asarray(2 * at.squares * w1)
     return np.asarray(2 * at.squares * (w1 + w2 * (at.i1 - at.squares)))
+
+
+def _stress_slope(
+    at: Invariants, slopes: Slopes, curvatures: Curvatures, direction: Array
+) -> Array:
+    """Differentiate the stress along one direction or several, shape (..., 3, n)."""
+    b = at.squares
+    (w1, w2), (w11, w12, w22) = slopes, curvatures
+    db = 2 * b * direction[..., None]
+    di1 = np.add.reduce(db, axis=-2, keepdims=True)
+    if _vanish(w2, w12, w22):
+        return np.asarray(2 * db * w1 + 2 * b * (w11 * di1))
+    rest = at.i1 - b
+    di2 = np.add.reduce(rest * db, axis=-2, keepdims=True)
+    dw1, dw2 = w11 * di1 + w12 * di2, w12 * di1 + w22 * di2
+    return np.asarray(2 * db * (w1 + w2 * rest) + 2 * b * (dw1 + dw2 * rest + w2 * (di1 - db)))
+
+
+def _vanish(*derivatives: Array | float) -> bool:
+    """Whether derivatives are zero everywhere by the form of W, said by plain zeros."""
+    return all(isinstance(one, float) and one == 0.0 for one in derivatives)
 
 
 def _shear(slopes: Slopes) -> float:

@@ -113,7 +113,7 @@ class Ogden(OgdenSeries, IsochoricEnergy):
 
     def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
         """Sum of 2 mu bar^alpha times the direction."""
-        v = direction[:, None]
+        v = direction[..., None]
         terms = zip(*ogden_terms(constants), strict=True)
         return np.asarray(sum(2 * mu * bar**alpha * v for mu, alpha in terms))
 
@@ -132,6 +132,11 @@ class Ogden(OgdenSeries, IsochoricEnergy):
         log = np.log(bar)
         terms = zip(*ogden_terms(constants), strict=True)
         return np.asarray(sum(2 * mu * (log**2 * _phi2(alpha * log)).sum(0) for mu, alpha in terms))
+
+    def always_stable(self, constants: Constants) -> bool:
+        """Positive moduli: by logarithmic stretches the second derivatives are 2 mu l^alpha."""
+        mu, _ = ogden_terms(constants)
+        return bool((mu > 0).all())
 
     def always_elliptic(self, constants: Constants) -> bool:
         """Positive moduli and exponents of one and more, of either sign (Ball 1977)."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import re
 from abc import abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from study.material.energy import (
     PointLaw,
     no_counterpart,
 )
+
+#: coefficients of a polynomial in two variables, as :func:`_columns` orders them
+Coefficients = tuple[tuple[float, ...], ...]
 
 
 class TableEnergy(InvariantEnergy):
@@ -46,22 +50,56 @@ class TableEnergy(InvariantEnergy):
 
     def value(self, constants: Constants, a: Array, b: Array) -> Array:
         """Sum of all terms."""
-        return _value(self.table(constants), a, b)
+        return np.asarray(_value(_columns(self.table(constants)), a, b) + 0.0 * a)
 
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Slopes of the table."""
-        return _slopes(self.table(constants), a, b)
+        known = _differentiated(self, tuple(constants.items()))
+        return Slopes(_value(known.by_a, a, b), _value(known.by_b, a, b))
 
     def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
         """Slopes of the table's derivatives."""
-        table = self.table(constants)
-        aa, ab = _slopes(_derivative(table, 0), a, b)
-        bb = _value(_derivative(_derivative(table, 1), 1), a, b)
-        return Curvatures(aa, ab, bb)
+        known = _differentiated(self, tuple(constants.items()))
+        return Curvatures(*(_value(one, a, b) for one in (known.aa, known.ab, known.bb)))
 
     def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
         """Slopes of the derivatives of the table."""
-        return {n: _slopes(self.table_rate(constants, n), a, b) for n in constants}
+        known = _differentiated(self, tuple(constants.items()))
+        return {
+            name: Slopes(_value(by_a, a, b), _value(by_b, a, b))
+            for name, (by_a, by_b) in known.rates.items()
+        }
+
+
+@dataclass(frozen=True)
+class _Differentiated:
+    """Derivatives of a table by both invariants, and those of its derivative by each constant."""
+
+    by_a: Coefficients
+    by_b: Coefficients
+    aa: Coefficients
+    ab: Coefficients
+    bb: Coefficients
+    rates: Mapping[str, tuple[Coefficients, Coefficients]]
+
+
+@functools.lru_cache(maxsize=64)
+def _differentiated(
+    energy: TableEnergy, constants: tuple[tuple[str, float], ...]
+) -> _Differentiated:
+    """Differentiate a table once for all the states at which its constants are asked for."""
+    named = dict(constants)
+    table = energy.table(named)
+    by_a, by_b = _derivative(table, 0), _derivative(table, 1)
+    rates = {name: energy.table_rate(named, name) for name in named}
+    return _Differentiated(
+        _columns(by_a),
+        _columns(by_b),
+        _columns(_derivative(by_a, 0)),
+        _columns(_derivative(by_a, 1)),
+        _columns(_derivative(by_b, 1)),
+        {n: (_columns(_derivative(r, 0)), _columns(_derivative(r, 1))) for n, r in rates.items()},
+    )
 
 
 class PolynomialEnergy(TableEnergy):
@@ -110,6 +148,16 @@ class PolynomialEnergy(TableEnergy):
         convex = table.copy()
         convex[:, 0] = convex[0, 1:2] = 0.0
         return bool((table >= 0).all() and not convex.any() and table.any())
+
+    def always_stable(self, constants: Constants) -> bool:
+        """Positive constants of the first invariant alone and of the second invariant itself.
+
+        By logarithmic stretches the second derivatives of I1 are 4 diag(b), those of I2 are
+        4 diag(1 / b), with squares b of stretches: both positive, and a growing convex function
+        of I1 adds a square.
+        """
+        resists = constants.get("C10", 0.0) + constants.get("C01", 0.0) > 0
+        return resists and self.always_elliptic(constants)
 
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """C10 alone: higher constants of a closed form soften too much for a bonded specimen."""
@@ -269,10 +317,6 @@ def _rank(name: str) -> tuple[int, int]:
     return i + j, j
 
 
-def _slopes(table: Array, x: Array, y: Array) -> Slopes:
-    return Slopes(_value(_derivative(table, 0), x, y), _value(_derivative(table, 1), x, y))
-
-
 def _derivative(table: Array, axis: int) -> Array:
     """Coefficients of the derivative of a polynomial by one of its two variables.
 
@@ -285,16 +329,38 @@ def _derivative(table: Array, axis: int) -> Array:
     return table[1:] * power[:, None] if axis == 0 else table[:, 1:] * power
 
 
-def _value(table: Array, x: Array, y: Array) -> Array:
-    """Value of a polynomial in two variables by Horner's rule.
+def _columns(table: Array) -> Coefficients:
+    """Coefficients of a polynomial in two variables by columns, from the highest power down.
+
+    Those of the highest powers that are zero are left out.
+    """
+    columns = [_trimmed(column) for column in table.T[::-1].tolist()]
+    while len(columns) > 1 and columns[0] == (0.0,):
+        columns.pop(0)
+    return tuple(columns)
+
+
+def _trimmed(column: list[float]) -> tuple[float, ...]:
+    while len(column) > 1 and column[-1] == 0.0:
+        column.pop()
+    return tuple(column[::-1])
+
+
+def _value(columns: Coefficients, x: Array, y: Array) -> Array | float:
+    """Value of a polynomial in two variables by Horner's rule; a plain number if it is constant.
 
     Of numpy's ``polyval2d``, which does the same, nine tenths of the time are checks: a fit in
     closed form asks for some thousand values of a few points each.
     """
-    total: Array | float = 0.0
-    for column in table.T[::-1]:
-        inner = column[-1] + 0.0 * x
-        for coefficient in column[-2::-1]:
-            inner = coefficient + inner * x
-        total = inner + total * y
-    return np.asarray(total, dtype=float)
+    total = _horner(columns[0], x)
+    for column in columns[1:]:
+        total = _horner(column, x) + total * y
+    return total
+
+
+def _horner(coefficients: tuple[float, ...], x: Array) -> Array | float:
+    first, *others = coefficients
+    inner: Array | float = first
+    for coefficient in others:
+        inner = coefficient + inner * x
+    return inner

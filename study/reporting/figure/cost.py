@@ -29,11 +29,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
+#: a row of a legend in small type, a letter in it, what its mark and gaps take, inches; and the
+#: share of the figure's width beside the labels of the vertical axis
+_LEGEND_ROW_IN = 0.16
+_LEGEND_LETTER_IN = 0.062
+_LEGEND_MARK_IN = 0.5
+_LEGEND_SHARE = 0.9
+
+
 def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
     """Draw the mean response of each cell against its seconds, front stepped and labeled."""
-    figure = canvas(WIDTH_IN, 3.7)
-    ax = figure.subplots()
     color_by, shape_by = _styling(frame, data)
+    columns, rows = _legend_shape(color_by[0], shape_by[0], data)
+    figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
+    ax = figure.subplots()
     for row in frame.to_dict("records"):
         ax.plot(
             row["seconds"],
@@ -65,7 +74,7 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
         )
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
-    _front_legend(ax, color_by[0], shape_by[0], data)
+    _front_legend(ax, color_by[0], shape_by[0], data, columns)
     _time_ticks(ax, frame)
     plain_ticks(ax, "y")
     ax.set_xlabel("mean computing time of a case")
@@ -119,7 +128,16 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
         )
 
 
-def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> None:
+def _legend_shape(color_by: str, shape_by: str, data: ReportData) -> tuple[int, int]:
+    """Columns and rows of the legend: no more columns than the width of the figure holds."""
+    shown = [clean(level, 22) for name in dict.fromkeys((color_by, shape_by))
+             for level in data.factors[name]]  # fmt: skip
+    wide = _LEGEND_MARK_IN + _LEGEND_LETTER_IN * max(map(len, shown))
+    columns = max(1, min(len(shown), int(_LEGEND_SHARE * WIDTH_IN / wide)))
+    return columns, -(-len(shown) // columns)
+
+
+def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData, columns: int) -> None:
     from matplotlib.lines import Line2D
 
     handles = [
@@ -155,7 +173,7 @@ def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData) -> N
         title=title,
         title_fontsize=7.5,
         fontsize=7.5,
-        ncols=len(handles),
+        ncols=columns,
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
         alignment="left",

@@ -47,8 +47,8 @@ def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float
     rows, shifts = [], []
     for measured, predicted in zip(curves, found.fit.curves, strict=True):
         curve, weight = measured.measured.curve, np.asarray(measured.weight)
-        slopes = [predicted.gradient_at(n, curve.displacement_mm) for n in found.fit.names]
-        rows.append((weight * np.array(slopes)).T)
+        slopes = predicted.gradients_at(found.fit.names, curve.displacement_mm)
+        rows.append((weight * slopes.T).T)
         shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
     jacobian = np.concatenate(rows)
     scale = np.linalg.norm(jacobian, axis=0)

@@ -199,7 +199,7 @@ def _jacobian(
     for one, curve in zip(measured, curves, strict=True):
         used = one.weights > 0
         d = one.curve.displacement_mm[used]
-        slopes = np.array([curve.gradient_at(name, d) for name in names]).T
+        slopes = curve.gradients_at(names, d)
         rows.append(one.weights[used][:, None] * slopes)
     return np.concatenate(rows)
 
