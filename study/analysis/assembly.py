@@ -61,7 +61,7 @@ def assemble(out: Outcome) -> AnalysisResult:
             out.robustness,
             out.box_cox,
         ),
-        _summary_of_data(out, None if fit is None else fit.matrix.columns),
+        _summary_of_data(out, None if fit is None else fit.columns),
         tuple(dict.fromkeys(out.warnings)),
     )
 

@@ -16,7 +16,7 @@ from study.analysis.effects.simple_effects import (
 )
 from study.analysis.effects.simultaneous import block_multiplier, pooled_multiplier
 from study.analysis.linear_model.design_matrix import Layout, Term
-from study.analysis.linear_model.sums_of_squares import ALIAS_TOLERANCE, Factored
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array, Ints
 
 
@@ -90,7 +90,7 @@ def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
 def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
     coefficients = fit.coefficients()
-    inverse = np.linalg.pinv(fit.r, rcond=ALIAS_TOLERANCE) / fit.scale[:, None]
+    inverse = fit.model.inverse
 
     def estimate(rows: Array) -> Estimates:
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)

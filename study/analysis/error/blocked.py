@@ -86,7 +86,8 @@ def _own_term(
     from scipy.special import fdtrc
 
     name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
-    contrasts = (fit.q @ sums.basis).T @ (table.y - table.y[0, 0])
+    directions = fit.q @ sums.basis
+    contrasts = directions.T @ (table.y - table.y[0, 0])
     center = contrasts.mean(axis=1)
     scatter = contrasts - center[:, None]
     ss, ss_error = blocks * float(center @ center), float(np.sum(scatter**2))
@@ -95,7 +96,7 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
-    why = _no_test(fit.q @ sums.basis, contrasts, floor, name, block)
+    why = _no_test(directions, contrasts, floor, name, block)
     if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
     f = (ss / df) / (ss_error / df_error)
@@ -155,9 +156,8 @@ def own_estimate(
 
 def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
     """Shift of the response, and coefficients of every block, shape (p, b)."""
-    inverse = np.linalg.pinv(fit.r, rcond=1e-9) / fit.scale[:, None]
     shift = float(table.y[0, 0])
-    return shift, inverse @ (fit.q.T @ (table.y - shift))
+    return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
 
 
 def own(out: Outcome) -> Outcome | None:
@@ -208,6 +208,7 @@ def own(out: Outcome) -> Outcome | None:
         anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
-        fit=residuals.additive_fit(data, out.y),
+        fit=residuals.within_fit(data, out.y),
         crossed=table,
+        cell_model=fit.model,
     )
