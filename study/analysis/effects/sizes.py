@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from study.analysis.anova_table import Effect, PairDifference, SimpleEffect
+from study.analysis.effects.comparisons import holm as adjusted_p
 from study.analysis.effects.comparisons import letters
 from study.analysis.effects.estimates import TermEstimate
 from study.analysis.effects.scale import Scale
@@ -173,12 +174,7 @@ def _ends(
 
 def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65)."""
-    known = [effect.p for effect in effects if effect.p is not None]
-    if not known:
-        return tuple(effects)
-    from statsmodels.stats.multitest import multipletests
-
-    adjusted = iter(multipletests(known, method="holm")[1].tolist())
+    adjusted = iter(adjusted_p([effect.p for effect in effects if effect.p is not None]).tolist())
     return tuple(
         effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
     )

@@ -84,6 +84,11 @@ class Factorization:
         return np.asarray(found / self.scale[:, None])
 
     @cached_property
+    def unscaled_covariance(self) -> Array:
+        """(X'X)^+, shape (p, p)."""
+        return np.asarray(self.inverse @ self.inverse.T)
+
+    @cached_property
     def _estimable_basis(self) -> Array:
         _, s, vt = np.linalg.svd(self.r, full_matrices=False)
         return np.asarray(vt[s > ALIAS_TOLERANCE * s[0]])

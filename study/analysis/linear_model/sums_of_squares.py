@@ -89,7 +89,7 @@ class Factored:
 
     def unscaled_covariance(self) -> Array:
         """(X'X)^+, shape (p, p)."""
-        return np.asarray(self.model.inverse @ self.model.inverse.T)
+        return self.model.unscaled_covariance
 
     def estimable(self, rows: Array) -> Flags:
         """Whether each linear combination of coefficients can be estimated, shape (m,)."""
