@@ -7,12 +7,13 @@ of the first kind less that of the second; a factor that a side leaves out is av
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtr
 
+from study.analysis.effects.comparisons import holm
 from study.analysis.effects.estimates import t_quantile
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import verdict_of
@@ -40,8 +41,8 @@ class Contrast:
         Of this contrast alone, and of all that were asked for together; None without scatter.
     df : float or None
         Degrees of freedom.
-    p : float or None
-        Of no difference.
+    p, p_holm : float or None
+        Of no difference: alone, and adjusted for all that were asked for (Holm 1979).
     u : float or None
         Bound of the numerical error; None where it is not known.
     verdict, why : str
@@ -57,6 +58,7 @@ class Contrast:
     u: float | None
     verdict: str
     why: str = ""
+    p_holm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -117,13 +119,52 @@ def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
     InputError
         For a factor or level that does not exist, or a setting without a row.
     """
-    sides = [sides_of(text, cells.levels) for text in asked]
-    estimates = [_estimate(cells.rows, *p, text) for p, text in zip(sides, asked, strict=True)]
+    found, faults = possible_contrasts(cells, asked)
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def possible_contrasts(
+    cells: Cells, asked: Sequence[str]
+) -> tuple[tuple[Contrast, ...], list[Fault]]:
+    """Estimate those differences of sets of cells that can be, and say what keeps the others.
+
+    Parameters
+    ----------
+    cells, asked
+        As for :func:`contrasts`.
+
+    Returns
+    -------
+    tuple of Contrast
+        Intervals and Holm's p hold for these together.
+    list of Fault
+        Of the others.
+    """
+    sides, estimates, names = [], [], []
+    faults: list[Fault] = []
+    for text in asked:
+        try:
+            pair = sides_of(text, cells.levels)
+            estimates.append(_estimate(cells.rows, *pair, text))
+        except InputError as error:
+            faults += error.faults
+            continue
+        sides.append(pair)
+        names.append(text)
     wide = _multipliers(estimates, cells.alpha, cells.seed)
-    return tuple(
+    found = [
         _judged(text, pair, one, factor, cells)
-        for text, pair, one, factor in zip(asked, sides, estimates, wide, strict=True)
-    )
+        for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
+    ]
+    return _adjusted(found), faults
+
+
+def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
+    """Contrasts with Holm's p of all of them that have one."""
+    adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
+    return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
 
 
 def _estimate(rows: pd.DataFrame, first: Setting, second: Setting, text: str) -> _Estimate:

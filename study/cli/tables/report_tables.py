@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from study.analysis.effects.verdict import NOT_RESOLVED
+from study.analysis.result import AnalysisResult
 from study.reporting.content import analysis_tables, comparison, tables, verdicts
 from study.reporting.content.table import Table
 from study.reporting.numbers import MISSING
@@ -44,6 +45,11 @@ def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
     """Title and table of the differences that the design asks for, of each response."""
     found = [(item.title, analysis_tables.contrasts(item)) for item in facts(data)]
     return [(f"{title}: asked for", _rows(table)) for title, table in found if table is not None]
+
+
+def contrast_rows(found: AnalysisResult) -> Rows:
+    """Differences of an analysis that were asked for; the first row is the header."""
+    return _rows(analysis_tables.contrast_table(found, found.request.response))
 
 
 def anova_rows(data: ReportData, response: str) -> Rows:
