@@ -18,7 +18,13 @@ from study.analysis.effects.estimates import t_quantile
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import verdict_of
 from study.analysis.effects.simultaneous import block_multiplier, bonferroni
-from study.analysis.effects.verdict import CANNOT_TELL
+from study.analysis.effects.verdict import (
+    CANNOT_TELL,
+    CLAIMS,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+    UNBOUNDED,
+)
 from study.arrays import Array
 from study.contrast import Setting, sides_of
 from study.errors import Fault, InputError
@@ -88,6 +94,9 @@ class Cells:
         One minus the level of the intervals.
     seed : int
         Of the simulated multiplier.
+    resampled : bool
+        Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter
+        is the standard error of the fit itself, however many there are.
     """
 
     rows: pd.DataFrame
@@ -95,6 +104,7 @@ class Cells:
     scale: Scale
     alpha: float
     seed: int
+    resampled: bool = False
 
 
 def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
@@ -147,7 +157,7 @@ def possible_contrasts(
     for text in asked:
         try:
             pair = sides_of(text, cells.levels)
-            estimates.append(_estimate(cells.rows, *pair, text))
+            estimates.append(_estimate(cells, *pair, text))
         except InputError as error:
             faults += error.faults
             continue
@@ -167,19 +177,20 @@ def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
     return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
 
 
-def _estimate(rows: pd.DataFrame, first: Setting, second: Setting, text: str) -> _Estimate:
+def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
+    rows = cells.rows
     sides = [rows[_holds(rows, setting)] for setting in (first, second)]
     for side, setting in zip(sides, (first, second), strict=True):
         if side.empty:
             said = ", ".join(f"{name}={level}" for name, level in setting.items())
             raise InputError(Fault(f"contrast {text!r}", f"no row has {said}"))
     if "block" not in rows:
-        return _of_cells(rows, *sides)
+        return _of_cells(rows, *sides, resampled=cells.resampled)
     # every cell counts once, whatever its repeats
     means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
     both = means[0].index.intersection(means[1].index)
     if len(both):
-        return _within((means[0][both] - means[1][both]).to_numpy())
+        return _within((means[0][both] - means[1][both]).to_numpy(), cells.resampled)
     return _between(*(mean.to_numpy() for mean in means))
 
 
@@ -190,11 +201,11 @@ def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
     return kept
 
 
-def _within(differences: Array) -> _Estimate:
+def _within(differences: Array, resampled: bool) -> _Estimate:
     b = differences.size
     if b < 2:
         return _Estimate(float(differences.mean()), None, None, differences)
-    error = float(differences.std(ddof=1) / np.sqrt(b))
+    error = float(differences.std(ddof=1) / (1.0 if resampled else np.sqrt(b)))
     return _Estimate(float(differences.mean()), error, b - 1.0, differences)
 
 
@@ -209,7 +220,9 @@ def _between(first: Array, second: Array) -> _Estimate:
     return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
 
 
-def _of_cells(rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame) -> _Estimate:
+def _of_cells(
+    rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame, *, resampled: bool
+) -> _Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
     df = float(len(rows) - by_cell.ngroups)
@@ -218,7 +231,8 @@ def _of_cells(rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame) -> 
     if df < 1:
         return _Estimate(value, None, None)
     squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
-    share = sum(float((1 / m["size"]).sum()) / len(m) ** 2 for m in means)
+    counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
+    share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
     return _Estimate(value, float(np.sqrt(squares / df * share)), df)
 
 
@@ -241,12 +255,25 @@ def _judged(
         return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
     own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
     ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
-    verdict = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
-    why = "" if scale.practical is not None else "no practical threshold was given"
+    verdict, why = _verdict(ci, wide, u, scale)
     p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
     return Contrast(
         text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why
     )
+
+
+def _verdict(
+    ci: tuple[float, float], wide: tuple[float, float], u: float | None, scale: Scale
+) -> tuple[str, str]:
+    """Verdict, and why it is none where the interval alone does not show that."""
+    if scale.practical is None:
+        return CANNOT_TELL, "no practical threshold was given"
+    if scale.specimens == 1:
+        return CANNOT_TELL, ONE_SPECIMEN
+    found = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    if found == NOT_RESOLVED and u is None:
+        return found, UNBOUNDED
+    return found, "2 specimens" if scale.specimens == 2 and found in CLAIMS else ""
 
 
 def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from study.analysis.effects.verdict import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
+    UNBOUNDED,
     claim,
     resolution,
 )
@@ -285,7 +286,7 @@ def _together(
         open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
         why = resolution(needed)
         if open_ones and all(e.u is None for e in open_ones):
-            why = "with finer meshes a cell moves ever farther, so nothing bounds its error"
+            why = UNBOUNDED
         return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
     why = "the interval of a simple effect crosses the practical threshold"
     return SimpleEffects(factor, CANNOT_TELL, why, effects)

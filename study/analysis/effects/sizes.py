@@ -25,6 +25,7 @@ from study.analysis.effects.verdict import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
+    ONE_SPECIMEN,
     SEE_SIMPLE,
     Judgement,
     judge_all,
@@ -103,7 +104,7 @@ def _judged(
     if scale.practical is None:
         return Judgement(CANNOT_TELL, "no practical threshold was given")
     if scale.specimens == 1:
-        return Judgement(CANNOT_TELL, "one specimen: another may differ")
+        return Judgement(CANNOT_TELL, ONE_SPECIMEN)
     if half is None and not scale.deterministic:
         return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
     if simple is not None:

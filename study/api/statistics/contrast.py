@@ -46,10 +46,15 @@ def _cells(found: AnalysisResult) -> Cells:
     limit, unit = request.scale.practical, 1 / mean if log else 1.0
     practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
     bound = request.scale.bound([e.term for e in found.effects], unit)
-    scale = Scale(request.scale.transform, practical, bound, deterministic=False, unit=unit)
+    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
+    resampled = found.error_term.source == "E2"
+    specimens = request.specimens
+    if specimens is None and "block" in rows and found.error_term.source not in ("E2", "E3"):
+        specimens = rows["block"].nunique()
+    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
     levels = {e.term: e.levels for e in found.effects if e.is_main}
     table = rows.assign(y=np.log(values) if log else values)
-    return Cells(table, levels, scale, request.alpha, request.seed)
+    return Cells(table, levels, scale, request.alpha, request.seed, resampled)
 
 
 def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from study.analysis.effects.verdict import NOT_RESOLVED
+import math
+
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import CANNOT_TELL, NOT_RESOLVED, claim
 from study.analysis.result import AnalysisResult
 from study.reporting.content import analysis_tables, comparison, tables, verdicts
 from study.reporting.content.table import Table
@@ -31,14 +34,23 @@ def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
 
 
 def unresolved_lines(data: ReportData) -> list[str]:
-    """Say of every factor that the mesh leaves open at which setting it does."""
+    """Say of every factor that its interval does not leave open what does, and where."""
     said = [
         verdicts.verdict(effect, found, data.labels)
         for found in facts(data)
         for effect in found.effects
-        if effect.is_main and effect.verdict == NOT_RESOLVED
+        if effect.is_main and (effect.verdict == NOT_RESOLVED or refused(effect))
     ]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in said]
+
+
+def refused(effect: Effect) -> bool:
+    """Whether the interval of a difference makes a claim that its verdict does not."""
+    ends = (effect.low, effect.high, effect.practical)
+    if effect.verdict != CANNOT_TELL or None in ends:
+        return False
+    low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
+    return bool(claim(low, high, practical))
 
 
 def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
