@@ -61,7 +61,7 @@ def assemble(out: Outcome) -> AnalysisResult:
             out.robustness,
             out.box_cox,
         ),
-        _summary_of_data(out, None if fit is None else fit.matrix.columns),
+        _summary_of_data(out, None if fit is None else fit.columns),
         tuple(dict.fromkeys(out.warnings)),
     )
 
@@ -156,8 +156,9 @@ def _cell_means(out: Outcome) -> pd.DataFrame:
     data = out.data
     rows = []
     groups = {c: g for g in out.copies.groups for c in g}
-    for cell in np.unique(data.cell):
-        here = np.flatnonzero(data.cell == cell)
+    order = np.argsort(data.cell, kind="stable")
+    cells, start = np.unique(data.cell[order], return_index=True)
+    for cell, here in zip(cells, np.split(order, start[1:]), strict=True):
         values = data.y[here]
         levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
         mean = values[0] + float(np.mean(values - values[0]))

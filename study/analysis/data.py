@@ -240,7 +240,7 @@ def crossed(data: Data, y: Array) -> Crossed:
     """Cells against blocks; incomplete cells and blocks are left out, and said."""
     block = data.block or ""
     names = data.layout.levels[block]
-    cells, index = np.unique(data.cell, return_inverse=True)
+    cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)
     shape = (cells.size, len(names))
     total, count = np.zeros(shape), np.zeros(shape)
     at = (index, data.layout.codes[block])
@@ -260,7 +260,7 @@ def crossed(data: Data, y: Array) -> Crossed:
     if not keep_blocks.all():
         gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
         warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
-    first = np.array([int(np.flatnonzero(index == i)[0]) for i in np.flatnonzero(keep_cells)])
+    first = start[keep_cells]
     layout = data.layout.take(first) if first.size else data.layout
     only = Layout(
         {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}

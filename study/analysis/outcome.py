@@ -20,8 +20,10 @@ from study.analysis.effects.numerical_bound import SeriesBounds
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.sizes import MOST_LEVELS
 from study.analysis.linear_model.design_matrix import Term, term_name
+from study.analysis.linear_model.factorization import Factorization
 from study.analysis.linear_model.sphericity import SphericityResult
 from study.analysis.linear_model.sums_of_squares import Factored
+from study.analysis.linear_model.two_way import TwoWayFit
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
 from study.analysis.unreplicated import LenthResult
@@ -52,9 +54,10 @@ class Outcome:
     anova: Anova = field(default_factory=lambda: Anova("II", ()))
     effects: tuple[Effect, ...] = ()
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
-    fit: Factored | None = None
+    fit: Factored | TwoWayFit | None = None
     lenth: LenthResult | None = None
     crossed: Crossed | None = None
+    cell_model: Factorization | None = None
     plots: Ints | None = None
     replicates: str = "runs"
     summary: ModelSummary | None = None

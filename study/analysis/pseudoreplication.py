@@ -112,13 +112,18 @@ def group_cells(y: Array, within: float) -> CopyGroups:
         Largest difference of copies.
     """
     groups: list[list[int]] = []
-    for cell in range(y.shape[0]):
-        for group in groups:
-            # NaN compares false, so a missing run never makes a copy
-            if bool(np.all(np.abs(y[cell] - y[group[0]]) <= within)):
-                group.append(cell)
+    heads = np.empty_like(y)
+    for cell, values in enumerate(y):
+        # NaN compares false, so a missing run never makes a copy
+        near = np.flatnonzero(np.abs(heads[: len(groups), 0] - values[0]) <= within)
+        for block in range(1, y.shape[1]):
+            if not near.size:
                 break
+            near = near[np.abs(heads[near, block] - values[block]) <= within]
+        if near.size:
+            groups[near[0]].append(cell)
         else:
+            heads[len(groups)] = values
             groups.append([cell])
     return CopyGroups(tuple(tuple(group) for group in groups))
 

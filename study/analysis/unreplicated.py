@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from study.analysis.data import Data
 from study.analysis.linear_model.design_matrix import Layout, Term, balanced, term_name, terms_of
-from study.analysis.linear_model.sums_of_squares import Factored, span
+from study.analysis.linear_model.sums_of_squares import Factored
+from study.analysis.linear_model.two_way import TwoWayFit
 from study.arrays import Array
 from study.canonical import plain
 
@@ -201,7 +202,7 @@ def two_level_effects(layout: Layout, y: Array, terms: Sequence[Term]) -> dict[s
     return dict(zip(names, scaled.tolist(), strict=True))
 
 
-def non_additivity(fit: Factored) -> NonAdditivityResult:
+def non_additivity(fit: Factored | TwoWayFit) -> NonAdditivityResult:
     """Tukey's one-degree test (Tukey 1949, Biometrics 5, 232-242) of any additive fit."""
     if fit.df_residual < 2:
         return NonAdditivityResult(None, None, None, "needs two residual degrees of freedom")
@@ -210,8 +211,7 @@ def non_additivity(fit: Factored) -> NonAdditivityResult:
     if scale == 0:
         return NonAdditivityResult(None, None, None, "the fit is constant")
     square = (centered / scale) ** 2
-    base = span(fit.matrix.columns / fit.scale)
-    square = square - base @ (base.T @ square)
+    square = square - fit.projected(square)
     length = float(square @ square)
     if length < 1e-18 * square.size or fit.rss == 0:
         return NonAdditivityResult(None, None, None, "the model leaves no room for curvature")

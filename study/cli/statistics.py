@@ -162,8 +162,11 @@ def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
         return
     analysis_tables.print_analysis(found)
     if found.contrasts:
-        what = analysis_tables.what_of(found)
-        mixed_effects.print_contrasts(found.contrasts, what, found.request.alpha)
+        from study.cli.tables import report_tables
+
+        print()
+        output.table(report_tables.contrast_rows(found), "Differences that were asked for")
+        print()
     if beside.compared is not None:
         analysis_tables.print_reference(*beside.compared)
     if beside.page is not None:

@@ -8,9 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from statsmodels.stats.multitest import multipletests
 
 import study
 from study.analysis.effects.linear_contrast import Contrast
+from study.api.statistics.contrast import with_contrasts
 from study.errors import InputError
 from tests.analysis.test_block_groups import two_mixes
 
@@ -86,6 +88,29 @@ def test_several_contrasts_have_wider_intervals_together() -> None:
         assert one.ci is not None
         assert one.ci_simultaneous is not None
         assert one.ci_simultaneous[0] < one.ci[0] < one.ci[1] < one.ci_simultaneous[1]
+
+
+def test_p_of_several_contrasts_is_adjusted_as_statsmodels_does() -> None:
+    """To 1e-12, in the order asked, which is not that of their p."""
+    table = blocked()
+    found = ask(table, "x,20 % - y,20 %", "z,60 % - x,60 %", "y,60 % - x,60 %", "z - y")
+    p = [one.p for one in found]
+    assert p != sorted(p)
+    adjusted = [one.p_holm for one in found]
+    assert adjusted == pytest.approx(multipletests(p, method="holm")[1], rel=1e-12)
+    (alone,) = ask(table, "z - y")
+    assert alone.p_holm == alone.p
+
+
+def test_those_that_can_be_estimated_are_adjusted_among_themselves() -> None:
+    table = blocked()
+    found = study.anova(table, "y", ["material", "range"], block="specimen", exact=False)
+    asked = ["z - y", "z - w", "x - y"]
+    some = with_contrasts(found, asked)
+    assert some.contrasts == study.contrasts(found, ["z - y", "x - y"])
+    assert any("no level 'w'" in note for note in some.notes)
+    with pytest.raises(InputError, match="no level 'w'"):
+        study.contrasts(found, asked)
 
 
 @pytest.mark.parametrize(

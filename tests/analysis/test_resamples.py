@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import study
 from study.analysis.anova import anova
 from study.analysis.result import AnalysisResult
 
@@ -13,7 +14,12 @@ from study.analysis.result import AnalysisResult
 CORRELATED = np.kron([[1.0, 0.3], [0.3, 1.0]], [[1.0, 0.95], [0.95, 1.0]])
 
 
-def resampled(random: np.random.Generator, resamples: int, effect: float = 0.0) -> AnalysisResult:
+def resampled(
+    random: np.random.Generator,
+    resamples: int,
+    effect: float = 0.0,
+    block: str | None = "noise_seed",
+) -> AnalysisResult:
     """Fits to one noisy curve, and their refits to resampled noise, of a 2 x 2 factorial."""
     root = np.linalg.cholesky(CORRELATED)
     truth = 10 + effect * np.array([0.0, 0.0, 1.0, 1.0])
@@ -28,15 +34,9 @@ def resampled(random: np.random.Generator, resamples: int, effect: float = 0.0) 
         for cell in range(4)
     ]
     return anova(
-        pd.DataFrame(rows), "mu0", ["energy", "space"], block="noise_seed", replicates="noise",
-        records=True, exact=False,
+        pd.DataFrame(rows), "mu0", ["energy", "space"], block=block, replicates="noise",
+        records=True, exact=False, practical=100.0, specimens=1,
     )  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
 
 
 @pytest.mark.slow
@@ -65,3 +65,17 @@ def test_more_resamples_narrow_no_interval(resamples: int) -> None:
     # variance of a difference of two pair means: 2 (0.975 - 0.3) = 1.35; sd of 25: 14 %
     assert half == pytest.approx(2.0 * np.sqrt(1.35), rel=0.3)
     assert not result.detection.power  # nor does a plan promise that they would
+
+
+@pytest.mark.parametrize("block", ["noise_seed", None])
+@pytest.mark.parametrize("resamples", [25, 400])
+def test_a_named_difference_has_the_interval_of_the_effect(
+    block: str | None, resamples: int
+) -> None:
+    """It took the refits for specimens once, and was narrower by the root of their number."""
+    result = resampled(np.random.default_rng(5), resamples, effect=2.0, block=block)
+    (one,) = study.contrasts(result, "energy=b - energy=a")
+    effect = next(e for e in result.effects if e.term == "energy")
+    assert one.ci == pytest.approx(effect.ci95, rel=1e-9)
+    assert (one.verdict, one.why) == ("cannot tell", "one specimen: another may differ")
+    assert (effect.verdict, effect.why) == (one.verdict, one.why)

@@ -209,11 +209,19 @@ def test_simple_effects_hold_their_rates(errors: str) -> None:
     held(case, outcomes(case, 200, 31), error=0.04)  # 3 standard errors of a rate of .95 or .03
 
 
+@pytest.mark.parametrize(
+    ("levels", "blocks", "errors"), [(2, 6, "graded"), (4, 5, "t4"), (4, 9, "near copies")]
+)
+def test_other_levels_and_blocks_hold_their_rates(levels: int, blocks: int, errors: str) -> None:
+    case = Case(levels, blocks, errors)
+    held(case, outcomes(case, 200, 32), error=0.04)
+
+
 @pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize(
     ("levels", "blocks", "errors"),
-    [(k, b, e) for (k, b), e in product([(2, 5), (2, 9), (4, 6)], ERRORS)],
+    [(k, b, e) for (k, b), e in product(product((2, 4), (5, 6, 9)), ERRORS)],
 )
 def test_simple_effects_hold_their_rates_everywhere(levels: int, blocks: int, errors: str) -> None:
     """Bar 5 at 1,000 data sets."""

@@ -26,7 +26,7 @@ from study.analysis.assumption.normality import (
 )
 from study.analysis.error.blocked import Crossed, cell_fit, own_terms
 from study.analysis.linear_model.design_matrix import Layout, grid, model_matrix, terms_of
-from study.analysis.linear_model.sums_of_squares import span
+from study.analysis.linear_model.factorization import span
 from study.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]

@@ -67,6 +67,7 @@ def test_a_study_answers_the_differences_that_it_names(asked: Path) -> None:
     assert raw["difference"].tolist() == [one["difference"] for one in found]
     said = study("report", "small").out
     assert "relative RMS force error: asked for" in said
+    assert "Holm's p" in said
     assert "small - large" in said
 
 
@@ -86,7 +87,12 @@ def test_the_page_of_a_table_has_them_and_its_line_makes_it_again(tmp_path: Path
     assert raw["difference"].tolist() == pytest.approx([2.0, 1.0])
     half = stats.t.ppf(1 - 0.025 / 2, 4) * np.sqrt(0.02 * (1 / 2 + 1 / 2))
     assert raw["high"][0] - raw["difference"][0] == pytest.approx(half, rel=1e-9)
+    # Holm of two: the smaller p counts twice, and the larger one is never below that
+    p = raw["p"].to_numpy()
+    assert raw["p_holm"].tolist() == pytest.approx([2 * p[0], max(2 * p[0], p[1])], rel=1e-12)
+    assert "Holm's p" in found.out
     page = next(out.glob("*.html")).read_text(encoding="utf-8")
+    assert "Holm&#39;s p" in page or "Holm's p" in page
     assert "--contrast" in page
     assert "Differences that were asked for" in page
 

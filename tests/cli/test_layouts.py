@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.small import study
@@ -157,6 +160,53 @@ def test_further_cells_complete_a_half_fraction(design: Path) -> None:
     assert whole["cells"] == 8
     assert own < counted(whole, *names)
     assert set(counted(whole, *names).values()) == {1}
+
+
+#: Montgomery, Design and Analysis of Experiments, section 8.5: what the combined 16 runs of a
+#: 2^(7-4) with D = AB, E = AC, F = BC, G = ABC and its full fold-over leave together
+FOLDOVER_ALIASES = (
+    ("BD", "CE", "FG"), ("AD", "CF", "EG"), ("AE", "BF", "DG"), ("AB", "CG", "EF"),
+    ("AC", "BG", "DF"), ("BC", "AG", "DE"), ("CD", "BE", "AF"),
+)  # fmt: skip
+
+
+def test_further_cells_of_a_published_fraction_do_what_its_fold_over_does(design: Path) -> None:
+    """Eight runs leave main effects in doubt; eight more clear them and one of each alias set."""
+    choices = dict(line.split(" = ") for line in FIVE_CHOICES.strip().splitlines()[1:])
+    choices |= {"test.interface": '["bonded", "frictionless"]',
+                "specimen.height": '["30 mm", "40 mm"]'}  # fmt: skip
+    names = dict(zip("ABCDEFG", choices, strict=True))
+    levels = {name: json.loads(text) for name, text in choices.items()}
+    signs = [(a, b, c, a * b, a * c, b * c, a * b * c)
+             for a, b, c in itertools.product((-1, 1), repeat=3)]  # fmt: skip
+    runs = [{n: levels[n][s > 0] for n, s in zip(choices, row, strict=True)} for row in signs]
+    listed = ",\n".join(
+        "{ " + ", ".join(f'"{n}" = {json.dumps(v)}' for n, v in run.items()) + " }" for run in runs
+    )
+    factors = "\n".join(f"{name} = {text}" for name, text in choices.items())
+    design.write_text(
+        f'{BASE}[factors]\n{factors}\n[design]\nkind = "listed"\ntreatments = [\n{listed}\n]\n'
+    )
+    both = np.array([*signs, *(tuple(-s for s in row) for row in signs)])
+    column = {letter: both[:, k] for k, letter in enumerate("ABCDEFG")}
+    for alike in FOLDOVER_ALIASES:
+        products = [column[i] * column[j] for i, j in alike]
+        assert all(abs(int(p @ products[0])) == 16 for p in products)
+    words = [*choices, *(f"{names[i]}:{names[j]}" for (i, j), *_ in FOLDOVER_ALIASES)]
+    asked = ("plan", design, "--data", "data", "--augment", 8, "--terms", ",".join(words))
+    answer = study(*asked, "--json")
+    assert answer.code == 0, answer.err
+    added = answer.json["augment"]
+    assert added["efficiency"] == {"before": 0.0, "after": pytest.approx(1.0, abs=1e-12)}
+    # 16 cells with 15 effects and a mean that are orthogonal: the fold-over has no better
+    cells = [*runs, *added["cells"]]
+    codes = np.array([[2 * levels[n].index(cell[n]) - 1 for n in choices] for cell in cells])
+    effects = [codes[:, k] for k in range(7)]
+    effects += [codes[:, "ABCDEFG".index(i)] * codes[:, "ABCDEFG".index(j)]
+                for (i, j), *_ in FOLDOVER_ALIASES]  # fmt: skip
+    x = np.column_stack([np.ones(16), *effects])
+    assert np.array_equal(x.T @ x, 16 * np.eye(15))
+    assert len({tuple(row) for row in codes.tolist()}) == 16
 
 
 def test_a_full_factorial_has_no_further_cell(design: Path) -> None:

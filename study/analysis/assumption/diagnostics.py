@@ -28,6 +28,7 @@ from study.analysis.assumption.variance import (
 from study.analysis.data import Crossed
 from study.analysis.error import residuals
 from study.analysis.linear_model.sums_of_squares import Factored
+from study.analysis.linear_model.two_way import TwoWayFit
 from study.analysis.outcome import Outcome
 from study.arrays import Array, Flags
 from study.errors import InputError
@@ -149,13 +150,13 @@ def _spread_tests(
     )
 
 
-def _ryan_joiner(out: Outcome, fit: Factored) -> tuple[Outcome, RyanJoinerResult]:
+def _ryan_joiner(out: Outcome, fit: Factored | TwoWayFit) -> tuple[Outcome, RyanJoinerResult]:
     """Ryan-Joiner of the residuals; of many a random sample, which is said."""
     asked, n = out.request, fit.residual.size
     if n <= MOST_TESTED:
         return out, ryan_joiner(
             fit.residual,
-            model_matrix=fit.matrix.columns,
+            model_matrix=fit.columns,
             seed=asked.seed,
             exact=asked.exact,
             alpha=asked.alpha,
@@ -184,7 +185,9 @@ def _of_residuals(
             None,
         )
     if out.data.block is not None:
-        fit = residuals.additive_fit(out.data, out.y, rows, plots=out.plots)
+        # of more rows than are tested, nobody asks for the columns of the model
+        fit_of = residuals.within_fit if rows.size > MOST_TESTED else residuals.additive_fit
+        fit: Factored | TwoWayFit = fit_of(out.data, out.y, rows, plots=out.plots)
     elif rows.size == out.y.size:
         fit = out.fit
     else:
@@ -198,5 +201,6 @@ def _of_residuals(
     cells, names = out.data.cell[rows], out.data.cell_names()
     present, index = np.unique(cells, return_inverse=True)
     groups = {names[c]: values[index == i] for i, c in enumerate(present)}
-    basis = None if out.data.block is None else fit.q
-    return out, result, residuals.CellGroups(groups, basis is not None, basis, index)
+    blocked = out.data.block is not None
+    basis = fit.q if blocked and isinstance(fit, Factored) else None
+    return out, result, residuals.CellGroups(groups, blocked, basis, index)

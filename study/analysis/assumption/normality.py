@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.analysis.linear_model.sums_of_squares import one_thread, span
+from study.analysis.linear_model.factorization import span
+from study.analysis.linear_model.sums_of_squares import one_thread
 from study.arrays import Array
 
 SCORES = "Phi^-1((r - 3/8)/(n + 1/4)), tied values share the average rank"

@@ -11,17 +11,17 @@ import numpy as np
 
 from study.analysis.anova_table import BoxCoxResult, Sensitivity, WaldTest
 from study.analysis.data import Crossed, Data, prepare
-from study.analysis.error.blocked import OwnTerm, cell_fit, own_terms
+from study.analysis.error.blocked import OwnTerm, own_terms
 from study.analysis.linear_model.design_matrix import (
-    Layout,
     Model,
     Term,
     model_matrix,
     term_name,
     terms_of,
 )
+from study.analysis.linear_model.factorization import Factorization, factorize, span
 from study.analysis.linear_model.influence import least_squares
-from study.analysis.linear_model.sums_of_squares import Factored, TermSum, factor, span, term_sums
+from study.analysis.linear_model.sums_of_squares import Factored, TermSum, factor, fitted, term_sums
 from study.analysis.outcome import Outcome
 from study.analysis.pseudoreplication import ulp_floor
 from study.arrays import Array
@@ -212,7 +212,7 @@ def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: floa
         "Welch-James": {k: w.p for k, w in _welch(data, terms).items()},
     }
     if data.y.min() > 0:
-        found["F of the log"] = _ordinary(factor(fit.matrix, np.log(data.y)))
+        found["F of the log"] = _ordinary(fitted(fit.model, np.log(data.y)))
     return side_by_side([term_name(t) for t in terms], found, alpha)
 
 
@@ -255,7 +255,9 @@ def add_robustness(out: Outcome) -> Outcome:
         return out
     if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
         return out
-    fit = out.fit if not out.request.scale.is_log else factor(out.fit.matrix, out.data.y)
+    if not isinstance(out.fit, Factored):
+        return out
+    fit = out.fit if not out.request.scale.is_log else fitted(out.fit.model, out.data.y)
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
@@ -265,23 +267,25 @@ def add_robustness(out: Outcome) -> Outcome:
 def _blocked(out: Outcome, table: Crossed) -> Sensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
     kind = out.anova.type
-    tests = _tests(out, table, kind)
+    model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
+    tests = _tests(out, model, table, kind)
     found: dict[str, Mapping[str, float | None]] = {
         "own interaction, Greenhouse-Geisser": _p(tests, "gg"),
         "own interaction, Huynh-Feldt": _p(tests, "hf"),
-        "interactions pooled": _additive(table.layout, out.terms, table.y, kind),
+        "interactions pooled": _additive(model, table.y, kind),
     }
     if not out.request.scale.is_log and table.y.min() > 0:
-        logged = _tests(out, replace(table, y=np.log(table.y)), kind)
+        logged = _tests(out, model, replace(table, y=np.log(table.y)), kind)
         found["own interaction of the log"] = _p(logged, "gg")
     return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
 
 
-def _tests(out: Outcome, table: Crossed, kind: str) -> list[OwnTerm]:
+def _tests(out: Outcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
     y = table.y
     floor = max(out.working_tolerance(), ulp_floor(y))
     total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))
-    return own_terms(table, cell_fit(table, out.terms), kind, str(out.data.block), floor, total)
+    fit = fitted(model, y.mean(axis=1))
+    return own_terms(table, fit, kind, str(out.data.block), floor, total)
 
 
 def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
@@ -297,15 +301,13 @@ def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
     return found
 
 
-def _additive(
-    layout: Layout, terms: Sequence[Term], y: Array, kind: str
-) -> dict[str, float | None]:
+def _additive(model: Factorization, y: Array, kind: str) -> dict[str, float | None]:
     """P of every term against all interactions with the blocks pooled."""
     from scipy.special import fdtrc
 
     cells, blocks = y.shape
     y = y - y[0, 0]
-    fit = factor(model_matrix(layout, terms), y.mean(axis=1))
+    fit = fitted(model, y.mean(axis=1))
     centered = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
     df = (cells - 1) * (blocks - 1)
     mse = float(np.sum(centered**2)) / df

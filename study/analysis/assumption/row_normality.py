@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from study.analysis.assumption.normality import null_rj, simulated_rj
+from study.analysis.assumption.normality import default_simulations, null_rj, simulated_rj
 from study.analysis.effects.comparisons import holm
 from study.analysis.linear_model.design_matrix import Layout, Term, balanced, term_name
 from study.arrays import Array, Ints
@@ -29,6 +29,14 @@ FEW_BLOCKS = 9
 _LEAST_DF = 3
 #: two contrasts of this correlation are one
 _DUPLICATE = 1 - 1e-9
+#: contrasts whose correlations with all others are held at once
+_AT_ONCE = 1000
+#: numbers simulated at once for the share of a block: 4 MB
+_NUMBERS_AT_ONCE = 500_000
+#: numbers simulated at most: 2,000 studies of 25,000 numbers, fewer of larger ones
+_MOST_NUMBERS = 50_000_000
+#: studies simulated at least: a p of .05 then has a standard error of .01
+_FEWEST_DRAWS = 500
 
 
 @dataclass(frozen=True)
@@ -209,7 +217,7 @@ def block_share(
     contrasts, groups, tolerance, seed
         As in :func:`row_normality`.
     draws : int
-        Simulated normal studies with the covariance of the rows.
+        Simulated normal studies with the covariance of the rows, fewer of very large ones.
 
     Returns
     -------
@@ -222,14 +230,21 @@ def block_share(
     blocks = rows.shape[1]
     basis = _group_basis(_codes(groups, blocks))
     share = _shares(rows)
+    root = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    fewer = max(_MOST_NUMBERS // rows.size, _FEWEST_DRAWS)
+    if fewer < draws:
+        draws = fewer
+        # the smallest root of the same covariance: its normals take the longest
+        root = np.asarray(np.linalg.qr(root.T, mode="r")).T
+    top, above = float(share.max()), 0
     rng = np.random.default_rng(seed)
-    drawn = (rows / np.linalg.norm(rows, axis=1, keepdims=True)) @ rng.standard_normal(
-        (draws, blocks, blocks)
-    )
-    largest = _shares(drawn - (drawn @ basis) @ basis.T).max(axis=-1)
-    top = float(share.max())
-    p = (1 + int(np.count_nonzero(largest >= top))) / (draws + 1)
-    return BlockShare(int(share.argmax()), top, p)
+    step = max(1, _NUMBERS_AT_ONCE // rows.size)
+    for start in range(0, draws, step):
+        normal = rng.standard_normal((min(step, draws - start), root.shape[1], blocks))
+        drawn = root @ normal
+        largest = _shares(drawn - (drawn @ basis) @ basis.T).max(axis=-1)
+        above += int(np.count_nonzero(largest >= top))
+    return BlockShare(int(share.argmax()), top, (1 + above) / (draws + 1))
 
 
 def _shares(rows: Array) -> Array:
@@ -244,20 +259,32 @@ def _rows(
     """Rows about their means that vary, each once, with their term and number."""
     names: list[tuple[str, int]] = []
     kept: list[Array] = []
-    units: list[Array] = []
     for term, values in contrasts.items():
         basis = _group_basis(_codes(groups, values.shape[1]))
         floor = max(10 * tolerance, 1e-12 * float(np.abs(values).max(initial=0.0)))
-        for index, row in enumerate(values - (values @ basis) @ basis.T):
-            length = float(np.linalg.norm(row))
-            if length <= floor:
-                continue
-            if any(abs(float(row @ other)) > _DUPLICATE * length for other in units):
-                continue
-            names.append((term, index))
-            kept.append(row)
-            units.append(row / length)
-    return names, np.array(kept) if kept else np.zeros((0, 0))
+        rows = values - (values @ basis) @ basis.T
+        for index in np.flatnonzero(np.linalg.norm(rows, axis=1) > floor):
+            names.append((term, int(index)))
+            kept.append(rows[index])
+    if not kept:
+        return names, np.zeros((0, 0))
+    rows = np.array(kept)
+    once = _once(rows / np.linalg.norm(rows, axis=1, keepdims=True))
+    return [names[i] for i in once], rows[once]
+
+
+def _once(units: Array) -> list[int]:
+    """Rows that are no copy of an earlier one that is kept."""
+    alike: dict[int, list[int]] = {}
+    for start in range(0, len(units), _AT_ONCE):
+        same = np.abs(units[start : start + _AT_ONCE] @ units.T) > _DUPLICATE
+        for i, j in np.argwhere(np.tril(same, start - 1)):
+            alike.setdefault(start + int(i), []).append(int(j))
+    dropped: set[int] = set()
+    for row in sorted(alike):
+        if not dropped.issuperset(alike[row]):
+            dropped.add(row)
+    return [i for i in range(len(units)) if i not in dropped]
 
 
 def _codes(groups: Ints | None, blocks: int) -> tuple[int, ...]:
@@ -275,4 +302,5 @@ def _group_basis(code: tuple[int, ...]) -> Array:
 @lru_cache(maxsize=16)
 def _null(code: tuple[int, ...], seed: int) -> Array:
     """RJ of residuals of normal samples about the means of their groups, sorted."""
-    return np.sort(np.concatenate(list(null_rj(_group_basis(code), SIMULATIONS, seed))))
+    count = min(SIMULATIONS, default_simulations(len(code)))
+    return np.sort(np.concatenate(list(null_rj(_group_basis(code), count, seed))))

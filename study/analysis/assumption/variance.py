@@ -264,12 +264,18 @@ def levene(
 def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
     """W of groups that hold one sample along the last axis."""
     middle = np.median if center == "median" else np.mean
-    deviations = [np.abs(g - middle(g, axis=-1, keepdims=True)) for g in groups]
     n = np.array([g.shape[-1] for g in groups], dtype=float)
-    means = np.stack([d.mean(axis=-1) for d in deviations], axis=-1)
+    means = np.empty((*groups[0].shape[:-1], n.size))
+    squares = np.empty_like(means)
+    for size in np.unique(n):
+        alike = np.flatnonzero(n == size)
+        values = np.stack([groups[i] for i in alike.tolist()], axis=-2)
+        deviations = np.abs(values - middle(values, axis=-1, keepdims=True))
+        means[..., alike] = deviations.mean(axis=-1)
+        squares[..., alike] = ((deviations - means[..., alike, None]) ** 2).sum(axis=-1)
     grand = (means * n).sum(axis=-1) / n.sum()
     between = (n * (means - grand[..., None]) ** 2).sum(axis=-1)
-    within = sum(((d - d.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1) for d in deviations)
+    within = squares.sum(axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = (n.sum() - n.size) / (n.size - 1) * between / within
     return np.asarray(ratio)

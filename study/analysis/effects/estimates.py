@@ -105,7 +105,7 @@ def pooled_estimate(
     if df <= 0 or rss <= 0:
         return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
     covariance = fit.unscaled_covariance() * rss / df
-    spread = np.einsum("ij,jk,ik->i", mean_rows, covariance, mean_rows)
+    spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
     return TermEstimate(
         term,
         levels,

@@ -7,17 +7,24 @@ of the first kind less that of the second; a factor that a side leaves out is av
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtr
 
+from study.analysis.effects.comparisons import holm
 from study.analysis.effects.estimates import t_quantile
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import verdict_of
 from study.analysis.effects.simultaneous import block_multiplier, bonferroni
-from study.analysis.effects.verdict import CANNOT_TELL
+from study.analysis.effects.verdict import (
+    CANNOT_TELL,
+    CLAIMS,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+    UNBOUNDED,
+)
 from study.arrays import Array
 from study.contrast import Setting, sides_of
 from study.errors import Fault, InputError
@@ -40,8 +47,8 @@ class Contrast:
         Of this contrast alone, and of all that were asked for together; None without scatter.
     df : float or None
         Degrees of freedom.
-    p : float or None
-        Of no difference.
+    p, p_holm : float or None
+        Of no difference: alone, and adjusted for all that were asked for (Holm 1979).
     u : float or None
         Bound of the numerical error; None where it is not known.
     verdict, why : str
@@ -57,6 +64,7 @@ class Contrast:
     u: float | None
     verdict: str
     why: str = ""
+    p_holm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +94,9 @@ class Cells:
         One minus the level of the intervals.
     seed : int
         Of the simulated multiplier.
+    resampled : bool
+        Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter
+        is the standard error of the fit itself, however many there are.
     """
 
     rows: pd.DataFrame
@@ -93,6 +104,7 @@ class Cells:
     scale: Scale
     alpha: float
     seed: int
+    resampled: bool = False
 
 
 def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
@@ -117,28 +129,68 @@ def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
     InputError
         For a factor or level that does not exist, or a setting without a row.
     """
-    sides = [sides_of(text, cells.levels) for text in asked]
-    estimates = [_estimate(cells.rows, *p, text) for p, text in zip(sides, asked, strict=True)]
+    found, faults = possible_contrasts(cells, asked)
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def possible_contrasts(
+    cells: Cells, asked: Sequence[str]
+) -> tuple[tuple[Contrast, ...], list[Fault]]:
+    """Estimate those differences of sets of cells that can be, and say what keeps the others.
+
+    Parameters
+    ----------
+    cells, asked
+        As for :func:`contrasts`.
+
+    Returns
+    -------
+    tuple of Contrast
+        Intervals and Holm's p hold for these together.
+    list of Fault
+        Of the others.
+    """
+    sides, estimates, names = [], [], []
+    faults: list[Fault] = []
+    for text in asked:
+        try:
+            pair = sides_of(text, cells.levels)
+            estimates.append(_estimate(cells, *pair, text))
+        except InputError as error:
+            faults += error.faults
+            continue
+        sides.append(pair)
+        names.append(text)
     wide = _multipliers(estimates, cells.alpha, cells.seed)
-    return tuple(
+    found = [
         _judged(text, pair, one, factor, cells)
-        for text, pair, one, factor in zip(asked, sides, estimates, wide, strict=True)
-    )
+        for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
+    ]
+    return _adjusted(found), faults
 
 
-def _estimate(rows: pd.DataFrame, first: Setting, second: Setting, text: str) -> _Estimate:
+def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
+    """Contrasts with Holm's p of all of them that have one."""
+    adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
+    return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
+
+
+def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
+    rows = cells.rows
     sides = [rows[_holds(rows, setting)] for setting in (first, second)]
     for side, setting in zip(sides, (first, second), strict=True):
         if side.empty:
             said = ", ".join(f"{name}={level}" for name, level in setting.items())
             raise InputError(Fault(f"contrast {text!r}", f"no row has {said}"))
     if "block" not in rows:
-        return _of_cells(rows, *sides)
+        return _of_cells(rows, *sides, resampled=cells.resampled)
     # every cell counts once, whatever its repeats
     means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
     both = means[0].index.intersection(means[1].index)
     if len(both):
-        return _within((means[0][both] - means[1][both]).to_numpy())
+        return _within((means[0][both] - means[1][both]).to_numpy(), cells.resampled)
     return _between(*(mean.to_numpy() for mean in means))
 
 
@@ -149,11 +201,11 @@ def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
     return kept
 
 
-def _within(differences: Array) -> _Estimate:
+def _within(differences: Array, resampled: bool) -> _Estimate:
     b = differences.size
     if b < 2:
         return _Estimate(float(differences.mean()), None, None, differences)
-    error = float(differences.std(ddof=1) / np.sqrt(b))
+    error = float(differences.std(ddof=1) / (1.0 if resampled else np.sqrt(b)))
     return _Estimate(float(differences.mean()), error, b - 1.0, differences)
 
 
@@ -168,7 +220,9 @@ def _between(first: Array, second: Array) -> _Estimate:
     return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
 
 
-def _of_cells(rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame) -> _Estimate:
+def _of_cells(
+    rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame, *, resampled: bool
+) -> _Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
     df = float(len(rows) - by_cell.ngroups)
@@ -177,7 +231,8 @@ def _of_cells(rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame) -> 
     if df < 1:
         return _Estimate(value, None, None)
     squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
-    share = sum(float((1 / m["size"]).sum()) / len(m) ** 2 for m in means)
+    counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
+    share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
     return _Estimate(value, float(np.sqrt(squares / df * share)), df)
 
 
@@ -200,12 +255,25 @@ def _judged(
         return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
     own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
     ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
-    verdict = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
-    why = "" if scale.practical is not None else "no practical threshold was given"
+    verdict, why = _verdict(ci, wide, u, scale)
     p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
     return Contrast(
         text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why
     )
+
+
+def _verdict(
+    ci: tuple[float, float], wide: tuple[float, float], u: float | None, scale: Scale
+) -> tuple[str, str]:
+    """Verdict, and why it is none where the interval alone does not show that."""
+    if scale.practical is None:
+        return CANNOT_TELL, "no practical threshold was given"
+    if scale.specimens == 1:
+        return CANNOT_TELL, ONE_SPECIMEN
+    found = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    if found == NOT_RESOLVED and u is None:
+        return found, UNBOUNDED
+    return found, "2 specimens" if scale.specimens == 2 and found in CLAIMS else ""
 
 
 def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from study.analysis.effects.estimates import t_quantile
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import (
+    Differences,
     Estimates,
     Sample,
     SimpleEffects,
@@ -16,7 +18,7 @@ from study.analysis.effects.simple_effects import (
 )
 from study.analysis.effects.simultaneous import block_multiplier, pooled_multiplier
 from study.analysis.linear_model.design_matrix import Layout, Term
-from study.analysis.linear_model.sums_of_squares import ALIAS_TOLERANCE, Factored
+from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array, Ints
 
 
@@ -29,7 +31,8 @@ def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> 
         Of every block.
     """
 
-    def estimate(rows: Array) -> Estimates:
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
         value = np.where(fit.estimable(rows)[:, None], rows @ coefficients, np.nan)
         known = value[np.isfinite(value).all(axis=1)]
         b = value.shape[1]
@@ -56,7 +59,8 @@ def over_groups(
         Blocks of each group.
     """
 
-    def estimate(rows: Array) -> Estimates:
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
         value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
         error, df = group_errors(value, groups)
         known = np.isfinite(value).all(axis=1)
@@ -90,15 +94,20 @@ def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
 def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
     coefficients = fit.coefficients()
-    inverse = np.linalg.pinv(fit.r, rcond=ALIAS_TOLERANCE) / fit.scale[:, None]
+    inverse = fit.model.inverse
 
-    def estimate(rows: Array) -> Estimates:
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
         if df <= 0 or rss <= 0:
             return Estimates(value, None)
         known = np.isfinite(value)
-        error = np.sqrt(np.sum((rows @ inverse) ** 2, axis=1) * rss / df)
-        wide = pooled_multiplier(rows[known] @ inverse, df, alpha, seed) if known.any() else 0.0
+        roots = asked.settings @ inverse
+        square = asked.of(roots)
+        length = np.sqrt(np.einsum("ij,ij->i", square, square))
+        kept = Differences(roots, asked.first[known], asked.second[known])
+        wide = pooled_multiplier(kept, length[known], df, alpha, seed) if known.any() else 0.0
+        error = length * math.sqrt(rss / df)
         return Estimates(value, error, t_quantile(alpha / 2, df), wide)
 
     return estimate

@@ -9,6 +9,7 @@ simultaneous intervals.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -23,11 +24,12 @@ from study.analysis.effects.verdict import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
+    UNBOUNDED,
     claim,
     resolution,
 )
 from study.analysis.linear_model.design_matrix import Layout, ModelMatrix, Term, model_matrix
-from study.arrays import Array
+from study.arrays import Array, Ints
 
 #: Simple effects beyond this number are not listed: nobody reads them and none could be tested.
 MOST = 20_000
@@ -53,11 +55,37 @@ class Estimates:
     simultaneous: float | Array = 0.0
 
 
+@dataclass(frozen=True)
+class Differences:
+    """Differences of pairs of settings, of which there are far fewer than pairs.
+
+    Parameters
+    ----------
+    settings : ndarray, shape (k, p)
+        Combinations of the coefficients of the model that give each setting.
+    first, second : ndarray of int, shape (m,)
+        Settings of each difference, first - second.
+    """
+
+    settings: Array
+    first: Ints
+    second: Ints
+
+    @property
+    def rows(self) -> Array:
+        """Combinations of the coefficients, shape (m, p)."""
+        return self.of(self.settings)
+
+    def of(self, values: Array) -> Array:
+        """Differences of values of the settings, shape (k, ...)."""
+        return np.asarray(values[self.first] - values[self.second])
+
+
 class Sample(Protocol):
     """What is known of linear combinations of the coefficients of the model."""
 
-    def __call__(self, rows: Array) -> Estimates:
-        """Estimate the combinations ``rows``, shape (m, p)."""
+    def __call__(self, asked: Differences) -> Estimates:
+        """Estimate some differences."""
         ...
 
 
@@ -138,8 +166,7 @@ def simple_effects(
     pairs = list(combinations(range(len(layout.levels[factor])), 2))
     if not pairs or len(settings) * len(pairs) > MOST:
         return None
-    rows = _rows(factor, layout, matrix, others, settings, pairs)
-    found = sample(rows)
+    found = sample(_differences(factor, layout, matrix, others, settings, pairs))
     effects = tuple(_effects(factor, layout, others, settings, pairs, found, bound, practical))
     return _together(factor, effects, practical) if effects else None
 
@@ -156,15 +183,15 @@ def _settings(
     yield from product(*choices)
 
 
-def _rows(
+def _differences(
     factor: str,
     layout: Layout,
     matrix: ModelMatrix,
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
     pairs: Sequence[tuple[int, int]],
-) -> Array:
-    """Combine the coefficients to every difference, shape (m, p)."""
+) -> Differences:
+    """Combine the coefficients to every difference."""
     k = len(layout.levels[factor])
     codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
     codes[factor] = np.tile(np.arange(k), len(settings))
@@ -175,8 +202,9 @@ def _rows(
     for term in matrix.terms:
         if factor in term:
             columns[:, matrix.of(term)] = cells.columns[:, cells.of(term)]
-    by_setting = columns.reshape(len(settings), k, -1)
-    return np.concatenate([by_setting[:, i] - by_setting[:, j] for i, j in pairs])
+    start = np.arange(len(settings)) * k
+    first = np.concatenate([start + i for i, _ in pairs])
+    return Differences(columns, first, np.concatenate([start + j for _, j in pairs]))
 
 
 def _effects(
@@ -192,7 +220,8 @@ def _effects(
     levels = layout.levels[factor]
     zero = np.zeros_like(found.value)
     error = zero if found.error is None else found.error
-    one, every = error * found.single, error * found.simultaneous
+    one = (error * found.single).tolist()
+    every = (error * found.simultaneous).tolist()
     for n, ((i, j), setting) in enumerate(product(pairs, settings)):
         at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
         u = 0.0
@@ -200,17 +229,17 @@ def _effects(
             known = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
             u = np.nan if known is None else known
         d = float(found.value[n])
-        if np.isnan(d):  # cells are missing: this difference cannot be estimated
+        if math.isnan(d):  # cells are missing: this difference cannot be estimated
             continue
-        ci, wide = ((d - h[n], d + h[n]) for h in (one, every))
+        ci, wide = ((d - h, d + h) for h in (one[n], every[n]))
         yield SimpleEffect(
             levels[i],
             levels[j],
             tuple(at.items()),
             d,
-            None if found.error is None else (float(ci[0]), float(ci[1])),
-            None if found.error is None else (float(wide[0]), float(wide[1])),
-            None if np.isnan(u) else float(u),
+            None if found.error is None else ci,
+            None if found.error is None else wide,
+            None if math.isnan(u) else float(u),
             verdict_of(ci, wide, u, practical),
         )
 
@@ -229,12 +258,12 @@ def verdict_of(
     practical : float or None
         Smallest difference that matters.
     """
-    if practical is None or not np.isfinite(ci).all():
+    if practical is None or not (math.isfinite(ci[0]) and math.isfinite(ci[1])):
         return CANNOT_TELL
     # nothing bounds the numerical error of a quantity that diverges, so nothing is claimed of it
-    if not np.isnan(u) and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
+    if not math.isnan(u) and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
         return MATTERS
-    if not np.isnan(u) and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
+    if not math.isnan(u) and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
         return NO_DIFFERENCE
     resolvable = claim(*wide, practical) == MATTERS or claim(*ci, practical) == NO_DIFFERENCE
     return NOT_RESOLVED if resolvable else CANNOT_TELL
@@ -257,7 +286,7 @@ def _together(
         open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
         why = resolution(needed)
         if open_ones and all(e.u is None for e in open_ones):
-            why = "with finer meshes a cell moves ever farther, so nothing bounds its error"
+            why = UNBOUNDED
         return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
     why = "the interval of a simple effect crosses the practical threshold"
     return SimpleEffects(factor, CANNOT_TELL, why, effects)

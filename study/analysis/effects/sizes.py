@@ -15,6 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from study.analysis.anova_table import Effect, PairDifference, SimpleEffect
+from study.analysis.effects.comparisons import holm as adjusted_p
 from study.analysis.effects.comparisons import letters
 from study.analysis.effects.estimates import TermEstimate
 from study.analysis.effects.scale import Scale
@@ -24,6 +25,7 @@ from study.analysis.effects.verdict import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
+    ONE_SPECIMEN,
     SEE_SIMPLE,
     Judgement,
     judge_all,
@@ -102,7 +104,7 @@ def _judged(
     if scale.practical is None:
         return Judgement(CANNOT_TELL, "no practical threshold was given")
     if scale.specimens == 1:
-        return Judgement(CANNOT_TELL, "one specimen: another may differ")
+        return Judgement(CANNOT_TELL, ONE_SPECIMEN)
     if half is None and not scale.deterministic:
         return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
     if simple is not None:
@@ -173,12 +175,7 @@ def _ends(
 
 def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65)."""
-    known = [effect.p for effect in effects if effect.p is not None]
-    if not known:
-        return tuple(effects)
-    from statsmodels.stats.multitest import multipletests
-
-    adjusted = iter(multipletests(known, method="holm")[1].tolist())
+    adjusted = iter(adjusted_p([effect.p for effect in effects if effect.p is not None]).tolist())
     return tuple(
         effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
     )

@@ -19,6 +19,12 @@ MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
 NOT_RESOLVED = "not resolved by the mesh"
 CANNOT_TELL = "cannot tell"
+CLAIMS = (MATTERS, NO_DIFFERENCE)
+REFUSALS = (NOT_RESOLVED, CANNOT_TELL)
+#: Why the values of one specimen claim nothing, however far they are from the threshold.
+ONE_SPECIMEN = "one specimen: another may differ"
+#: Why a difference has no U although meshes were refined.
+UNBOUNDED = "with finer meshes a cell moves ever farther, so nothing bounds its error"
 #: of an interaction, whose pure components nobody chooses between
 SEE_SIMPLE = "see simple effects"
 

@@ -36,11 +36,10 @@ from study.analysis.linear_model.design_matrix import (
     term_name,
     terms_of,
 )
+from study.analysis.linear_model.factorization import complement
 from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.linear_model.sums_of_squares import (
-    ALIAS_TOLERANCE,
     Factored,
-    complement,
     factor,
     term_sums,
     with_shares,
@@ -105,7 +104,7 @@ def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
         anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
         effects=effects,
         sphericity=spheres,
-        fit=residuals.additive_fit(out.data, out.y, plots=plots.code),
+        fit=residuals.within_fit(out.data, out.y, plots=plots.code),
         plots=plots.code,
     )
 
@@ -227,8 +226,7 @@ def _welch_effects(
     kept = of_row >= 0
     layout = Layout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
     fit = factor(model_matrix(layout, out.terms), out.y[kept])
-    inverse = np.linalg.pinv(fit.r, rcond=ALIAS_TOLERANCE) / fit.scale[:, None]
-    per_row = (inverse @ fit.q.T) * (out.y[kept] - fit.shift)
+    per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
     added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
     sample = over_groups(fit, added, groups, asked.alpha, asked.seed)
     simple = every_simple_effect(out.terms, layout, fit, sample, out.scale)

@@ -86,7 +86,7 @@ def _own_term(
     from scipy.special import fdtrc
 
     name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
-    contrasts = (fit.q @ sums.basis).T @ (table.y - table.y[0, 0])
+    contrasts = sums.basis.T @ (fit.q.T @ (table.y - table.y[0, 0]))
     center = contrasts.mean(axis=1)
     scatter = contrasts - center[:, None]
     ss, ss_error = blocks * float(center @ center), float(np.sum(scatter**2))
@@ -95,7 +95,7 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
-    why = _no_test(fit.q @ sums.basis, contrasts, floor, name, block)
+    why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
     f = (ss / df) / (ss_error / df_error)
@@ -118,12 +118,12 @@ def _own_term(
     return OwnTerm(sums, row, error, spread)
 
 
-def _no_test(basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:
+def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:
     """Why an effect cannot be tested: it, or its interaction, is below the tolerance."""
-    if float(np.abs(basis @ contrasts).max()) <= floor:
+    if float(np.abs(q @ (basis @ contrasts)).max()) <= floor:
         return f"{name}: its levels agree within the solver tolerance in every block, no test"
     scatter = contrasts - contrasts.mean(axis=1, keepdims=True)
-    if float(np.abs(basis @ scatter).max()) <= floor:
+    if float(np.abs(q @ (basis @ scatter)).max()) <= floor:
         return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
     return ""
 
@@ -155,9 +155,8 @@ def own_estimate(
 
 def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
     """Shift of the response, and coefficients of every block, shape (p, b)."""
-    inverse = np.linalg.pinv(fit.r, rcond=1e-9) / fit.scale[:, None]
     shift = float(table.y[0, 0])
-    return shift, inverse @ (fit.q.T @ (table.y - shift))
+    return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
 
 
 def own(out: Outcome) -> Outcome | None:
@@ -208,6 +207,7 @@ def own(out: Outcome) -> Outcome | None:
         anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
-        fit=residuals.additive_fit(data, out.y),
+        fit=residuals.within_fit(data, out.y),
         crossed=table,
+        cell_model=fit.model,
     )

@@ -24,7 +24,6 @@ from study.analysis.linear_model.sums_of_squares import (
     TermSum,
     alias_warnings,
     factor,
-    orthogonal,
     term_row,
     term_sums,
     with_shares,
@@ -268,7 +267,7 @@ def pooled(out: Outcome) -> Outcome:
     extra: list[Term] = [(name,) for name in data.blocks]
     matrix = model_matrix(data.layout, out.terms, extra=extra)
     fit = factor(matrix, out.y)
-    even = balanced(data.layout, [*data.factors, *data.blocks]) or orthogonal(fit)
+    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.model.is_orthogonal()
     if out.request.sums == "auto" and nested_in(out.terms):
         # a factor given what is nested in it is nothing, so Type III would be empty
         kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
@@ -343,7 +342,9 @@ def _sparse_ready(out: Outcome, fit: Factored) -> bool:
     copied = len(out.copies.groups) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
-    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and orthogonal(fit))
+    return balanced(data.layout, data.factors) or (
+        fit.df_residual == 0 and fit.model.is_orthogonal()
+    )
 
 
 def _situation(out: Outcome, fit: Factored, sums: list[TermSum]) -> Situation:

@@ -220,7 +220,7 @@ def _slope(likelihood: Likelihood, sd: Array, fixed: Factored, name: str, alpha:
     """Slope of a covariate with its interval; degrees of freedom as for its test."""
     at = fixed.matrix.of((name,)).start
     # the coefficient of column ``at`` is a weighted sum of those of the orthonormal columns
-    weights = np.linalg.pinv(fixed.r)[at] / fixed.scale[at]
+    weights = fixed.model.inverse[at]
     vx = np.linalg.solve(likelihood.covariance(sd), likelihood.x)
     c = np.linalg.inv(likelihood.x.T @ vx)
     value = float(weights @ c @ (vx.T @ likelihood.y))

@@ -10,6 +10,7 @@ import numpy as np
 from study.analysis.data import Data
 from study.analysis.linear_model.design_matrix import Layout, Term, model_matrix
 from study.analysis.linear_model.sums_of_squares import Factored, factor
+from study.analysis.linear_model.two_way import TwoWayFit, two_way
 from study.arrays import Array, Ints
 
 
@@ -32,14 +33,29 @@ def additive_fit(
     levels = {"cell": tuple(str(c) for c in cells)}
     codes = {"cell": index.astype(np.int64)}
     extra: list[Term] = []
-    blocks = [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
-    for i, code in enumerate(blocks):
+    for i, code in enumerate(_blocks(data, plots)):
         present, at = np.unique(code[keep], return_inverse=True)
         levels[f"block {i}"] = tuple(str(c) for c in present)
         codes[f"block {i}"] = at.astype(np.int64)
         extra += [(f"block {i}",)] if present.size > 1 else []
     terms: list[Term] = [("cell",)] if cells.size > 1 else []
     return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
+
+
+def within_fit(
+    data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
+) -> Factored | TwoWayFit:
+    """Fit as :func:`additive_fit`, without the columns of the model where two factors serve."""
+    blocks = _blocks(data, plots)
+    if len(blocks) > 1:
+        return additive_fit(data, y, rows, plots=plots)
+    keep = np.arange(y.size) if rows is None else rows
+    cell, block = (np.unique(code[keep], return_inverse=True)[1] for code in (data.cell, blocks[0]))
+    return two_way(cell.astype(np.int64), block.astype(np.int64), y[keep])
+
+
+def _blocks(data: Data, plots: Ints | None) -> list[Ints]:
+    return [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
 
 
 def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Ints) -> Factored:

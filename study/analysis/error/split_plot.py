@@ -18,13 +18,11 @@ from study.analysis.effects.estimates import pooled_estimate
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
 from study.analysis.linear_model.design_matrix import ModelMatrix, Term, model_matrix, term_name
+from study.analysis.linear_model.factorization import ALIAS_TOLERANCE, Factorization, span
 from study.analysis.linear_model.sums_of_squares import (
-    ALIAS_TOLERANCE,
     Factored,
     TermSum,
     factor,
-    orthogonal,
-    span,
     term_row,
     term_sums,
     with_shares,
@@ -103,7 +101,7 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
     matrix = model_matrix(data.layout, out.terms)
     whole = factor(matrix, out.y)
     strata = _strata(out, matrix, plots, _even(whole, data, plots))
-    kind, out = kind_of(out, all(orthogonal(s.fit) for s in strata))
+    kind, out = kind_of(out, all(s.fit.model.is_orthogonal() for s in strata))
     strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
     place = _place(out.terms, strata, whole)
     rows, df = _rows(strata, place, whole.tss)
@@ -125,7 +123,7 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),
         anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
         effects=tuple(effects),
-        fit=residuals.additive_fit(data, out.y, plots=plots.code),
+        fit=residuals.within_fit(data, out.y, plots=plots.code),
         plots=plots.code,
     )
 
@@ -186,14 +184,10 @@ def _projected(
     z = q.T @ y
     residual = y - q @ z
     return Factored(
-        matrix,
-        q,
-        q.T @ x,
-        scale,
+        Factorization(matrix, q, q.T @ x, scale),
         z,
         q @ z,
         residual,
-        q.shape[1],
         float(residual @ residual),
         float(y @ y),
         0.0,

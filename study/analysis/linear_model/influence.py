@@ -9,6 +9,7 @@ import numpy as np
 
 from study.analysis.anova_table import Influential, ModelSummary
 from study.analysis.linear_model.sums_of_squares import Factored
+from study.analysis.linear_model.two_way import TwoWayFit
 from study.arrays import Array
 
 if TYPE_CHECKING:
@@ -25,19 +26,14 @@ class Influence:
     press: Array
 
 
-def influence(fit: Factored) -> Influence:
+def influence(fit: Factored | TwoWayFit) -> Influence:
     """Leverage, studentized and PRESS residuals, and Cook's distance (Cook 1977) of a fit."""
-    from statsmodels.stats.outliers_influence import OLSInfluence
-
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = OLSInfluence(least_squares(fit))
-        return Influence(
-            found.hat_matrix_diag,
-            found.resid_studentized_internal,
-            found.cooks_distance[0],
-            found.resid_press,
-        )
+        left = 1 - fit.leverage
+        studentized = fit.residual / np.sqrt(fit.rss / np.float64(fit.df_residual) * left)
+        cook = studentized**2 * fit.leverage / left / fit.rank
+        return Influence(fit.leverage, studentized, cook, fit.residual / left)
 
 
 def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
@@ -55,7 +51,7 @@ def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
     return OLSResults(model, fit.z, np.eye(fit.rank), cov_type=cov_type, use_t=True)
 
 
-def influential(fit: Factored) -> Influential | None:
+def influential(fit: Factored | TwoWayFit) -> Influential | None:
     """Rows with a Cook's distance beyond the median of F(p, n - p) (Cook 1977, eq. 8)."""
     from scipy.special import fdtri
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Unpack, cast
 from study import api
 from study.analysis.anova import anova
 from study.api.statistics.notebook import Analysis
-from study.api.statistics.records import rows_for
+from study.api.statistics.records import rows_for, specimens_of
 from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import read_csv
@@ -97,6 +97,7 @@ def _study(
         "practical": None if asked is None else asked.practical,
         "transform": "none" if asked is None else asked.transform,
         "records": True,
+        "specimens": specimens_of(study.design, study.records),
     }
     merged.update(said)
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]

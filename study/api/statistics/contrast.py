@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from study.analysis.effects import linear_contrast
-from study.analysis.effects.linear_contrast import Contrast
+from study.analysis.effects.linear_contrast import Cells, Contrast
 from study.analysis.effects.scale import Scale
 from study.analysis.result import AnalysisResult
-from study.errors import InputError
 
 
 def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:
@@ -28,7 +27,7 @@ def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contra
     Returns
     -------
     tuple of Contrast
-        Difference, its interval alone and with all others together, U, verdict.
+        Difference, its interval alone and with all others together, p, Holm's p, U, verdict.
 
     Raises
     ------
@@ -36,18 +35,26 @@ def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contra
         For a factor or level that does not exist, or a setting without a row.
     """
     asked = [asked] if isinstance(asked, str) else list(asked)
+    return linear_contrast.contrasts(_cells(found), asked)
+
+
+def _cells(found: AnalysisResult) -> Cells:
+    """Rows of an analysis on its scale, with what matters."""
     request, rows = found.request, found.data.residuals
     values = rows["response"].to_numpy(dtype=float)
     log, mean = request.scale.is_log, found.data.grand_mean
     limit, unit = request.scale.practical, 1 / mean if log else 1.0
     practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
     bound = request.scale.bound([e.term for e in found.effects], unit)
-    scale = Scale(request.scale.transform, practical, bound, deterministic=False, unit=unit)
+    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
+    resampled = found.error_term.source == "E2"
+    specimens = request.specimens
+    if specimens is None and "block" in rows and found.error_term.source not in ("E2", "E3"):
+        specimens = rows["block"].nunique()
+    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
     levels = {e.term: e.levels for e in found.effects if e.is_main}
     table = rows.assign(y=np.log(values) if log else values)
-    return linear_contrast.contrasts(
-        linear_contrast.Cells(table, levels, scale, request.alpha, request.seed), asked
-    )
+    return Cells(table, levels, scale, request.alpha, request.seed, resampled)
 
 
 def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:
@@ -65,14 +72,8 @@ def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResul
     AnalysisResult
         With those that can be estimated; a note says why another one cannot.
     """
-    notes, possible = [], []
-    for text in asked:
-        try:
-            contrasts(found, text)
-        except InputError as error:
-            notes += [f"{fault.where}: {fault.rule}" for fault in error.faults]
-        else:
-            possible.append(text)
-    # intervals hold for all of them together, so that all are estimated at once
-    together = contrasts(found, possible) if possible else ()
+    if not asked:
+        return found
+    together, faults = linear_contrast.possible_contrasts(_cells(found), asked)
+    notes = [f"{fault.where}: {fault.rule}" for fault in faults]
     return replace(found, contrasts=together).noted(*notes)

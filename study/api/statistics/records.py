@@ -47,9 +47,9 @@ def analyze_records(
     """
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
-    blocks = [record.block for record in records if record.block is not None]
     spec = design.analysis
-    block, names = "block" if len(set(blocks)) > 1 else None, [f.name for f in design.factors]
+    blocks = {record.block for record in records} - {None}
+    block, names = "block" if len(blocks) > 1 else None, [f.name for f in design.factors]
     rows = rows_for(table(list(records)), response.name, names, spec.error, block)
     factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
     model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
@@ -64,13 +64,21 @@ def analyze_records(
         rows.error,
         ResponseScale(response.transform, threshold(response.practical), u_num),
         records=True,
-        # what was simulated alone says nothing of specimens, and needs none
-        specimens=max(len(set(blocks)), 1) if design.is_measured else None,
+        specimens=specimens_of(design, records),
         alpha=spec.alpha,
         seed=design.seed,
     )
     found = analyze(whole, request)
     return found.noted(*rows.notes, *gaps)
+
+
+def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
+    """Count the specimens that a study measured; None for what was simulated alone.
+
+    That says nothing of specimens, and needs none.
+    """
+    blocks = {record.block for record in records} - {None}
+    return max(len(blocks), 1) if design.is_measured else None
 
 
 #: spread over the meshes of a cell, over the response, below which the mesh does not enter

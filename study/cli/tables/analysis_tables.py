@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
+from study.analysis.effects.verdict import REFUSALS
 from study.cli import output
 from study.reporting.numbers import ratio_digits
 
@@ -118,6 +119,10 @@ def _print_effects(found: AnalysisResult) -> None:
         for e in found.effects
     ]  # fmt: skip
     output.table(rows, "Effects")
+    for e in found.effects:
+        # without a threshold nothing can be told, which is said once for all
+        if e.term in found.request.factors and e.verdict in REFUSALS and e.practical is not None:
+            print(f"{e.term}: {e.verdict} ({e.why})")
     print()
     _print_simple(found, ends)
 

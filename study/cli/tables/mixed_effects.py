@@ -1,15 +1,13 @@
-"""A mixed model and named contrasts as the terminal shows them."""
+"""A mixed model as the terminal shows it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from study.cli import output
 
 if TYPE_CHECKING:
-    from study.analysis.effects.linear_contrast import Contrast
     from study.analysis.error.mixed_model import MixedModel
 
 
@@ -56,26 +54,6 @@ def print_mixed(found: MixedModel, alpha: float) -> None:
         ]
         output.table(rows, "Slopes")
         print()
-
-
-def print_contrasts(found: Sequence[Contrast], unit: str, alpha: float) -> None:
-    """Print named differences with their intervals and verdicts."""
-    ends = f"{100 * (1 - alpha):.4g} % interval"
-    rows = [["Contrast", unit, f"{ends}, all together", "U", "P-Value", "verdict"]]
-    rows += [
-        [
-            one.name,
-            output.number(one.difference),
-            "-" if one.ci_simultaneous is None else _between(*one.ci_simultaneous),
-            output.number(one.u),
-            "-" if one.p is None else _p(one.p),
-            f"{one.verdict}: {one.why}" if one.why else one.verdict,
-        ]
-        for one in found
-    ]
-    print()
-    output.table(rows, "Contrasts that were asked for")
-    print()
 
 
 def _between(low: float, high: float) -> str:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from study.analysis.effects.verdict import NOT_RESOLVED
+import math
+
+from study.analysis.anova_table import Effect
+from study.analysis.effects.verdict import CANNOT_TELL, NOT_RESOLVED, claim
+from study.analysis.result import AnalysisResult
 from study.reporting.content import analysis_tables, comparison, tables, verdicts
 from study.reporting.content.table import Table
 from study.reporting.numbers import MISSING
@@ -30,20 +34,34 @@ def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
 
 
 def unresolved_lines(data: ReportData) -> list[str]:
-    """Say of every factor that the mesh leaves open at which setting it does."""
+    """Say of every factor that its interval does not leave open what does, and where."""
     said = [
         verdicts.verdict(effect, found, data.labels)
         for found in facts(data)
         for effect in found.effects
-        if effect.is_main and effect.verdict == NOT_RESOLVED
+        if effect.is_main and (effect.verdict == NOT_RESOLVED or refused(effect))
     ]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in said]
+
+
+def refused(effect: Effect) -> bool:
+    """Whether the interval of a difference makes a claim that its verdict does not."""
+    ends = (effect.low, effect.high, effect.practical)
+    if effect.verdict != CANNOT_TELL or None in ends:
+        return False
+    low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
+    return bool(claim(low, high, practical))
 
 
 def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
     """Title and table of the differences that the design asks for, of each response."""
     found = [(item.title, analysis_tables.contrasts(item)) for item in facts(data)]
     return [(f"{title}: asked for", _rows(table)) for title, table in found if table is not None]
+
+
+def contrast_rows(found: AnalysisResult) -> Rows:
+    """Differences of an analysis that were asked for; the first row is the header."""
+    return _rows(analysis_tables.contrast_table(found, found.request.response))
 
 
 def anova_rows(data: ReportData, response: str) -> Rows:

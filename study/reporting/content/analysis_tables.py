@@ -175,9 +175,29 @@ def contrasts(facts: Facts) -> Table | None:
     result = facts.response.result
     if result is None or not result.contrasts:
         return None
-    what = "ratio" if facts.ratio else "difference"
+    return contrast_table(result, facts.name, facts.unit)
+
+
+def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
+    """Differences of two settings that were asked for by name.
+
+    Parameters
+    ----------
+    result : AnalysisResult
+        With contrasts.
+    name, unit : str
+        Of the response.
+
+    Returns
+    -------
+    Table
+        One row a difference; Holm's p beside p where several were asked for.
+    """
+    what = "ratio" if result.request.scale.is_log else "difference"
     level = f"{100 * (1 - result.request.alpha):.4g} %"
-    columns = ("asked for", what, f"{level} interval, all together", "U", "p", "verdict")
+    several = len(result.contrasts) > 1
+    columns = ("asked for", what, f"{level} interval, all together", "U", "p",
+               *(("Holm's p",) if several else ()), "verdict")  # fmt: skip
     rows = tuple(
         (
             clean(one.name, 200),
@@ -185,23 +205,27 @@ def contrasts(facts: Facts) -> Table | None:
             interval(*(one.ci_simultaneous or (None, None))),
             significant(one.u, 2),
             p_value(one.p),
+            *((p_value(one.p_holm),) if several else ()),
             f"{one.verdict}: {one.why}" if one.why else one.verdict,
         )
         for one in result.contrasts
     )
+    adjusted = ", and Holm's p is adjusted for all of them" if several else ""
     note = (
         "Each row is the mean over all cells of the first setting less (or over) that of the "
         "second; a factor that a setting leaves out is averaged over. The intervals hold for all "
-        f"rows together. U, the bound of the numerical error, is in {facts.unit or 'the response'}."
+        f"rows together{adjusted}. U, the bound of the numerical error, is in "
+        f"{unit or 'the response'}."
     )
     raw = tuple(
         {"contrast": one.name, "difference": one.difference, "U": one.u, "p": one.p,
+         "p_holm": one.p_holm,
          "low": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
          "high": None if one.ci_simultaneous is None else one.ci_simultaneous[1],
          "verdict": one.verdict}
         for one in result.contrasts
     )  # fmt: skip
-    return Table(f"contrasts {facts.name}", columns, rows, 1, 0, note, raw)
+    return Table(f"contrasts {name}", columns, rows, 1, 0, note, raw)
 
 
 def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:

@@ -9,7 +9,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect
-from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
+from study.analysis.effects.verdict import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+)
 from study.record.table import cell_names
 from study.reporting.content import roles
 from study.reporting.content.sizes import size, size_interval
@@ -286,7 +292,12 @@ def _surer(data: ReportData, found: Sequence[Facts]) -> list[str]:
     if unstated:
         parts.append(f"the smallest difference that matters, stated for the {listing(unstated)}")
     effects = [e for facts in found for e in facts.effects if not _has_no_practical(e)]
-    doubts = _names([e for e in effects if e.verdict == CANNOT_TELL], data)
+    alone = _names([e for e in effects if e.why == ONE_SPECIMEN], data)
+    if alone:
+        parts.append(f"measurements of more specimens, for one tells nothing of {listing(alone)} "
+                     "in others, however often it is measured")  # fmt: skip
+    open_ones = [e for e in effects if e.verdict == CANNOT_TELL and e.why != ONE_SPECIMEN]
+    doubts = _names(open_ones, data)
     # the same computation gives the same answer: nothing is gained from it again
     if doubts and data.is_measured:
         several = "s" if len(doubts) > 1 else ""

@@ -1,0 +1,133 @@
+"""What is kept of one factorization equals what factoring again would give."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+
+from study.analysis.effects.simultaneous import ASYMPTOTIC_BLOCKS, block_multiplier
+from study.analysis.linear_model.design_matrix import Layout, model_matrix, terms_of
+from study.analysis.linear_model.factorization import Factorization, complement, factorize
+from study.analysis.linear_model.influence import influence
+from study.analysis.linear_model.sums_of_squares import factor
+from study.analysis.linear_model.two_way import two_way
+from study.analysis.pseudoreplication import group_cells
+from study.arrays import Array
+
+
+def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:
+    """Complete factorial; with ``rows``, as many rows of it drawn with repeats besides."""
+    cells = np.array(list(product(*map(range, sizes))))
+    if rows is not None:
+        drawn = np.random.default_rng(seed).integers(0, len(cells), rows)
+        cells = np.vstack([cells, cells[drawn]])
+    names = "abcd"[: len(sizes)]
+    levels = {n: tuple(map(str, range(k))) for n, k in zip(names, sizes, strict=True)}
+    return Layout(levels, {n: cells[:, i] for i, n in enumerate(names)})
+
+
+def others(model: Factorization, i: int, kind: str) -> Array:
+    """Columns of R that a type of sums of squares adjusts term ``i`` for."""
+    terms = model.matrix.terms
+    kept = {
+        "I": range(i),
+        "II": [j for j in range(len(terms)) if j != i and not set(terms[i]) < set(terms[j])],
+        "III": [j for j in range(len(terms)) if j != i],
+    }[kind]
+    return np.hstack([model.r[:, model.matrix.blocks[j]] for j in kept])
+
+
+@pytest.mark.parametrize("kind", ["I", "II", "III"])
+@pytest.mark.parametrize("rows", [None, 40])
+def test_spaces_of_terms_are_those_of_a_factorization_of_their_own(
+    kind: str, rows: int | None
+) -> None:
+    here = layout((3, 4, 2), rows, 4)
+    model = factorize(model_matrix(here, terms_of("abc")))
+    assert model.is_triangular
+    for i in range(1, len(model.matrix.terms)):
+        basis = model.space(i, kind).basis
+        own = complement(others(model, i, kind), model.r[:, model.matrix.blocks[i]])
+        # bases differ by a rotation, which no statistic sees
+        assert basis @ basis.T == pytest.approx(own @ own.T, abs=1e-12)
+
+
+def test_an_empty_cell_leaves_the_rest_estimable() -> None:
+    here = layout((3, 3), None, 0)
+    kept = np.arange(9) != 8
+    holed = Layout(here.levels, {n: c[kept] for n, c in here.codes.items()})
+    model = factorize(model_matrix(holed, terms_of("ab")))
+    assert model.rank == 8
+    assert not model.is_full
+    assert model.space(3, "III").basis.shape[1] == 3
+    rows = model_matrix(here, terms_of("ab")).columns
+    assert model.estimable(rows).tolist() == [True] * 8 + [False]
+
+
+@pytest.mark.parametrize("drop", [0.0, 0.3])
+def test_two_factors_are_fitted_as_with_all_columns(drop: float) -> None:
+    rng = np.random.default_rng(8)
+    here = layout((7, 5), 60, 1)
+    kept = np.flatnonzero(rng.random(here.n) >= drop)
+    here = here.take(kept)
+    y = 1e6 + rng.normal(size=here.n)
+    dense = factor(model_matrix(here, [("a",), ("b",)]), y)
+    for first, second in (("a", "b"), ("b", "a")):
+        fit = two_way(here.codes[first], here.codes[second], y)
+        assert fit.rank == dense.rank
+        assert fit.residual == pytest.approx(dense.residual, abs=1e-9)
+        assert fit.leverage == pytest.approx(dense.leverage, abs=1e-12)
+        assert influence(fit).cook == pytest.approx(influence(dense).cook, rel=1e-7, abs=1e-12)
+        other = rng.normal(size=here.n)
+        assert fit.projected(other) == pytest.approx(dense.projected(other), abs=1e-12)
+
+
+def test_two_factors_without_a_common_row_lose_a_degree_of_freedom() -> None:
+    a, b = np.array([0, 0, 1, 1, 2, 2, 3, 3]), np.array([0, 1, 0, 1, 2, 3, 2, 3])
+    y = np.arange(8.0) ** 2
+    dense = factor(
+        model_matrix(Layout({"a": tuple("0123"), "b": tuple("0123")}, {"a": a, "b": b}),
+                     [("a",), ("b",)]), y,
+    )  # fmt: skip
+    fit = two_way(a, b, y)
+    assert fit.rank == dense.rank == 6
+    assert fit.residual == pytest.approx(dense.residual, abs=1e-12)
+
+
+def naive_groups(y: Array, within: float) -> list[list[int]]:
+    groups: list[list[int]] = []
+    for cell in range(len(y)):
+        for group in groups:
+            if bool(np.all(np.abs(y[cell] - y[group[0]]) <= within)):
+                group.append(cell)
+                break
+        else:
+            groups.append([cell])
+    return groups
+
+
+def test_copies_are_found_as_by_comparing_all_pairs() -> None:
+    rng = np.random.default_rng(3)
+    y: Array = rng.integers(0, 4, size=(200, 3)) + rng.normal(0, 0.05, (200, 3))
+    y[rng.random((200, 3)) < 0.05] = np.nan
+    for within in (0.0, 0.1, 0.5, 2.0):
+        assert [list(g) for g in group_cells(y, within).groups] == naive_groups(y, within)
+
+
+def test_the_multiplier_of_many_blocks_holds_its_level() -> None:
+    """Of 30,000 draws of 60 blocks themselves: .96 to three standard errors, and .004 besides."""
+    b, rng = 60, np.random.default_rng(12)
+    assert b >= ASYMPTOTIC_BLOCKS
+    contrasts = rng.normal(size=(30, b)) * np.exp(-np.arange(30) / 10)[:, None]
+    contrasts[10:] += 2 * contrasts[0]
+    found = block_multiplier(contrasts, 0.05, 1)
+    z = contrasts - contrasts.mean(axis=1, keepdims=True)
+    z = np.linalg.qr((z / np.linalg.norm(z, axis=1)[:, None]).T, mode="r").T
+    inside = 0
+    for _ in range(60):
+        x = z @ rng.standard_normal((500, z.shape[1], b))
+        t = np.abs(x.mean(axis=2)) / x.std(axis=2, ddof=1) * np.sqrt(b)
+        inside += int(np.count_nonzero(t.max(axis=1) <= found))
+    assert inside / 30_000 == pytest.approx(0.96, abs=0.004 + 3 * (0.96 * 0.04 / 4000) ** 0.5)
