@@ -87,7 +87,7 @@ def surface_mesh_size(setup: Setup) -> float:
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that the mesh of a problem will have, from volume and sizes alone.
 
-    Right within a factor of 1.5, of 1.2 under an indenter.
+    Right within a factor of 1.5, of 1.3 under an indenter.
     """
     found = _body_of(setup)
     field = _field(setup, found)
