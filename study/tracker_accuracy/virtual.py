@@ -136,7 +136,7 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
 
 
 def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
-    """Samples in their order; markers stand ``apart_mm`` from each other along the needle.
+    """Give samples in their order; markers stand ``apart_mm`` from each other along the needle.
 
     Examples
     --------
