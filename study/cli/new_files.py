@@ -64,8 +64,8 @@ def virtual(
     for path in api.virtual(out, source, **chosen):
         print(path)
     if source is not None and is_tracking(source):
-        told = {"--data": None if data_root(source).resolve() == out.resolve() else out}
-        command = written("tracking", source, options=told)
+        where = None if data_root(source).resolve() == out.resolve() else out
+        command = written("tracking", source, options={"--data": where})
         output.next_step("what the tracker is worth", command, beside=True)
     elif source is not None:
         found = design_root(load(source, settings or ())).resolve() == out.resolve()

@@ -94,7 +94,8 @@ def expected_unknowns(setup: Setup) -> float:
     per_cell = _UNKNOWNS[setup.model.element_order]
     if isinstance(setup.grading, AroundContact):
         cubes = _cubes(found, field)
-        return per_cell * (_GROWING_PER_CUBE * cubes + _GROWING_BESIDE * cubes ** (2 / 3))
+        beside = _GROWING_BESIDE * float(cubes ** (2 / 3))
+        return per_cell * (_GROWING_PER_CUBE * cubes + beside)
     plates = _bonded(setup, found)
     uniform = found.volume_mm3 / field.size_mm**3
     cubes = expected_cubes(found, field.size_mm, plates) if plates else uniform

@@ -136,7 +136,11 @@ def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     high = float(np.clip(0.47 * WIDTH_IN * size[1] / size[0], 2.2, 6.0)) + 0.3
     low = _sides_height(points + displacement) if whole else 0.0
     figure = canvas(WIDTH_IN, high + low)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(high, low)) if whole else (figure, None)
+    upper: Canvas | SubFigure = figure
+    lower: SubFigure | None = None
+    if whole:
+        grid = figure.add_gridspec(2, 1, height_ratios=(high, low))
+        upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     axes = upper.subplots(1, 2, sharex=True, sharey=True)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
     for ax, seen, values in zip(axes, turned, (None, color), strict=True):
