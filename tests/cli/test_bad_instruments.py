@@ -1,4 +1,4 @@
-"""Surfaces, scans, markers and recordings that are wrong: what each verb says, and how to mend it."""
+"""Wrong surfaces, scans, markers and recordings: what each verb says, and how to mend it."""
 
 from __future__ import annotations
 
