@@ -43,7 +43,8 @@ def new(
 def virtual(
     out: Annotated[Path, typer.Argument(help="Folder for the generated CSV files.")],
     source: Annotated[
-        Path | None, typer.Option("--from", help="Design whose measurements are imitated.")
+        Path | None,
+        typer.Option("--from", help="Design, or tracker study, whose data are imitated."),
     ] = None,
     truth: Annotated[
         str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
@@ -55,13 +56,18 @@ def virtual(
 ) -> None:
     """Write virtual measurements as CSV."""
     from study import api
-    from study.api.folders import design_root
+    from study.api.folders import data_root, design_root
     from study.design.load import load
+    from study.tracker_accuracy.section import is_tracking
 
     chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
     for path in api.virtual(out, source, **chosen):
         print(path)
-    if source is not None:
+    if source is not None and is_tracking(source):
+        where = None if data_root(source).resolve() == out.resolve() else out
+        command = written("tracking", source, options={"--data": where})
+        output.next_step("what the tracker is worth", command, beside=True)
+    elif source is not None:
         found = design_root(load(source, settings or ())).resolve() == out.resolve()
         told = {"--data": None if found else out, "-s": settings}
         output.next_step(

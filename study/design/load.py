@@ -347,6 +347,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         converge=file.converge,
         uncertainty=uncertain,
         inputs=inputs,
+        virtual=file.virtual,
         report=file.report,
         source=source,
         text=text,

@@ -15,6 +15,7 @@ from study.design.sections.analysis import Analysis
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.sections.distribution import InputDistribution
+from study.design.sections.virtual import Virtual
 from study.design.study_file import (
     MARKED,
     SCORED,
@@ -199,6 +200,8 @@ class Design:
         Which combinations of the levels are run.
     expected : tuple of Expected
         What the study's owner expected before it ran.
+    virtual : Virtual, optional
+        How carefully the curve of virtual specimens is solved.
     replicates : Replicates
         What is computed several times, for an error term.
     retry : mapping of str to tuple of str
@@ -228,6 +231,7 @@ class Design:
     replicates: Replicates = field(default_factory=Replicates)
     retry: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     expected: tuple[Expected, ...] = ()
+    virtual: Virtual | None = None
     source: str = field(default="<string>", compare=False)
     text: str = field(default="", compare=False, repr=False)
 

@@ -15,6 +15,7 @@ from pydantic import Field
 from study import units
 from study.design import overlay
 from study.design.sections.calibration import Fitting
+from study.design.sections.virtual import Virtual
 from study.design.toml_document import flatten
 from study.errors import nearest
 from study.material.registry import is_constant, unit_shown
@@ -375,6 +376,7 @@ class DesignFile(ProblemFile):
     replicates: Replicates = Replicates()
     execution: Execution = Execution()
     expected: AsWritten = None
+    virtual: Virtual | None = None
 
 
 @section

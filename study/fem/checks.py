@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from study.errors import Fault, InputError
 from study.fem.cost import size_faults
 from study.fem.mesh.solid import surface_faults
 from study.material.homogeneous import UNIAXIAL
 from study.material.stability import stability, stable_in
-from study.setup.geometry import Enclosed
+from study.setup.geometry import Enclosed, Surface
 from study.setup.setup import Problem, Setup
-from study.surface.surface import body, height_of
+from study.surface.surface import PLAUSIBLE_MM, body, height_of
+
+#: no specimen of a testing machine is larger
+LARGEST_MM = 1e4
 
 
 def check(problem: Problem) -> None:
@@ -26,8 +31,25 @@ def check(problem: Problem) -> None:
     if faults:
         raise InputError(faults)
     faults = [*_material(problem), *_loading(problem.setup)] or [*size_faults(problem.setup)]
-    if faults:
-        raise InputError(faults)
+    doubts = [*_unit(problem.setup, doubted=bool(faults))]
+    if faults or doubts:
+        raise InputError([*doubts, *faults])
+
+
+def _unit(setup: Setup, *, doubted: bool) -> Iterator[Fault]:
+    """Say that a surface is in another unit: where it is absurdly large, or does not fit its test.
+
+    A small one may be a spheroid of cells, and is believed while its test fits.
+    """
+    specimen = setup.specimen
+    if not isinstance(specimen, Surface):
+        return
+    found = body(specimen)
+    extent = float(np.ptp(found.points, axis=0).max())
+    if extent > LARGEST_MM or (doubted and not PLAUSIBLE_MM[0] <= extent <= PLAUSIBLE_MM[1]):
+        size, meant = f"{extent:.3g} mm large", "m" if extent < PLAUSIBLE_MM[0] else "mm"
+        rule = f"the surface is {size} if its file is in {specimen.unit}"
+        yield Fault("specimen.unit", rule, f'is the file in {meant}? Then write unit = "{meant}"')
 
 
 def _material(problem: Problem) -> Iterator[Fault]:

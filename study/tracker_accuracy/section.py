@@ -257,6 +257,17 @@ def load_tracking(path: str | Path) -> TrackingFile:
     return found
 
 
+def is_tracking(path: str | Path) -> bool:
+    """Whether a file is one of ``study tracking``: it has a table ``[recording]``.
+
+    Raises
+    ------
+    InputError
+        If it is no TOML.
+    """
+    return "recording" in toml_document.parse_toml(toml_document.read_text(path), str(path))
+
+
 def _across(found: TrackingFile) -> Sequence[Fault]:
     """Faults between tables."""
     faults = Faults()

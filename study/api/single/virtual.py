@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from study.design.load import load, loads, template
+from study.errors import Fault, InputError
 from study.runner.virtual.gauge_section import write_tests
 from study.runner.virtual.specimens import usual_generator, write_virtual
+from study.tracker_accuracy.section import is_tracking, load_tracking
+from study.tracker_accuracy.virtual import write_recording
 
 
 def virtual(
@@ -18,21 +21,36 @@ def virtual(
     truth: str = "yeoh",
     blocks: int | None = None,
 ) -> list[Path]:
-    """Write virtual measurements for a design; the demo's by default.
+    """Write virtual measurements for a design, the demo's by default; or a tracker's recording.
 
     Parameters
     ----------
     out : str or Path
         Data root: the files get the names that the design gives them below it.
     source : str or Path, optional
-        The design.
+        The design, or a file of ``study tracking``.
     truth : str
         Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
     blocks : int, optional
         Number of specimens (or batches); 6 by default.
+
+    Returns
+    -------
+    list of Path
+        Files written.
+
+    Raises
+    ------
+    InputError
+        For a faulty file, or options that a tracker's recording does not have.
     """
     from importlib import resources
 
+    if source is not None and is_tracking(source):
+        if overrides or blocks is not None:
+            mend = "leave -s and --specimens out; a tracker has neither"
+            raise InputError(Fault(str(source), "is a file of `study tracking`, no design", mend))
+        return write_recording(load_tracking(source), Path(out))
     if source is None:
         text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
         design = loads(text, "demo.toml", overrides)

@@ -1,7 +1,8 @@
 """Pictures of a deformed mesh: before and after, colored by how far each point moved.
 
 Takes plain arrays, so that whoever holds a solution can draw it: an axisymmetric section is
-mirrored at its axis (left before, right after), a solid is seen from a fixed direction.
+mirrored at its axis (left before, right after), a solid is seen from a fixed direction, and a
+whole one also from three sides.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure as Canvas
+    from matplotlib.figure import SubFigure
 
 
 #: more polygons than these make a drawing that no browser likes
@@ -29,6 +31,8 @@ _FACES = {
     8: ((0, 1, 4, 2), (0, 2, 6, 3), (0, 3, 5, 1), (2, 4, 7, 6), (1, 5, 7, 4), (3, 6, 7, 5)),
 }
 _VIEW = np.radians((-55.0, 22.0))
+#: a whole body from three sides: axes to the right, up and towards the viewer with their signs
+_SIDES = (("xzy", (1, 1, -1)), ("yzx", (1, 1, 1)), ("xyz", (1, 1, 1)))
 _LIGHT = np.array([-0.35, 0.72, 0.6])
 
 
@@ -93,6 +97,8 @@ def picture(
     moved = np.linalg.norm(displacement, axis=1)
     left = "left half before, right half after"
     said = left if points.shape[1] == 2 else "before on the left, after on the right"
+    if points.shape[1] == 3 and _is_whole(points):
+        said += ", below it from three sides"
     return svg, sentence(
         f"{count(len(cells), 'cell')}, {said}; the largest displacement is "
         f"{quantity(float(moved.max()), 'mm')}"
@@ -117,22 +123,60 @@ def _section(points: Array, faces: Ints, displacement: Array) -> Canvas:
     return figure
 
 
+def _is_whole(points: Array) -> bool:
+    """Whether a solid lies on both sides of its axis: a modelled quarter lies on one."""
+    low, high = points.min(axis=0)[:2], points.max(axis=0)[:2]
+    return bool((low < -0.1 * (high - low)).all())
+
+
 def _solid(points: Array, faces: Ints, displacement: Array) -> Canvas:
     turned = [_turned(points), _turned(points + displacement)]
     size = np.ptp(np.concatenate(turned), axis=0)
-    figure = canvas(WIDTH_IN, float(np.clip(0.47 * WIDTH_IN * size[1] / size[0], 2.2, 6.0)) + 0.3)
-    axes = figure.subplots(1, 2, sharex=True, sharey=True)
+    whole = _is_whole(points)
+    high = float(np.clip(0.47 * WIDTH_IN * size[1] / size[0], 2.2, 6.0)) + 0.3
+    low = _sides_height(points + displacement) if whole else 0.0
+    figure = canvas(WIDTH_IN, high + low)
+    upper: Canvas | SubFigure = figure
+    lower: SubFigure | None = None
+    if whole:
+        grid = figure.add_gridspec(2, 1, height_ratios=(high, low))
+        upper, lower = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    axes = upper.subplots(1, 2, sharex=True, sharey=True)
     color = _mean(np.linalg.norm(displacement, axis=1), faces)
     for ax, seen, values in zip(axes, turned, (None, color), strict=True):
-        far_first = np.argsort(seen[faces][:, :, 2].mean(axis=1), kind="stable")
-        ordered = faces[far_first]
-        shade = _shade(seen[ordered])
-        part = None if values is None else values[far_first]
-        made = _polygons(ax, seen[ordered][:, :, :2], part, shade)
+        made = _seen(ax, seen, faces, values)
         _frame(ax, np.concatenate(turned)[:, :2])
         ax.set_axis_off()
-    _bar(figure, axes[1], made)
+    _bar(upper, axes[1], made)
+    if lower is not None:
+        _from_sides(lower, points + displacement, faces, color)
     return figure
+
+
+def _seen(ax: Axes, seen: Array, faces: Ints, values: Array | None) -> ScalarMappable:
+    """Draw a solid whose columns are right, up and depth."""
+    far_first = np.argsort(seen[faces][:, :, 2].mean(axis=1), kind="stable")
+    ordered = faces[far_first]
+    part = None if values is None else values[far_first]
+    return _polygons(ax, seen[ordered][:, :, :2], part, _shade(seen[ordered]))
+
+
+def _from_sides(figure: SubFigure, after: Array, faces: Ints, color: Array) -> None:
+    """Draw the deformed body along y, along x and from above, in one scale."""
+    wide = [float(np.ptp(after[:, "xyz".index(axes[0])])) for axes, _ in _SIDES]
+    panels = figure.subplots(1, 3, width_ratios=wide)
+    for ax, (axes, signs) in zip(panels, _SIDES, strict=True):
+        seen = after[:, ["xyz".index(axis) for axis in axes]] * np.array(signs, dtype=float)
+        _seen(ax, seen, faces, color)
+        _frame(ax, seen[:, :2])
+        ax.set_xlabel(f"{axes[0]} (mm)")
+        ax.set_ylabel(f"{axes[1]} (mm)")
+
+
+def _sides_height(after: Array) -> float:
+    """Inches of the row of three sides, beside whose drawings there is room for their axes."""
+    x, y, z = np.ptp(after, axis=0)
+    return float((WIDTH_IN - 2.4) * max(z, y) / (2 * x + y) + 0.8)
 
 
 def _mean(values: Array, faces: Ints) -> Array:
@@ -181,7 +225,7 @@ def _frame(ax: Axes, points: Array) -> None:
     ax.set_aspect("equal")
 
 
-def _bar(figure: Canvas, ax: Axes, made: ScalarMappable) -> None:
+def _bar(figure: Canvas | SubFigure, ax: Axes, made: ScalarMappable) -> None:
     bar = figure.colorbar(made, ax=ax, shrink=0.7, aspect=18, pad=0.02)
     bar.set_label("displacement (mm)")
     bar.outline.set_visible(False)

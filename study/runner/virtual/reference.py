@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from study.curve import Curve
+from study.design.sections.virtual import Virtual
 from study.errors import Fault, InputError
 from study.execution.loky import Loky
 from study.execution.task import Received, Task
@@ -13,9 +16,6 @@ from study.runner.numerical.solve_task import SolveResult
 from study.runner.tables import Tables
 from study.runner.virtual.truth import Truth
 from study.setup.setup import Setup, problem_of
-
-#: steps of a reference curve; between them it is interpolated with its tangent
-_STEPS = 12
 
 #: plates of a reference curve for a design of a single test
 _BONDED = {"interface": "bonded", "base": "bonded"}
@@ -29,7 +29,7 @@ def reference_curve(
     Parameters
     ----------
     tables : mapping
-        Resolved tables of a cell.
+        Resolved tables of a cell; ``virtual`` says how it is solved.
     material : Truth
         What the specimens are made of.
     poisson_ratio : float
@@ -42,39 +42,83 @@ def reference_curve(
     InputError
         If the solver stops.
     """
-    test = {**tables["test"], **({} if as_designed else _BONDED), "steps": _STEPS}
+    task = _task(tables, material, poisson_ratio, as_designed=as_designed)
+    return _solved(task, "the reference curve")
+
+
+def reference_error(
+    tables: Tables, material: Truth, poisson_ratio: float, curve: Curve, *, as_designed: bool
+) -> float:
+    """Largest change of the reference force on the next coarser mesh, over the largest force.
+
+    The error of the reference itself is less wherever a finer mesh is a better one.
+
+    Parameters
+    ----------
+    tables, material, poisson_ratio, as_designed
+        Of :func:`reference_curve`.
+    curve : Curve
+        What it found.
+
+    Raises
+    ------
+    InputError
+        If the solver stops.
+    """
+    task = _task(tables, material, poisson_ratio, as_designed=as_designed)
+    coarser = replace(task, refined=task.refined - 1, gradients=False)
+    other = _solved(coarser, "the reference curve on the next coarser mesh")
+    change = other.force_at(curve.displacement_mm) - curve.force_N
+    return float(np.abs(change).max() / np.abs(curve.force_N).max())
+
+
+def _task(
+    tables: Tables, material: Truth, poisson_ratio: float, *, as_designed: bool
+) -> ReferenceTask:
+    virtual = tables.get("virtual") or Virtual()
+    test = {**tables["test"], **({} if as_designed else _BONDED), "steps": virtual.steps}
     # the grid runs a little past the range, as a real test does
     test["displacement_mm"] = 1.03 * float(tables["test"]["displacement_mm"])
-    task = ReferenceTask(
+    finer = as_designed and not virtual.chooses_mesh and not Setup.of(tables).is_homogeneous
+    return ReferenceTask(
         {
             "specimen": tables["specimen"],
             "test": test,
             "material": {"model": material.model, "constants": dict(material.constants),
                          "poisson_ratio": poisson_ratio},
-            "model": _reference_model(tables, as_designed),
+            "model": _reference_model(tables, virtual, as_designed),
         },
-        as_designed and not Setup.of(tables).is_homogeneous,
+        int(finer),
     )  # fmt: skip
+
+
+def _solved(task: ReferenceTask, what: str) -> Curve:
     (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
     found = SolveResult.from_json(outcome.result)
     if not found.converged:
-        rule = f"the reference curve failed: {found.message}"
+        rule = f"{what} failed: {found.message}"
         raise InputError(Fault("virtual specimens", rule))
     return found.curve
 
 
-def _reference_model(tables: Tables, as_designed: bool) -> dict[str, object]:
-    """Quadratic elements; 3D where the specimen is no body of revolution and that matters.
+def _reference_model(tables: Tables, virtual: Virtual, as_designed: bool) -> dict[str, object]:
+    """3D where the specimen is no body of revolution and that matters; the mesh of ``[virtual]``.
 
-    Where every test is as the design has it, the mesh is the finest that the design uses,
-    to be made finer still.
+    Without one, and where every test is as the design has it, the mesh is the finest that the
+    design uses, to be made finer still.
     """
     shape, is_indented = tables["specimen"]["shape"], tables["test"]["kind"] == "indentation"
     solid = shape in ("surface", "brain") or (shape == "block" and is_indented)
-    found = {"space": "3d" if solid else "axisymmetric", "element_order": "quadratic"}
+    order = virtual.element_order
+    found = {"space": "3d" if solid else "axisymmetric", "element_order": order}
+    ratio = {"mesh_ratio": tables["model"].get("mesh_ratio")}
+    if virtual.mesh_size_mm is not None:
+        return found | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
+    if virtual.mesh is not None:
+        return found | ratio | {"mesh": virtual.mesh}
     if not as_designed:
         return {**found, "mesh": "fine"}
-    return found | {k: tables["model"].get(k) for k in ("mesh", "mesh_size_mm", "mesh_ratio")}
+    return found | ratio | {k: tables["model"].get(k) for k in ("mesh", "mesh_size_mm")}
 
 
 @dataclass(frozen=True)
@@ -85,22 +129,25 @@ class ReferenceTask:
     ----------
     tables : mapping
         The problem.
-    finer : bool
-        Whether its mesh is made finer by one step, so that no cell of the design generates its
-        own data.
+    refined : int
+        How often its mesh is made finer by one step, so that no cell of the design generates its
+        own data; coarser where negative.
+    gradients : bool
+        Whether the derivatives by the constants are wanted.
     """
 
     tables: Tables
-    finer: bool
+    refined: int
+    gradients: bool = True
 
     def to_json(self) -> dict[str, object]:
         """Plain data for a worker."""
-        return {"kind": "reference", "tables": dict(self.tables), "finer": self.finer}
+        return {"kind": "reference", **vars(self), "tables": dict(self.tables)}
 
     @classmethod
     def from_json(cls, document: Received) -> ReferenceTask:
         """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], document["finer"])
+        return cls(document["tables"], int(document["refined"]), bool(document["gradients"]))
 
 
 def perform(document: Received) -> dict[str, object]:
@@ -113,10 +160,10 @@ def perform(document: Received) -> dict[str, object]:
     """
     task = ReferenceTask.from_json(document)
     problem = problem_of(task.tables)
-    if task.finer:
+    if task.refined:
         from study.fem.mesh.mesher import mesh_size
 
-        size = mesh_size(problem.setup) / problem.model.mesh_ratio
+        size = mesh_size(problem.setup) / problem.model.mesh_ratio**task.refined
         problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
-    solution = finite_element.solve(problem, gradients=True)
+    solution = finite_element.solve(problem, gradients=task.gradients)
     return SolveResult(solution.status, solution.message, solution.curve).to_json()

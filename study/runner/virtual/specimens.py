@@ -14,8 +14,9 @@ than any of the design.
 
 One solution serves all specimens: at a given Poisson's ratio the force is proportional to
 a common factor on all moduli, which is exact, and the scatter of the shape enters through
-the exact gradient of the reference curve, to first order. What is written
-is the truth of this generator, and p values on it describe this scatter and nothing else.
+the exact gradient of the reference curve, to first order. Of a specimen that has a weight, moduli
+and density together are such a factor, and what its weight does is known to first order. What is
+written is the truth of this generator, and p values on it describe this scatter and nothing else.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ from study.arrays import Array
 from study.curve import Curve
 from study.design.spec import Design
 from study.errors import Fault, InputError
+from study.material.registry import unit_shown
 from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
 from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
 from study.runner.tables import CalibrationTable, Tables
-from study.runner.virtual.reference import reference_curve
+from study.runner.virtual.reference import reference_curve, reference_error
 from study.runner.virtual.truth import TRUTHS, truth
 from study.units import parse
 
@@ -136,12 +138,18 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     places = provenance.folders(design.source, out)
     sources = [(spec, provenance.located(config, places)) for spec, config in _sources(design)]
     written = []
+    several = len(sources) > 1
     for number, (spec, config) in enumerate(sources):
-        several = len(sources) > 1
-        reference = reference_curve(
-            config, truth(generator.truth), generator.poisson_ratio, as_designed=several
-        )
-        tests = list(generate(reference, generator, spec, noise=number if several else None))
+        solved = {**config, "virtual": design.virtual}
+        given = (solved, truth(generator.truth), generator.poisson_ratio)
+        reference = reference_curve(*given, as_designed=several)
+        stated = {}
+        if design.virtual is not None:
+            change = reference_error(*given, reference, as_designed=several)
+            stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
+        weighs = config["test"].get("gravity") is not None
+        which = number if several else None
+        tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
             path = out / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -150,6 +158,7 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
                 "generator": asdict(generator),
                 "material": asdict(truth(generator.truth)),
                 "citation": CITATION,
+                **stated,
             }
             note = path.with_name(path.name + TRUTH_SUFFIX)
             write_atomic(note, json.dumps(note_of, indent=2, default=dict).encode())
@@ -188,12 +197,18 @@ def _depth(config: Tables) -> float:
 
 
 def generate(
-    reference: Curve, generator: Generator, spec: MeasurementSpec, noise: int | None = None
+    reference: Curve,
+    generator: Generator,
+    spec: MeasurementSpec,
+    noise: int | None = None,
+    *,
+    weighs: bool = False,
 ) -> Iterator[VirtualTest]:
     """Generate every test of every specimen, in a fixed order.
 
     ``noise`` numbers one of several tests of the same specimens: its noise then is a random
-    stream of its own, so that every test meets the same factors.
+    stream of its own, so that every test meets the same factors. ``weighs`` says that the
+    reference is that of a specimen with a weight.
 
     Examples
     --------
@@ -210,6 +225,7 @@ def generate(
     cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
     d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
     force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
+    by_weight = _weight_change(reference, generator, d) if weighs else 0.0 * d
     # without a column for them, further batches could not be told from the first
     batches = generator.batches if spec.block else 1
     for batch in range(1, batches + 1):
@@ -219,7 +235,8 @@ def generate(
         for groups in _specimens(spec, str(batch)):
             own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
             for labels in _repeats(spec, groups, generator.repeats):
-                yield VirtualTest(labels, d, _measured(d, own * (force + shape), generator, cell))
+                true = own * (force + shape) + (1 - own) * by_weight
+                yield VirtualTest(labels, d, _measured(d, true, generator, cell))
 
 
 def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Array]:
@@ -229,6 +246,18 @@ def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Arr
         for direction in truth(generator.truth).directions
         if set(direction) <= set(reference.force_gradient)
     ]
+
+
+def _weight_change(reference: Curve, generator: Generator, d: Array) -> Array:
+    """Change of the force with the logarithm of the density.
+
+    The force is of the first degree in all moduli and the density together (Euler): what its
+    derivatives by the moduli leave of it is the density's.
+    """
+    material = truth(generator.truth)
+    moduli = [name for name in material.constants if unit_shown(name)]
+    stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
+    return np.asarray(reference.force_at(d) - sum(stiff, 0.0 * d))
 
 
 def _measured(d: Array, force: Array, generator: Generator, random: np.random.Generator) -> Array:
