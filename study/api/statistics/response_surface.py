@@ -12,16 +12,23 @@ import numpy as np
 from study import tabular
 from study.analysis.request import threshold
 from study.arrays import Array
-from study.errors import Fault, InputError, nearest
-from study.response_surface.emulator.blocked import fit_blocks
+from study.errors import Fault, InputError, RefusedError, nearest
+from study.response_surface.emulator.blocked import (
+    BlockedEmulator,
+    fit_blocks,
+    fit_blocks_together,
+)
 from study.response_surface.emulator.emulator import (
     GRID_LEVELS,
     LARGEST,
+    RUNS_A_FACTOR,
+    Emulator,
     expected_seconds,
     fit_emulator,
+    fit_together,
 )
 from study.response_surface.factors import NumericFactor, Runs
-from study.response_surface.quadratic.surface import fit_quadratic
+from study.response_surface.quadratic.surface import QuadraticSurface, fit_quadratic
 from study.response_surface.result import (
     SurfaceAnalysis,
     analysis_of_emulator,
@@ -132,10 +139,63 @@ def fit_runs(
     RefusedError
         If the runs cannot carry what is asked.
     """
+    return told(fitted(runs, surface), practical, u)
+
+
+def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
+    """Fit runs; arguments and errors as for `fit_runs`."""
     if (_chosen(runs) if surface == "auto" else surface) == "quadratic":
-        return analysis_of_quadratic(fit_quadratic(runs))
-    model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+        return fit_quadratic(runs)
+    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+
+
+def told(
+    model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
+) -> SurfaceAnalysis:
+    """Say what a model means; arguments as for `fit_runs`."""
+    if isinstance(model, QuadraticSurface):
+        return analysis_of_quadratic(model)
     return analysis_of_emulator(model, practical, u)
+
+
+def fitted_together(
+    every: Sequence[Runs], sizes: Sequence[int], surface: str = "auto"
+) -> tuple[Emulator | BlockedEmulator, ...] | None:
+    """Fit one emulator to the runs at all combinations of levels, where that is the better one.
+
+    Where runs are few at each combination, a common emulator is fitted beside one of each; the
+    one is taken that predicts left-out runs better where it predicts them worst.
+
+    Parameters
+    ----------
+    every : sequence of Runs
+        Of each combination; the last factor without numbers changes fastest.
+    sizes : sequence of int
+        Number of levels of each of these factors.
+    surface : {"auto", "quadratic", "emulator"}
+        As for `fit_runs`.
+
+    Returns
+    -------
+    tuple of Emulator or BlockedEmulator, or None
+        One a combination; None where each shall have an emulator of its own, or a quadratic.
+    """
+    wanted = {_chosen(one) if surface == "auto" else surface for one in every}
+    enough = RUNS_A_FACTOR * len(every[0].factors)
+    few = min(len(one.distinct()[0]) for one in every) < enough
+    if len(every) < 2 or wanted != {"emulator"} or not few:
+        return None
+    blocked = len(set(every[0].blocks)) > 1
+    try:
+        common = (fit_blocks_together if blocked else fit_together)(every, sizes)
+    except RefusedError:
+        return None
+    try:
+        apart = [(fit_blocks if blocked else fit_emulator)(one) for one in every]
+    except RefusedError:
+        return common
+    worst = [min(one.q2 for one in models) for models in (common, apart)]
+    return common if worst[0] >= worst[1] else tuple(apart)
 
 
 def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
