@@ -19,6 +19,7 @@ from study.response_surface.emulator.blocked import (
     fit_blocks_together,
 )
 from study.response_surface.emulator.emulator import (
+    FEWEST_SETTINGS,
     GRID_LEVELS,
     LARGEST,
     RUNS_A_FACTOR,
@@ -48,6 +49,9 @@ BEYOND = 0.2 + 1e-9
 
 #: seconds from which a fit is announced
 LONG = 5.0
+
+#: ``5 mm``: a number with a unit behind it
+_WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/^*]*|%)")
 
 #: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
 _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
@@ -105,11 +109,18 @@ def fit_surface(
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
     runs, left_out = _runs(table, response, numeric, block)
-    if surface == "emulator" or (surface == "auto" and _chosen(runs) == "emulator"):
+    chosen = _chosen(runs) if surface == "auto" else surface
+    if chosen == "emulator":
         _announce(runs, announce)
     elif practical is not None:
         left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
-    found = fit_runs(runs, surface, _difference(practical, runs.response))
+    few = _few(runs)
+    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
+        left_out.append(
+            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
+            f"factor, {', '.join(few)} has fewer"
+        )
+    found = fit_runs(runs, chosen, _difference(practical, runs.response))
     return found.noted(*table.notes, *left_out)
 
 
@@ -212,8 +223,16 @@ def _difference(practical: float | str | None, response: Array) -> float | None:
 
 def _chosen(runs: Runs) -> Literal["quadratic", "emulator"]:
     """Choose by the design: composite designs have three or five settings a factor."""
+    if _few(runs):
+        return "quadratic"
     fills = max(runs.levels()) > GRID_LEVELS
     return "emulator" if len(runs.factors) > FEW or fills else "quadratic"
+
+
+def _few(runs: Runs) -> list[str]:
+    """Name the factors with too few settings for an emulator."""
+    counts = zip(runs.names, runs.levels(), strict=True)
+    return [name for name, count in counts if count < FEWEST_SETTINGS]
 
 
 def _runs(
@@ -232,6 +251,7 @@ def _runs(
         raise InputError(Fault(table.source, "has fewer than two runs with a response"))
     asked = [_asked(item, table) for item in numeric]
     names = [name for name, _, _, _ in asked]
+    _check_plain(table, names)
     if len({*names, response, block}) < len(names) + 2:
         rule = f"a column stands twice among {', '.join(names)}, the response and the block"
         raise InputError(Fault("--numeric", rule, "name every column once"))
@@ -240,6 +260,20 @@ def _runs(
     coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
     labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
     return Runs(response, factors, coded, values[kept], labels), notes
+
+
+def _check_plain(table: CsvTable, names: Sequence[str]) -> None:
+    """Refuse cells with units, once a column: they may differ from row to row."""
+    faults = []
+    for name in names:
+        told = [_WITH_UNIT.fullmatch(cell) for cell in table.text(name)]
+        units = list(dict.fromkeys(one["unit"] for one in told if one is not None))
+        if units:
+            rule = f"has units in its cells: {', '.join(units[:5])}"
+            mend = f"keep numbers in one unit alone, and name it in the header: {name}_{units[0]}"
+            faults.append(Fault(f"{table.source}: column {name!r}", rule, mend))
+    if faults:
+        raise InputError(faults)
 
 
 def _asked(item: str, table: CsvTable) -> tuple[str, float | None, float | None, bool]:

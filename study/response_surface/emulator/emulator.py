@@ -21,7 +21,7 @@ from study.response_surface.emulator.gaussian_process import GaussianProcess, fi
 from study.response_surface.emulator.kernels import FAMILIES
 from study.response_surface.emulator.posterior_paths import draw_paths
 from study.response_surface.emulator.sobol_indices import SobolIndex, sobol_indices
-from study.response_surface.factors import Runs
+from study.response_surface.factors import Runs, change_together
 
 #: Q2 at which indices and effects are given, and at which factors are at least ranked
 GIVEN = 0.9
@@ -39,11 +39,11 @@ RUNS_A_FACTOR = 10
 #: fewest runs of one combination of categories beside those of the others
 FEWEST_OWN = 5
 
+#: fewest settings of a factor
+FEWEST_SETTINGS = 4
+
 #: designs with at most this many settings a factor are grids, not space-filling
 GRID_LEVELS = 5
-
-#: factors more alike than this cannot be told apart
-COLLINEAR = 1.0 - 1e-9
 
 Gate = Literal["given", "ranking only", "refused"]
 
@@ -281,17 +281,17 @@ def _check(runs: Runs) -> None:
         mend = f"take every {-(-runs.response.size // LARGEST)}th row, or --surface quadratic"
         raise RefusedError(str(Fault("emulator", rule, mend)))
     for name, count in zip(runs.names, levels, strict=True):
-        if count < 4:
-            rule = f"factor {name!r} has {count} settings, an emulator needs at least 4"
+        if count < FEWEST_SETTINGS:
+            least = f"an emulator needs at least {FEWEST_SETTINGS}"
+            rule = f"factor {name!r} has {count} settings, {least}"
             mend = "--surface quadratic, or run more settings"
             raise RefusedError(str(Fault("emulator", rule, mend)))
     needed = RUNS_A_FACTOR * k if max(levels) <= GRID_LEVELS else 3 * k
     if n < needed:
         rule = f"{n} different runs of {k} factors, at least {needed} are needed"
         raise RefusedError(str(Fault("emulator", rule, "add runs, or --surface quadratic")))
-    alike = np.abs(np.atleast_2d(np.corrcoef(runs.coded, rowvar=False))) - np.eye(k)
-    i, j = np.unravel_index(int(alike.argmax()), alike.shape)
-    if k > 1 and alike[i, j] > COLLINEAR:
-        rule = f"{runs.names[i]!r} and {runs.names[j]!r} change together in every run"
+    together = change_together(runs)
+    if together:
+        rule = f"{', '.join(map(repr, together[:-1]))} and {together[-1]!r} change together"
         mend = "leave one of them out, or run settings that part them"
-        raise RefusedError(str(Fault("emulator", rule, mend)))
+        raise RefusedError(str(Fault("emulator", f"{rule} in every run", mend)))
