@@ -93,7 +93,7 @@ def _page(
     given = {flag: value for flag, value in flags.items() if value} | asked
     limit = threshold(flags["--practical"])
     practical = None if limit is None else limit.on_scale(float(found.runs.response.mean()), "none")
-    formats = [one.strip() for one in (flags["--format"] or "").split(",") if one.strip()]
+    formats = names(flags["--format"])
     return write_surface_page(
         found,
         folder,
@@ -124,6 +124,17 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
     ]
     if faults:
         raise InputError(faults)
+
+
+def names(text: str | None) -> list[str]:
+    """Read names with commas between them.
+
+    Examples
+    --------
+    >>> names("time, temperature,")
+    ['time', 'temperature']
+    """
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def settings(text: str) -> dict[str, str]:

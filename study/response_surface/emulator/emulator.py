@@ -27,11 +27,12 @@ from study.response_surface.factors import Runs, change_together
 GIVEN = 0.9
 RANKED = 0.7
 
-#: most runs: the work grows with the cube, 1,000 runs take about a minute, 2,000 about ten
+#: most runs: the work grows with the cube, 1,000 runs take about half a minute, 2,000 about five
 LARGEST = 2000
 
-#: seconds of a fit with 1,000 runs on one core, for the estimate that is said beforehand
-SECONDS_1000 = 90.0
+#: seconds of a fit with 1,000 runs on one core, for the estimate that is said beforehand: 25 to
+#: 30 of eight factors
+SECONDS_1000 = 40.0
 
 #: fewest runs a factor where a design does not fill the box
 RUNS_A_FACTOR = 10
