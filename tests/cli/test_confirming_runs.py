@@ -10,9 +10,12 @@ import pytest
 import study as public
 from study.api.statistics.confirmation import Permission
 from study.forward.python_function import PythonFunction
+from study.response_surface.emulator.emulator import fit_together
+from study.response_surface.level_difference import level_difference
 from study.runner.fitting.external_model import Allowed
 from study.study_result.study_result import StudyResult
 from tests.cli.small import Answer, study
+from tests.response_surface import functions
 
 #: the force is a product of functions of four inputs, one of which is no number
 DESIGN = """
@@ -96,6 +99,12 @@ format = ["csv"]
 )
 
 
+#: means and mean squares of exp(x), 1.25 + y/2 and 2 + z^2 over the unit box, and points there
+MEANS = np.array([np.e - 1, 1.5, 7 / 3])
+SQUARES = np.array([(np.e**2 - 1) / 2, (1.75**3 - 1.25**3) / 1.5, 4 + 4 / 3 + 1 / 5])
+X = np.random.default_rng(5).random((4000, 3))
+
+
 def forward(problem):  # type: ignore[no-untyped-def]
     """Give the product as a function: what `forward.model = "python"` stands for."""
     constants, height = problem["material"]["constants_MPa"], problem["specimen"]["height_mm"]
@@ -120,9 +129,7 @@ def test_indices_beside_a_list_of_levels_are_those_of_a_product(
     product: tuple[Path, StudyResult],
 ) -> None:
     """24 runs a level, which learn from each other; shares do not depend on the level."""
-    means = np.array([np.e - 1, 1.5, 7 / 3])
-    squares = np.array([(np.e**2 - 1) / 2, (1.75**3 - 1.25**3) / 1.5, 4 + 4 / 3 + 1 / 5])
-    parts = squares / means**2 - 1
+    parts = SQUARES / MEANS**2 - 1
     whole = np.prod(1 + parts) - 1
     first = parts / whole
     total = 1 - (np.prod(1 + parts) / (1 + parts) - 1) / whole
@@ -138,6 +145,33 @@ def test_indices_beside_a_list_of_levels_are_those_of_a_product(
         for row, s, t in zip(rows, first, total, strict=True):
             assert row["S_interval"][0] <= s <= row["S_interval"][1]
             assert row["T_interval"][0] <= t <= row["T_interval"][1]
+
+
+def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) -> None:
+    """Bonded less frictionless is twice the product: its mean is that of the means."""
+    _, found = product
+    first, second = found.surfaces
+    assert first.differences == ()
+    (told,) = second.differences
+    assert (told.factor, told.level, told.other) == ("test.interface", "bonded", "frictionless")
+    assert told.mean == pytest.approx(2 * np.prod(MEANS), rel=0.02)
+    box = 2 * (np.exp(X[:, 0]) * (1.25 + 0.5 * X[:, 1]) * (2 + X[:, 2] ** 2))
+    ends = np.quantile(box, [0.025, 0.975])
+    assert [told.low, told.high] == pytest.approx(ends, rel=0.05)  # of 256 points
+    assert told.verdict == "matters"
+    assert second.to_json()["differences"] == [told.to_json()]
+
+
+def test_a_level_that_changes_nothing_makes_no_practical_difference() -> None:
+    x = functions.hypercube(2, 40, 1)
+    y = np.sin(3 * x[:, 0]) + x[:, 1]
+    same = (functions.unit_runs(x[:20], y[:20]), functions.unit_runs(x[20:], y[20:] + 0.01))
+    first, second = fit_together(same, (2,))
+    told = level_difference(("f", "b", "a"), (second, first), 0.2)
+    assert told.mean == pytest.approx(0.01, abs=1e-3)
+    assert told.verdict == "no practical difference"
+    assert level_difference(("f", "b", "a"), (second, first), 0.011).verdict == "cannot tell"
+    assert level_difference(("f", "b", "a"), (second, first), None).verdict == "cannot tell"
 
 
 def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(
