@@ -85,6 +85,7 @@ def _prior(
     found = np.empty((len(x), amplitudes.shape[2]))
     for one in np.unique(which):
         own = which == one
-        features = np.cos(kernel.numbers(x[own]) @ frequencies.T + phases)
-        found[own] = features @ amplitudes[one]
+        # half the digits: a path of 1,000 cosines is a few percent off that of the process anyway
+        angles = (kernel.numbers(x[own]) @ frequencies.T + phases).astype(np.float32)
+        found[own] = np.cos(angles) @ amplitudes[one].astype(np.float32)
     return found
