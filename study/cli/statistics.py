@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, cast, get_type_hints
 
 import typer
 
 from study.cli import output
 from study.cli.studies import RESULTS, Data, Json, Results
 from study.cli.tables import analysis_tables, mixed_effects, surface_tables
+from study.cli.tables.surface_tables import names
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -123,14 +126,14 @@ def analyze(
         "--contrast": "; ".join(contrast or ()),
     }  # fmt: skip
     if numeric and surface != "none":
-        surface_tables.show(source, _names(numeric), surface, flags, as_json)
+        surface_tables.show(source, names(numeric), surface, flags, as_json)
         return
     if error == "reml":
-        _show_mixed(source, flags, alpha, results, as_json)
+        mixed_effects.show(source, flags, _model(flags["--model"]), alpha, results, as_json)
         return
-    _check_mixed(flags)
+    mixed_effects.check_none(flags)
     found = api.analyze(
-        source, response, [*_names(factors), *_names(numeric)], results=results, decimal=decimal,
+        source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
     if contrast:
@@ -173,54 +176,13 @@ def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
         print(f"\nreport: {beside.page}")
 
 
-#: flags that a mixed model has a use for
-_USED_BY_MIXED = frozenset({
-    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
-    "--covariates",
-})  # fmt: skip
-
-
-def _show_mixed(
-    source: Path, flags: Flags, alpha: float | None, results: Path, as_json: bool
-) -> None:
-    """Fit a mixed model and print it."""
-    from study.api.statistics.mixed_effects import fit_mixed_model
-
-    unused = [flag for flag, value in flags.items() if value and flag not in _USED_BY_MIXED]
-    if unused:
-        rule = "has no meaning for a mixed model"
-        raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
-    level = 0.05 if alpha is None else alpha
-    found = fit_mixed_model(
-        source, flags["--response"], _names(flags["--factors"]), block=flags["--block"],
-        random=_names(flags["--random"]), covariates=_names(flags["--covariates"]),
-        model=_model(flags["--model"]), alpha=level, results=results,
-        decimal=flags["--decimal"] or ".",
-    )  # fmt: skip
-    if as_json:
-        output.print_json(mixed_effects.mixed_json(found, level))
-        return
-    mixed_effects.print_mixed(found, level)
-
-
-def _check_mixed(flags: Flags) -> None:
-    """Refuse what only a mixed model has, where none is asked for."""
-    faults = [
-        Fault(flag, "belongs to a mixed model", "add --error reml")
-        for flag in ("--random", "--covariates")
-        if flags[flag]
-    ]
-    if faults:
-        raise InputError(faults)
-
-
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
     """Options of the analysis that were given on the command line."""
-    blocks = _names(flags["--block"])
+    blocks = names(flags["--block"])
     options: AnovaOptions = {"block": blocks if len(blocks) > 1 else next(iter(blocks), None)}
     if unit := flags["--unit"]:
         options["unit"] = unit
-    if plots := _names(flags["--whole-plot"]):
+    if plots := names(flags["--whole-plot"]):
         options["whole_plot"] = plots
     if replicates := flags["--replicates"]:
         options["replicates"] = replicates
@@ -259,7 +221,7 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
     if report is not None and formats:
         from study.reporting.output.write import checked_formats
 
-        checked_formats(_names(formats))
+        checked_formats(names(formats))
     if report is not None and report.exists() and not report.is_dir():
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 
@@ -269,7 +231,7 @@ def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags)
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
     at = Source(source, given, tuple(one.name for one in found.contrasts))
-    wanted = tuple(_names(flags["--format"])) or ("html",)
+    wanted = tuple(names(flags["--format"])) or ("html",)
     return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
 
 
@@ -285,6 +247,54 @@ Commands = Annotated[
 Study = Annotated[Path, typer.Argument(help="Results folder, design file or study name.")]
 
 
+@dataclass(frozen=True)
+class Asked:
+    """Options of the verbs that ask a study's surfaces and let its true model confirm."""
+
+    at: At = ""
+    decimal: Decimal = "."
+    confirm: Confirm = True
+    data: Data = None
+    allow_commands: Commands = False
+    results: Results = RESULTS
+    as_json: Json = False
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """Settings that are held."""
+        return surface_tables.settings(self.at) if self.at else {}
+
+    @property
+    def permission(self) -> Permission:
+        """What confirming runs may use."""
+        from study.api.statistics.confirmation import Permission
+        from study.runner.fitting.external_model import Allowed
+
+        return Permission(self.data, Allowed(self.allow_commands))
+
+
+def _parameters(of: Callable[..., object]) -> list[inspect.Parameter]:
+    """Parameters with what typer reads of them, not its text."""
+    hints = get_type_hints(of, include_extras=True)
+    return [p.replace(annotation=hints[p.name]) for p in inspect.signature(of).parameters.values()]
+
+
+def _asking(verb: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of `Asked` beside its own, which it takes as ``asked``."""
+    shared = _parameters(Asked)
+    every = [*(p for p in _parameters(verb) if p.name != "asked"), *shared]
+
+    @functools.wraps(verb)
+    def command(**given: object) -> None:
+        told = {p.name: given.pop(p.name) for p in shared}
+        verb(asked=Asked(**told), **given)  # type: ignore[arg-type]  # typer has read them
+
+    command.__annotations__ = {p.name: p.annotation for p in every}
+    command.__dict__["__signature__"] = inspect.Signature(every)
+    return command
+
+
+@_asking
 def optimize(
     path: Annotated[
         Path, typer.Argument(help="Results folder, design file, study name; or a tidy CSV.")
@@ -295,15 +305,10 @@ def optimize(
         list[str] | None,
         typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
     ] = None,
-    at: At = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
-    decimal: Decimal = ".",
-    confirm: Confirm = True,
-    data: Data = None,
-    allow_commands: Commands = False,
-    results: Results = RESULTS,
-    as_json: Json = False,
+    *,
+    asked: Asked,
 ) -> None:
     """Find the best setting among choices, within limits, and confirm it by a run."""
     from study import api
@@ -311,12 +316,12 @@ def optimize(
 
     found = api.optimize(
         path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
-        at=surface_tables.settings(at) if at else {}, numeric=_names(numeric),
-        surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
-        confirming=confirm, permission=_permission(data, allow_commands),
+        at=asked.settings, numeric=names(numeric), surface=cast("SurfaceKind", surface),
+        decimal=asked.decimal, results=asked.results, confirming=asked.confirm,
+        permission=asked.permission,
     )  # fmt: skip
     output.warn([note for one in found for note in one.notes])
-    if as_json:
+    if asked.as_json:
         output.print_json({"recommendations": [one.to_json() for one in found]})
     else:
         optimum_tables.print_recommendations(found)
@@ -324,10 +329,10 @@ def optimize(
         raise typer.Exit(1)
 
 
+@_asking
 def invert(
     path: Study,
     to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
-    at: At = "",
     columns: Annotated[
         str, typer.Option(help="Columns of displacement and force.")
     ] = "displacement_mm,force_N",
@@ -335,24 +340,20 @@ def invert(
     within: Annotated[
         str | None, typer.Option(help="What an agreeing curve may miss, rms: '2 %'.")
     ] = None,
-    decimal: Decimal = ".",
-    confirm: Confirm = True,
-    data: Data = None,
-    allow_commands: Commands = False,
-    results: Results = RESULTS,
-    as_json: Json = False,
+    *,
+    asked: Asked,
 ) -> None:
     """Find all inputs of a study whose curve agrees with a measured one."""
     from study import api
     from study.cli.tables import optimum_tables
 
     found = api.invert(
-        path, to, at=surface_tables.settings(at) if at else {}, columns=_names(columns),
-        in_units=_names(units), within=within, decimal=decimal, results=results,
-        confirming=confirm, permission=_permission(data, allow_commands),
+        path, to, at=asked.settings, columns=names(columns), in_units=names(units),
+        within=within, decimal=asked.decimal, results=asked.results, confirming=asked.confirm,
+        permission=asked.permission,
     )  # fmt: skip
     output.warn(found.notes)
-    if as_json:
+    if asked.as_json:
         output.print_json(found.to_json())
     else:
         optimum_tables.print_inverted(found)
@@ -360,19 +361,7 @@ def invert(
         raise typer.Exit(1)
 
 
-def _permission(data: Path | None, allow_commands: bool) -> Permission:
-    """Say what confirming runs may use."""
-    from study.api.statistics.confirmation import Permission
-    from study.runner.fitting.external_model import Allowed
-
-    return Permission(data, Allowed(allow_commands))
-
-
 VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
-
-
-def _names(text: str | None) -> list[str]:
-    return [name.strip() for name in (text or "").split(",") if name.strip()]
 
 
 def _hint_practical(practical: str | None) -> None:
@@ -388,4 +377,4 @@ def _model(text: str | None) -> str | int | list[str] | None:
         return text
     if text.isdigit():
         return int(text)
-    return _names(text)
+    return names(text)

@@ -9,6 +9,7 @@ from functools import partial
 
 from study.design import overlay
 from study.design.diagnostics import Faults, Table, entries, is_known, noted
+from study.design.sections.distribution import DISTRIBUTION_KEYS
 from study.design.spec import Exclusion, Factor, Level, Span
 from study.design.study_file import ExclusionTable
 from study.design.toml_document import flatten
@@ -261,6 +262,21 @@ def grouped(table: Table) -> dict[str, object]:
         else:
             found[key] = value
     return found
+
+
+def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
+    """Copy of a table with a key set, in the place of its old value or of the parts of a range.
+
+    Examples
+    --------
+    >>> set_whole({"a.low": 1, "a.high": 2, "b": [3, 4]}, "a", [5, 6])
+    {'a': [5, 6], 'b': [3, 4]}
+    """
+    old = {key, *(f"{key}.{part}" for part in (*RANGE_KEYS, *DISTRIBUTION_KEYS))}
+    found: dict[str, object] = {}
+    for known, own in table.items():
+        found |= {key: value} if known in old else {known: own}
+    return {**found, key: value}
 
 
 def _is_end(key: str) -> bool:

@@ -15,7 +15,7 @@ from typing import TypeVar
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
 from study.design.diagnostics import Faults, Table, entries, noted, read_table
-from study.design.factors import exclusions_from, factors_from, grouped, presets_from
+from study.design.factors import exclusions_from, factors_from, grouped, presets_from, set_whole
 from study.design.layout.schemes import scheme_from
 from study.design.resolve import calibration_from, resolve_problem
 from study.design.sections.calibration import ANALYTIC_KEYS, Fitting, bounds_of
@@ -262,7 +262,10 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
-        if path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
+        own = tables.get(path[0])
+        if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(own, dict):
+            tables[path[0]] = set_whole(own, path[1], value)
+        elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = overlay.lay(tables, {".".join(path): value})
         else:
             toml_document.set_value(tables, path, value)
@@ -291,8 +294,9 @@ def _check_override(tables: Table, path: Sequence[str]) -> None:
     key, factors = ".".join(path), tables.get("factors")
     if not isinstance(factors, dict):
         return
-    if key in factors:
-        mend = f"change the levels: -s 'factors.{key}=[...]'"
+    if key in grouped(factors):
+        new = "[...]" if key in factors else "{ low = .., high = .. }"
+        mend = f"change it there: -s 'factors.{key}={new}'"
         raise InputError(Fault(f"-s {key}", "is a factor: its levels would hide this", mend))
     presets = presets_from(tables.get("presets"), Faults())
     hiding = [

@@ -177,21 +177,20 @@ def surface_function(study_name: str, one: FittedSurface) -> SurfaceFunction:
 
 def _part(emulator: Emulator, blocks: int) -> tuple[float, Part]:
     """Level and weights of a process, over the number of blocks."""
-    from scipy import linalg
-
     process = emulator.process
-    factor = (process.factor, True)
-    ones = linalg.cho_solve(factor, np.ones(process.y.size))
-    level = float(ones @ process.y / ones.sum())
-    weights = linalg.cho_solve(factor, process.y - level)
+    kernel = process.found.kernel
+    levels, weights = process.solved
+    own = emulator.combination or 0
+    if kernel.categories is not None:
+        weights = weights * kernel.categories.matrix[own, kernel.combination(process.x)]
     scale = emulator.scale / blocks
     part = Part(
-        kernel=process.found.kernel.family,
-        lengths=process.found.kernel.lengths.tolist(),
-        points=process.x.tolist(),
+        kernel=kernel.family,
+        lengths=kernel.lengths.tolist(),
+        points=kernel.numbers(process.x).tolist(),
         weights=(scale * process.found.variance * weights).tolist(),
     )
-    return emulator.centre / blocks + scale * level, part
+    return emulator.centre / blocks + scale * float(levels[own]), part
 
 
 def _arguments(names: tuple[str, ...]) -> dict[str, str]:

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError, nearest
 
+#: part of the largest singular value of the settings below which factors change together
+COLLINEAR = 1e-7
+
 #: settings closer than this in coded units are one setting: far above rounding, far below a step
 SAME_SETTING = 1e-9
 
@@ -189,3 +192,14 @@ class Runs:
 
 def _same(column: Array) -> bool:
     return bool(np.ptp(column) <= SAME_SETTING)
+
+
+def change_together(runs: Runs) -> tuple[str, ...]:
+    """Name the factors of which one follows from the others in every run; empty if none does."""
+    centred = runs.coded - runs.coded.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(centred, full_matrices=len(centred) < centred.shape[1])
+    if len(runs.factors) < 2 or (sizes.size == len(directions)
+                                 and sizes[-1] > COLLINEAR * sizes[0]):  # fmt: skip
+        return ()
+    last = np.abs(directions[-1])
+    return tuple(n for n, c in zip(runs.names, last, strict=True) if c > 1e-3 * last.max())

@@ -14,7 +14,6 @@ from study.arrays import Array
 from study.errors import Fault, RefusedError
 from study.response_surface.emulator.blocked import BlockedEmulator
 from study.response_surface.emulator.emulator import GIVEN, RANKED, Emulator
-from study.response_surface.emulator.posterior_paths import draw_paths
 from study.response_surface.emulator.sobol_indices import (
     SAMPLE_ERROR,
     SobolIndex,
@@ -254,7 +253,7 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
         t = float(stats.t.ppf(0.975, blocks - 1))
         scatter = t * told.std(axis=1, ddof=1) / np.sqrt(blocks)
         return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
-    paths = model.scale * draw_paths(model.process, seed).values(inputs.unit(u))
+    paths = model.scale * model.paths(seed)(inputs.unit(u))
     told = _numbers(paths)
     scatter = np.sqrt(np.mean((told[:, 1:] - told[:, :1]) ** 2, axis=1))
     least = np.full(scatter.shape, model.loo_rms)
@@ -266,8 +265,8 @@ def _shares(model: Model, inputs: _Inputs, q2: float, seed: int) -> list[SobolIn
     """Sobol indices of the uncertain inputs."""
     k = len(inputs.spreads)
     if isinstance(model, Emulator):
-        paths = draw_paths(model.process, seed)
-        return [*sobol_indices(lambda u: paths.values(inputs.unit(u)), k, q2, seed)]
+        paths = model.paths(seed)
+        return [*sobol_indices(lambda u: paths(inputs.unit(u)), k, q2, seed)]
 
     def value(u: Array) -> Array:
         return _value(model, inputs.coded(u))[:, None]

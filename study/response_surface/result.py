@@ -151,7 +151,12 @@ class SurfaceAnalysis:
     def _process(self, found: Emulator) -> Document:
         kernel = found.process.found.kernel
         lengths = dict(zip(self.runs.names, kernel.lengths.tolist(), strict=True))
-        return {"kernel": kernel.family, "lengths": lengths, "q2": found.q2}
+        own: Document = {"kernel": kernel.family, "lengths": lengths, "q2": found.q2}
+        if kernel.categories is None:
+            return own
+        # with the functions of the other combinations of levels, in their order
+        shared = kernel.categories.matrix[found.combination]
+        return own | {"category_correlation": shared.tolist()}
 
     def _stationary(self, point: StationaryPoint | None) -> Document | None:
         if point is None:

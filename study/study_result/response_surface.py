@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from study.response_surface.level_difference import LevelDifference
     from study.response_surface.propagation import Propagated
     from study.response_surface.result import Sensitivity, SurfaceAnalysis
 
@@ -35,6 +36,8 @@ class FittedSurface:
         The response's distribution where inputs are uncertain.
     inputs : mapping of str to str
         Distribution of each of them, in words.
+    differences : tuple of LevelDifference
+        From the surfaces at the first levels of the other factors, one factor at a time.
     """
 
     response: str
@@ -47,6 +50,7 @@ class FittedSurface:
     units: Mapping[str, str] = field(default_factory=dict)
     uncertain: Propagated | None = None
     inputs: Mapping[str, str] = field(default_factory=dict)
+    differences: tuple[LevelDifference, ...] = ()
 
     @property
     def verdicts(self) -> list[dict[str, object]]:
@@ -66,6 +70,8 @@ class FittedSurface:
         if self.found is None:
             return own | {"surface": None, "sensitivity": [], "refused": self.refused}
         told = own | self.found.to_json()
+        if self.labels:
+            told["differences"] = [one.to_json() for one in self.differences]
         if self.uncertain is not None:
             told["uncertainty"] = self.uncertain.to_json() | {"distributions": dict(self.inputs)}
         return told

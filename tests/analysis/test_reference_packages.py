@@ -63,22 +63,53 @@ def test_variance_components_of_incomplete_blocks_are_those_of_lme4() -> None:
     assert within.sd == pytest.approx(reference()["incomplete", "reml", "within", "sd"], rel=1e-5)
 
 
-def test_a_second_order_surface_is_that_of_lm() -> None:
-    ranges = ["time_min=80..90", "temperature_F=170..180"]
-    surface = study.fit_surface(FOLDER / "chemical_process.csv", "yield", ranges).to_json()
+#: ranges of the coded variables of textbook designs, with their names in R
+SURFACES = {
+    "chemical_process": ("yield", {"x": "time_min=80..90", "z": "temperature_F=170..180"}),
+    "paper_helicopter": (
+        "flight_time_cs",
+        {
+            "a": "wing_area_in2=11.8..13",
+            "r": "wing_ratio=2.26..2.78",
+            "w": "body_width_in=1..1.5",
+            "l": "body_length_in=1.5..2.5",
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("design", SURFACES)
+def test_a_second_order_surface_is_that_of_lm(design: str) -> None:
+    response, ranges = SURFACES[design]
+    surface = study.fit_surface(FOLDER / f"{design}.csv", response, [*ranges.values()]).to_json()
     found = surface["surface"]
-    told = {t["term"].replace("time_min", "x").replace("temperature_F", "z"): t["coefficient"]
-            for t in found["terms"]}  # fmt: skip
-    names = {"1": "1", "x": "x", "z": "z", "x^2": "x^2", "z^2": "z^2", "x:z": "x*z"}
+    short = {text.partition("=")[0]: name for name, text in ranges.items()}
+    told = {_short(t["term"], short): t["coefficient"] for t in found["terms"]}
 
-    def of_r(term: str, quantity: str) -> float:
-        return reference()["chemical_process", "surface", term, quantity]
+    def of_r(quantity: str) -> dict[str, float]:
+        keys = [key for key in reference() if key[:2] == (design, "surface") and key[3] == quantity]
+        return {key[2].replace("*", ":"): reference()[key] for key in keys}
 
-    expected = {ours: of_r(theirs, "coefficient") for ours, theirs in names.items()}
-    assert told == pytest.approx(expected, rel=SAME)
+    assert told == pytest.approx(of_r("coefficient"), rel=SAME)
     point = found["stationary"]
-    assert point["coded"] == pytest.approx([of_r(n, "stationary") for n in "xz"], rel=SAME)
-    eigenvalues = [of_r(k, "eigenvalue") for k in "12"]
-    assert sorted(point["eigenvalues"]) == pytest.approx(eigenvalues, rel=SAME)
-    assert found["lack_of_fit"]["F"] == pytest.approx(of_r("", "lack_of_fit_F"), rel=SAME)
-    assert found["lack_of_fit"]["p"] == pytest.approx(of_r("", "lack_of_fit_p"), rel=SAME)
+    at = dict(zip(ranges, point["coded"], strict=True))
+    assert at == pytest.approx(of_r("stationary"), rel=SAME)
+    assert sorted(point["eigenvalues"]) == pytest.approx([*of_r("eigenvalue").values()], rel=SAME)
+    assert found["lack_of_fit"]["F"] == pytest.approx(of_r("lack_of_fit_F")[""], rel=SAME)
+    assert found["lack_of_fit"]["p"] == pytest.approx(of_r("lack_of_fit_p")[""], rel=SAME)
+
+
+def _short(term: str, names: dict[str, str]) -> str:
+    for name, own in names.items():
+        term = term.replace(name, own)
+    return term
+
+
+def test_linear_terms_and_products_of_paper_helicopters_are_those_printed() -> None:
+    """As Box, Hunter and Hunter (2005), section 12.3, have them beside their two blocks."""
+    response, ranges = SURFACES["paper_helicopter"]
+    found = study.fit_surface(FOLDER / "paper_helicopter.csv", response, [*ranges.values()])
+    terms = {t["term"]: t["coefficient"] for t in found.to_json()["surface"]["terms"]}
+    printed = [-0.08, 5.08, 0.25, -6.08, -2.88, -3.75, 4.38, 4.63, -1.50, -2.13]
+    told = [value for term, value in terms.items() if term != "1" and "^2" not in term]
+    assert told == pytest.approx(printed, abs=0.0051)

@@ -205,6 +205,48 @@ def test_levels_and_lists_can_be_overridden() -> None:
     assert study.responses[0].transform == "log"
 
 
+RANGED = (
+    BASE + '[factors]\nmaterial.C10 = { low = "1 kPa", high = "2 kPa", scale = "log" }\n'
+    'specimen.radius = { low = "9 mm", high = "11 mm" }\n[design]\nkind = "latin-hypercube"\n'
+    'runs = 12\n[uncertainty]\nmaterial.C10 = { distribution = "uniform", low = "1.1 kPa", '
+    'high = "1.9 kPa" }\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("override", "low", "high", "log"),
+    [
+        ('factors.material.C10={ low = "1.1 kPa", high = "4 kPa" }', 1.1, 4.0, False),
+        ("factors.material.C10.low=1.1 kPa", 1.1, 2.0, True),
+    ],
+)
+def test_a_range_can_be_overridden(override: str, low: float, high: float, log: bool) -> None:
+    span = load.loads(RANGED, overrides=[override]).factors[0].span
+    assert span is not None
+    assert (span.low, span.high, span.log) == (low, high, log)
+
+
+def test_a_range_can_be_overridden_by_levels_and_levels_by_a_range() -> None:
+    whole = ['factors.material.C10=["1 kPa", "2 kPa"]', "uncertainty.material.C10=0.1 kPa"]
+    study = load.loads(RANGED, overrides=whole)
+    assert study.factors[0].span is None
+    assert study.factors[0].labels == ("1 kPa", "2 kPa")
+    back = [*whole, 'factors.material.C10={ low = "1 kPa", high = "2 kPa" }']
+    assert load.loads(RANGED, overrides=back).factors[0].span is not None
+
+
+def test_a_distribution_can_be_overridden() -> None:
+    normal = (
+        'uncertainty.material.C10={ distribution = "normal", mean = "1.5 kPa", sd = "0.1 kPa" }'
+    )
+    assert load.loads(RANGED, overrides=[normal]).inputs["material.C10"].kind == "normal"
+
+
+def test_an_override_hidden_by_a_range_is_refused() -> None:
+    with pytest.raises(InputError, match="would hide this"):
+        load.loads(RANGED, overrides=["material.C10=1.5 kPa"])
+
+
 def test_an_override_hidden_by_a_preset_is_refused() -> None:
     text = BASE + (
         "[presets.bulk.a]\nmaterial.poisson_ratio = 0.49\n"

@@ -16,8 +16,9 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteK
 
 from study.arrays import Array
 from study.errors import RefusedError
+from study.response_surface.emulator.category_correlation import CategoryCorrelation, fitted
 from study.response_surface.emulator.effect_ranges import Small
-from study.response_surface.emulator.emulator import Emulator, fit_emulator
+from study.response_surface.emulator.emulator import Emulator, fit_emulator, fit_together
 from study.response_surface.emulator.gaussian_process import (
     condition,
     fit_process,
@@ -48,6 +49,81 @@ def test_gradient_is_that_of_finite_differences(family: Family) -> None:
         THETA, lambda t: log_likelihood(t, x, y, noise, family)[0], 1e-6
     )
     assert slope == pytest.approx(numeric, rel=1e-4, abs=1e-4)
+
+
+def two_categories(n: int = 30, seed: int = 4) -> tuple[Runs, Runs]:
+    """A product: the second category answers three times as much, plus a constant."""
+    x = functions.hypercube(5, 2 * n, seed)
+    y = functions.friedman(x)
+    first, second = functions.unit_runs(x[:n], y[:n]), functions.unit_runs(x[n:], 3 * y[n:] + 20)
+    return first, second
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("sizes", [(3, 2), (6,), (2,)])
+def test_gradient_by_distances_of_categories(family: Family, sizes: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(1)
+    x = np.column_stack([rng.random((50, 2)), np.arange(50) % np.prod(sizes)])
+    y = np.sin(4 * x[:, 0]) + x[:, 1] ** 2 * (1 + x[:, 2] % 2) + 0.3 * (x[:, 2] // 2)
+    apart = np.log([0.2, 0.1, 0.3, 0.05, 0.4, 0.15][: fitted(sizes)])
+    theta = np.array([*np.log([0.4, 0.7]), *apart, *np.log([1.7, 1e-4])])
+    noise = np.full(y.size, 1e-3)
+    _, slope = log_likelihood(theta, x, y, noise, family, sizes)
+    numeric = optimize.approx_fprime(
+        theta, lambda t: log_likelihood(t, x, y, noise, family, sizes)[0], 1e-6
+    )
+    assert slope == pytest.approx(numeric, rel=1e-4, abs=1e-4)
+
+
+def test_categories_correlate_by_their_distances_from_the_shared_part() -> None:
+    both = CategoryCorrelation.of(np.array([0.1, 0.2, 0.4, 0.05]), (3, 2))
+    three = np.exp(-np.array([[0.0, 0.3, 0.5], [0.3, 0.0, 0.6], [0.5, 0.6, 0.0]]))
+    two = np.exp(-np.array([[0.0, 0.1], [0.1, 0.0]]))
+    assert both.matrix == pytest.approx(np.kron(three, two))
+    assert both.parts @ both.parts.T == pytest.approx(both.matrix, abs=1e-9)
+
+
+def test_categories_that_are_alike_learn_from_each_other() -> None:
+    runs = two_categories()
+    together = fit_together(runs, (2,))
+    apart = [fit_emulator(one) for one in runs]
+    matrix = together[0].process.found.kernel.categories
+    assert matrix is not None
+    assert matrix.matrix[0, 1] > 0.95
+    points = 2.0 * np.random.default_rng(5).random((500, 5)) - 1.0
+    truth = functions.friedman(0.5 * (points + 1.0))
+    for one, alone, exact in zip(together, apart, (truth, 3 * truth + 20), strict=True):
+        error = [np.sqrt(np.mean((m.value(points) - exact) ** 2)) for m in (one, alone)]
+        assert error[0] < 0.8 * error[1]
+
+
+def test_left_out_runs_of_a_category_are_those_of_conditioning_without_them() -> None:
+    runs = two_categories(15)
+    for number, one in enumerate(fit_together(runs, (2,))):
+        process = one.process
+        i = 15 * number + 3
+        rest = np.delete(np.arange(30), i)
+        without = condition(process.x[rest], process.y[rest], process.noise[rest], process.found)
+        told = one.centre + one.scale * without.mean(process.x[i : i + 1])[0]
+        assert one.loo_errors[3] == pytest.approx(runs[number].response[3] - told, rel=1e-6)
+
+
+def test_paths_of_a_category_scatter_as_the_posterior_says() -> None:
+    x, y = standardized(30)
+    own = np.column_stack([x, np.arange(30) % 2])
+    theta = np.log([0.4, 0.7, 1.3, 0.3, 1.7, 1e-4])
+    process = condition(own, y, np.zeros(y.size), hyperparameters(theta, "Gaussian", (2,)))
+    points = np.column_stack([np.random.default_rng(2).random((25, 3)), np.ones(25)])
+    values = draw_paths(process, 3, paths=4000).values(points)
+    assert values[:, 0] == pytest.approx(process.mean(points), abs=1e-10)
+    assert values[:, 1:].std(axis=1) == pytest.approx(process.deviation(points), rel=0.15)
+
+
+def test_a_category_with_hardly_any_runs_is_refused() -> None:
+    first, second = two_categories(20)
+    few = Runs(second.name, second.factors, second.coded[:4], second.response[:4])
+    with pytest.raises(RefusedError, match="4 different runs at one combination"):
+        fit_together([first, few], (2,))
 
 
 @pytest.mark.parametrize("family", FAMILIES)

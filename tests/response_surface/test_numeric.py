@@ -247,6 +247,45 @@ def test_bad_input(
     assert said in " ".join(answer.err.split())
 
 
+def rows(**columns: object) -> dict[str, object]:
+    """Thirty runs in two columns that fill the box, with others beside."""
+    x = functions.hypercube(2, 30, 1)
+    return {"a": x[:, 0], "b": x[:, 1], **columns, "y": np.sin(3 * x[:, 0]) + x[:, 1]}
+
+
+X = functions.hypercube(2, 30, 1)
+WITH_UNITS = [f"{v:.3f} mm" if i % 2 else f"{0.1 * v:.4f} cm" for i, v in enumerate(X[:, 0])]
+
+
+@pytest.mark.parametrize(
+    ("columns", "asked", "code", "said"),
+    [
+        # of three columns no two are alike, but each follows from the others
+        (rows(c=X[:, 0] + X[:, 1]), ("--numeric", "a,b,c"), 3, "'a', 'b' and 'c' change together"),
+        (rows(c=X[:, 0] + X[:, 1]), ("--numeric", "a,b,c", "--surface", "quadratic"), 0,
+         "what one does is not told from the others"),
+        (rows(c=[5.0] * 30), ("--numeric", "a,b,c"), 2, "a constant column is no factor"),
+        (rows(c=np.arange(30) % 2), ("--numeric", "a,b,c"), 0, "c has two settings: linear only"),
+        (rows(c=np.arange(30) % 2), ("--numeric", "a,b,c"), 0, "needs at least 4 settings"),
+        (rows(c=["nan", *X[1:, 0]]), ("--numeric", "b,c"), 2, "must be left out, with its row"),
+        (rows(c=["", *X[1:, 0]]), ("--numeric", "b,c"), 2, "t.csv:2: column 'c'"),
+        (rows(c=["inf", *X[1:, 0]]), ("--numeric", "b,c"), 2, "must be a finite number"),
+        (rows(c=WITH_UNITS), ("--numeric", "b,c"), 2, "units in its cells: cm, mm"),
+        (rows(c=WITH_UNITS), ("--numeric", "b,c"), 2, "name it in the header: c_cm"),
+        (rows(c=np.arange(30) % 3 * 10), ("--factors", "c"), 0, "--numeric c asks for a surface"),
+        (rows(), (), 2, "--factors for labels, --numeric for numbers"),
+        (rows(), ("--numeric", "a=0..3,b"), 2, "a surface is not extrapolated"),
+    ],
+)  # fmt: skip
+def test_what_a_table_may_hold(
+    tmp_path: Path, columns: dict[str, object], asked: tuple[str, ...], code: int, said: str
+) -> None:
+    path = write(tmp_path / "t.csv", columns)
+    answer = study("analyze", path, "--response", "y", *asked)
+    assert answer.code == code
+    assert said in " ".join(answer.err.split())
+
+
 def test_ten_thousand_runs_are_refused_with_what_to_do(tmp_path: Path) -> None:
     x = np.random.default_rng(1).random(10_000)
     answer = analyze(write(tmp_path / "t.csv", {"x": x, "y": x**3}), "x", "--surface", "emulator")

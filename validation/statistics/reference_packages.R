@@ -49,3 +49,22 @@ put("chemical_process", "surface", "2", "eigenvalue", e[2])
 a <- anova(fit, lm(y ~ factor(x) * factor(z)))
 put("chemical_process", "surface", "", "lack_of_fit_F", a$F[2])
 put("chemical_process", "surface", "", "lack_of_fit_p", a$`Pr(>F)`[2])
+
+# a composite design of Box and Wilson in four factors: paper helicopters of Box, Hunter and
+# Hunter, without the term of its two blocks, to which linear terms and products are orthogonal
+d <- read("paper_helicopter"); names(d) <- c("A", "R", "W", "L", "y")
+d <- with(d, data.frame(a = (A - 12.4) / .6, r = (R - 2.52) / .26, w = (W - 1.25) / .25,
+                        l = (L - 2) / .5, y = y))
+fit <- lm(y ~ (a + r + w + l)^2 + I(a^2) + I(r^2) + I(w^2) + I(l^2), d); b <- coef(fit)
+names(b) <- sub("^I\\((.*)\\)$", "\\1", sub("\\(Intercept\\)", "1", names(b)))
+for (n in names(b)) put("paper_helicopter", "surface", n, "coefficient", b[[n]])
+v <- c("a", "r", "w", "l"); B <- matrix(0, 4, 4, dimnames = list(v, v))
+for (i in 1:4) for (j in 1:4) B[i, j] <- if (i == j) b[paste0(v[i], "^2")] else
+  b[paste(v[min(i, j)], v[max(i, j)], sep = ":")] / 2
+s <- -solve(B, b[v]) / 2
+for (n in v) put("paper_helicopter", "surface", n, "stationary", s[[n]])
+e <- sort(eigen(B)$values)
+for (k in 1:4) put("paper_helicopter", "surface", k, "eigenvalue", e[k])
+a <- anova(fit, lm(y ~ interaction(a, r, w, l, drop = TRUE), d))
+put("paper_helicopter", "surface", "", "lack_of_fit_F", a$F[2])
+put("paper_helicopter", "surface", "", "lack_of_fit_p", a$`Pr(>F)`[2])

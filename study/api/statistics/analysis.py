@@ -12,6 +12,7 @@ from study.api.statistics.notebook import Analysis
 from study.api.statistics.records import rows_for, specimens_of
 from study.api.uncertainty.numerical import numerical_bound
 from study.errors import Fault, InputError, nearest
+from study.tabular import NUMBER
 from study.tidy_csv import read_csv
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from study.analysis.effects.numerical_bound import NumericalBound
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
+
+#: levels from which labels that are numbers are remarked upon: two say no more as numbers
+FEWEST_NUMBERS = 3
 
 
 def _is_csv(path: Path) -> bool:
@@ -33,7 +37,7 @@ def _table(
 ) -> AnalysisResult:
     _check_named(response, factors)
     found = anova(frame, str(response), list(factors), **options)
-    return found.noted(*twin_levels(frame, factors))
+    return found.noted(*twin_levels(frame, factors), *number_levels(frame, factors))
 
 
 def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
@@ -60,12 +64,30 @@ def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     return said
 
 
+def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """Sentences about columns of labels that look like numbers: they are never taken as such.
+
+    Parameters
+    ----------
+    frame, columns
+        As for `twin_levels`.
+    """
+    labels = {name: set(map(str, frame[name])) for name in columns}
+    return [
+        f"the levels of {name!r} are numbers, and are taken as labels: --numeric {name} asks for "
+        "a surface over them"
+        for name, own in labels.items()
+        if len(own) >= FEWEST_NUMBERS and all(NUMBER.fullmatch(one) for one in own)
+    ]
+
+
 def _check_named(response: str | None, factors: Sequence[str]) -> None:
     faults = []
     if response is None:
         faults.append(Fault("--response", "is missing", "name the column of the response"))
     if not factors:
-        faults.append(Fault("--factors", "is missing", "name the columns of the factors"))
+        mend = "name the columns: --factors for labels, --numeric for numbers"
+        faults.append(Fault("--factors", "is missing", mend))
     if faults:
         raise InputError(faults)
 

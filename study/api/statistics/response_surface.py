@@ -12,16 +12,24 @@ import numpy as np
 from study import tabular
 from study.analysis.request import threshold
 from study.arrays import Array
-from study.errors import Fault, InputError, nearest
-from study.response_surface.emulator.blocked import fit_blocks
+from study.errors import Fault, InputError, RefusedError, nearest
+from study.response_surface.emulator.blocked import (
+    BlockedEmulator,
+    fit_blocks,
+    fit_blocks_together,
+)
 from study.response_surface.emulator.emulator import (
+    FEWEST_SETTINGS,
     GRID_LEVELS,
     LARGEST,
+    RUNS_A_FACTOR,
+    Emulator,
     expected_seconds,
     fit_emulator,
+    fit_together,
 )
 from study.response_surface.factors import NumericFactor, Runs
-from study.response_surface.quadratic.surface import fit_quadratic
+from study.response_surface.quadratic.surface import QuadraticSurface, fit_quadratic
 from study.response_surface.result import (
     SurfaceAnalysis,
     analysis_of_emulator,
@@ -41,6 +49,9 @@ BEYOND = 0.2 + 1e-9
 
 #: seconds from which a fit is announced
 LONG = 5.0
+
+#: ``5 mm``: a number with a unit behind it
+_WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/^*]*|%)")
 
 #: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
 _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
@@ -98,11 +109,18 @@ def fit_surface(
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
     runs, left_out = _runs(table, response, numeric, block)
-    if surface == "emulator" or (surface == "auto" and _chosen(runs) == "emulator"):
+    chosen = _chosen(runs) if surface == "auto" else surface
+    if chosen == "emulator":
         _announce(runs, announce)
     elif practical is not None:
         left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
-    found = fit_runs(runs, surface, _difference(practical, runs.response))
+    few = _few(runs)
+    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
+        left_out.append(
+            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
+            f"factor, {', '.join(few)} has fewer"
+        )
+    found = fit_runs(runs, chosen, _difference(practical, runs.response))
     return found.noted(*table.notes, *left_out)
 
 
@@ -132,10 +150,63 @@ def fit_runs(
     RefusedError
         If the runs cannot carry what is asked.
     """
+    return told(fitted(runs, surface), practical, u)
+
+
+def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
+    """Fit runs; arguments and errors as for `fit_runs`."""
     if (_chosen(runs) if surface == "auto" else surface) == "quadratic":
-        return analysis_of_quadratic(fit_quadratic(runs))
-    model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+        return fit_quadratic(runs)
+    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+
+
+def told(
+    model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
+) -> SurfaceAnalysis:
+    """Say what a model means; arguments as for `fit_runs`."""
+    if isinstance(model, QuadraticSurface):
+        return analysis_of_quadratic(model)
     return analysis_of_emulator(model, practical, u)
+
+
+def fitted_together(
+    every: Sequence[Runs], sizes: Sequence[int], surface: str = "auto"
+) -> tuple[Emulator | BlockedEmulator, ...] | None:
+    """Fit one emulator to the runs at all combinations of levels, where that is the better one.
+
+    Where runs are few at each combination, a common emulator is fitted beside one of each; the
+    one is taken that predicts left-out runs better where it predicts them worst.
+
+    Parameters
+    ----------
+    every : sequence of Runs
+        Of each combination; the last factor without numbers changes fastest.
+    sizes : sequence of int
+        Number of levels of each of these factors.
+    surface : {"auto", "quadratic", "emulator"}
+        As for `fit_runs`.
+
+    Returns
+    -------
+    tuple of Emulator or BlockedEmulator, or None
+        One a combination; None where each shall have an emulator of its own, or a quadratic.
+    """
+    wanted = {_chosen(one) if surface == "auto" else surface for one in every}
+    enough = RUNS_A_FACTOR * len(every[0].factors)
+    few = min(len(one.distinct()[0]) for one in every) < enough
+    if len(every) < 2 or wanted != {"emulator"} or not few:
+        return None
+    blocked = len(set(every[0].blocks)) > 1
+    try:
+        common = (fit_blocks_together if blocked else fit_together)(every, sizes)
+    except RefusedError:
+        return None
+    try:
+        apart = [(fit_blocks if blocked else fit_emulator)(one) for one in every]
+    except RefusedError:
+        return common
+    worst = [min(one.q2 for one in models) for models in (common, apart)]
+    return common if worst[0] >= worst[1] else tuple(apart)
 
 
 def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
@@ -152,8 +223,16 @@ def _difference(practical: float | str | None, response: Array) -> float | None:
 
 def _chosen(runs: Runs) -> Literal["quadratic", "emulator"]:
     """Choose by the design: composite designs have three or five settings a factor."""
+    if _few(runs):
+        return "quadratic"
     fills = max(runs.levels()) > GRID_LEVELS
     return "emulator" if len(runs.factors) > FEW or fills else "quadratic"
+
+
+def _few(runs: Runs) -> list[str]:
+    """Name the factors with too few settings for an emulator."""
+    counts = zip(runs.names, runs.levels(), strict=True)
+    return [name for name, count in counts if count < FEWEST_SETTINGS]
 
 
 def _runs(
@@ -172,6 +251,7 @@ def _runs(
         raise InputError(Fault(table.source, "has fewer than two runs with a response"))
     asked = [_asked(item, table) for item in numeric]
     names = [name for name, _, _, _ in asked]
+    _check_plain(table, names)
     if len({*names, response, block}) < len(names) + 2:
         rule = f"a column stands twice among {', '.join(names)}, the response and the block"
         raise InputError(Fault("--numeric", rule, "name every column once"))
@@ -180,6 +260,20 @@ def _runs(
     coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
     labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
     return Runs(response, factors, coded, values[kept], labels), notes
+
+
+def _check_plain(table: CsvTable, names: Sequence[str]) -> None:
+    """Refuse cells with units, once a column: they may differ from row to row."""
+    faults = []
+    for name in names:
+        told = [_WITH_UNIT.fullmatch(cell) for cell in table.text(name)]
+        units = list(dict.fromkeys(one["unit"] for one in told if one is not None))
+        if units:
+            rule = f"has units in its cells: {', '.join(units[:5])}"
+            mend = f"keep numbers in one unit alone, and name it in the header: {name}_{units[0]}"
+            faults.append(Fault(f"{table.source}: column {name!r}", rule, mend))
+    if faults:
+        raise InputError(faults)
 
 
 def _asked(item: str, table: CsvTable) -> tuple[str, float | None, float | None, bool]:

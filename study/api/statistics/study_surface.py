@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study import units
 from study.analysis.request import threshold
-from study.api.statistics.response_surface import fit_runs
+from study.api.statistics.response_surface import fitted, fitted_together, told
 from study.design import overlay
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
+from study.response_surface.emulator.blocked import BlockedEmulator
+from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.factors import NumericFactor, Runs
+from study.response_surface.level_difference import LevelDifference, level_difference
 from study.response_surface.propagation import propagate
 from study.study_result.response_surface import FittedSurface
 
@@ -28,6 +32,9 @@ if TYPE_CHECKING:
 
 #: kinds of a design whose settings are chosen for a surface
 _FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+
+#: surfaces whose error holds everywhere in the ranges
+_EMULATORS = (Emulator, BlockedEmulator)
 
 #: what stands in the place of a table of levels
 SEE_SURFACE = "its factors are numbers: see the surface"
@@ -62,11 +69,64 @@ def surfaces(
     own = [record for record in records if not is_repeat(record.extra)]
     combinations = itertools.product(*(factor.labels for factor in others))
     places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in combinations]
-    return tuple(
-        _fitted(design, response, labels, own, _half_width(response.name, records, numerical))
-        for response in design.responses
-        for labels in places
-    )
+    found: list[FittedSurface] = []
+    for response in design.responses:
+        half_width = _half_width(response.name, records, numerical)
+        asked = _Asked(design, response, half_width)
+        together = _together(asked, places, own)
+        each = [_fitted(asked, labels, own, together.get(place))
+                for place, labels in enumerate(places)]  # fmt: skip
+        first = {factor.name: factor.labels[0] for factor in others}
+        found += [replace(one, differences=_differences(one, each, first)) for one in each]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A response of a design, and the largest numerical half-width of its runs."""
+
+    design: Design
+    response: Response
+    half_width: float | None
+
+    def good(
+        self, labels: Mapping[str, str], records: Sequence[Record]
+    ) -> tuple[list[Record], int]:
+        """Collect the runs with an answer at some levels, and count those without."""
+        here = [r for r in records if all(r.levels[n] == label for n, label in labels.items())]
+        answered = [one for one in here if one.value(self.response.name) is not None]
+        return answered, len(here) - len(answered)
+
+    def runs(self, records: Sequence[Record]) -> Runs:
+        """Code the settings of runs."""
+        return _runs(self.design, self.response.name, records, self.half_width)
+
+
+def _together(
+    asked: _Asked, places: Sequence[Mapping[str, str]], records: Sequence[Record]
+) -> Mapping[int, Emulator | BlockedEmulator]:
+    """Fit the runs at all combinations of levels together, where that tells left-out runs better.
+
+    Parameters
+    ----------
+    places : sequence of mapping
+        Combinations of the levels of factors that are no ranges.
+    records : sequence of Record
+        Runs of the design.
+
+    Returns
+    -------
+    mapping of int to Emulator or BlockedEmulator
+        By the number of the combination; empty where each has a surface of its own.
+    """
+    design = asked.design
+    sizes = [len(f.labels) for f in design.factors if f.span is None]
+    try:
+        every = [asked.runs(asked.good(labels, records)[0]) for labels in places]
+        found = fitted_together(every, sizes, design.analysis.surface)
+    except StudyError:
+        return {}
+    return {} if found is None else dict(enumerate(found))
 
 
 def settings_of(factor: Factor) -> dict[str, float]:
@@ -108,35 +168,54 @@ def _half_width(
 
 
 def _fitted(
-    design: Design,
-    response: Response,
+    asked: _Asked,
     labels: Mapping[str, str],
     records: Sequence[Record],
-    half_width: float | None,
+    model: Emulator | BlockedEmulator | None,
 ) -> FittedSurface:
-    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
-    good = [record for record in here if record.value(response.name) is not None]
+    design, response = asked.design, asked.response
+    good, lost = asked.good(labels, records)
     # each of two settings may be off by its own bound
-    bound = None if half_width is None else 2.0 * half_width
+    bound = None if asked.half_width is None else 2.0 * asked.half_width
     practical = None
-    told = {f.name: f.span.unit for f in design.factors if f.span is not None}
+    units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
     try:
-        runs = _runs(design, response.name, good, half_width)
+        runs = asked.runs(good)
         limit = threshold(response.practical)
         if limit is not None:
             practical = limit.on_scale(float(runs.response.mean()), "none")
-        found = fit_runs(runs, design.analysis.surface, practical, bound or 0.0)
-        found = found.noted(*_left_out(len(here) - len(good)))
+        one = fitted(runs, design.analysis.surface) if model is None else model
+        found = told(one, practical, bound or 0.0).noted(*_left_out(lost))
         uncertain, refused = _propagated(design, found)
         found = found.noted(refused) if refused else found
     except StudyError as error:
         return FittedSurface(
-            response.name, response.unit, None, str(error), labels, practical, bound, told
+            response.name, response.unit, None, str(error), labels, practical, bound, units_of
         )
-    words = {name: one.words(told[name]) for name, one in design.inputs.items()}
+    words = {name: one.words(units_of[name]) for name, one in design.inputs.items()}
     return FittedSurface(
-        response.name, response.unit, found, "", labels, practical, bound, told, uncertain, words
-    )
+        response.name, response.unit, found, "", labels, practical, bound, units_of, uncertain,
+        words,
+    )  # fmt: skip
+
+
+def _differences(
+    one: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
+) -> tuple[LevelDifference, ...]:
+    """Compare a surface with those at the first levels of the other factors, one at a time."""
+    made = []
+    for name, base in first.items():
+        wanted = {**one.labels, name: base}
+        other = next(found for found in each if dict(found.labels) == wanted)
+        models = [None if s.found is None else s.found.model for s in (one, other)]
+        mine, theirs = models
+        if one is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
+            continue
+        limits = [s.practical for s in (one, other) if s.practical is not None]
+        limit = min(limits) if limits else None
+        names = (name, one.labels[name], base)
+        made.append(level_difference(names, (mine, theirs), limit, one.bound or 0.0))
+    return tuple(made)
 
 
 def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | None, str]:

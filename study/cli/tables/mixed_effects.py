@@ -2,13 +2,79 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.cli import output
+from study.cli.tables.surface_tables import names
+from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.analysis.error.mixed_model import MixedModel
+
+
+#: flags that a mixed model has a use for
+USED = frozenset({
+    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
+    "--covariates",
+})  # fmt: skip
+
+
+def show(
+    source: Path,
+    flags: Mapping[str, str | None],
+    model: str | int | list[str] | None,
+    alpha: float | None,
+    results: Path,
+    as_json: bool,
+) -> None:
+    """Fit a mixed model and print it.
+
+    Parameters
+    ----------
+    source : Path
+        Results of a study, or a tidy CSV.
+    flags : mapping of str to str or None
+        Flags of the command, as they were given.
+    model : str, int, list of str or None
+        Terms, as it was read.
+    alpha : float or None
+        Size of the tests.
+    results : Path
+        Where results are kept.
+    as_json : bool
+        Whether a program reads it.
+    """
+    from study.api.statistics.mixed_effects import fit_mixed_model
+
+    unused = [flag for flag, value in flags.items() if value and flag not in USED]
+    if unused:
+        rule = "has no meaning for a mixed model"
+        raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
+    level = 0.05 if alpha is None else alpha
+    found = fit_mixed_model(
+        source, flags["--response"], names(flags["--factors"]), block=flags["--block"],
+        random=names(flags["--random"]), covariates=names(flags["--covariates"]),
+        model=model, alpha=level, results=results,
+        decimal=flags["--decimal"] or ".",
+    )  # fmt: skip
+    if as_json:
+        output.print_json(mixed_json(found, level))
+        return
+    print_mixed(found, level)
+
+
+def check_none(flags: Mapping[str, str | None]) -> None:
+    """Refuse what only a mixed model has, where none is asked for."""
+    faults = [
+        Fault(flag, "belongs to a mixed model", "add --error reml")
+        for flag in ("--random", "--covariates")
+        if flags[flag]
+    ]
+    if faults:
+        raise InputError(faults)
 
 
 def mixed_json(found: MixedModel, alpha: float) -> dict[str, object]:

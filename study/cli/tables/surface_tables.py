@@ -93,7 +93,7 @@ def _page(
     given = {flag: value for flag, value in flags.items() if value} | asked
     limit = threshold(flags["--practical"])
     practical = None if limit is None else limit.on_scale(float(found.runs.response.mean()), "none")
-    formats = [one.strip() for one in (flags["--format"] or "").split(",") if one.strip()]
+    formats = names(flags["--format"])
     return write_surface_page(
         found,
         folder,
@@ -126,6 +126,17 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
         raise InputError(faults)
 
 
+def names(text: str | None) -> list[str]:
+    """Read names with commas between them.
+
+    Examples
+    --------
+    >>> names("time, temperature,")
+    ['time', 'temperature']
+    """
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
 def settings(text: str) -> dict[str, str]:
     """Read ``thickness=3 mm,C10=5 kPa``.
 
@@ -156,6 +167,10 @@ def print_predictions(found: Sequence[Predicted]) -> None:
         ends = f"{one.low[0]:.4g} to {one.high[0]:.4g}"
         rows.append([one.response, f"{one.value[0]:.4g} {one.unit}".strip(), ends])
     output.table(rows)
+    output.paragraph(
+        "predicted by a surface fitted to the runs; about 95 of 100 simulations at such settings "
+        "lie in their interval"
+    )
 
 
 def print_fitted(one: FittedSurface) -> None:
@@ -163,9 +178,15 @@ def print_fitted(one: FittedSurface) -> None:
     if one.found is None:
         return
     at = ", ".join(f"{name} = {label}" for name, label in one.labels.items())
-    unit = f" in {one.unit}" if one.unit else ""
+    unit, in_unit = (f" in {one.unit}", f" {one.unit}") if one.unit else ("", "")
     print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
     print_surface(one.found)
+    for told in one.differences:
+        output.paragraph(
+            f"{told.factor} = {told.level} less {told.other}: {told.mean:.3g}{in_unit} on average "
+            f"over the ranges, {told.low:.3g} to {told.high:.3g} at 95 % of the settings "
+            f"(each +- {told.bound:.2g}): {told.verdict}"
+        )
     _print_uncertain(one)
 
 

@@ -80,7 +80,7 @@ def _filled(
     own = request.seed if seed is None else seed
     words = f"{kind.replace('-', ' ')}: {runs} cells, seed {own}".capitalize()
     note = (
-        "every level of a range stands in one cell: fit a model of the values to the table of "
-        "cases; an analysis of levels cannot tell the factors apart"
+        "every setting of a range stands in one cell: no table of levels, but a surface over the "
+        "ranges tells the factors apart; study run fits it"
     )
     return placed(request, kind, draw(len(request.factors), runs, own), words, note)

@@ -19,6 +19,9 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "lognormal": ("median", "factor"),
 }
 
+#: all keys of a distribution
+DISTRIBUTION_KEYS = ("distribution", *dict.fromkeys(k for own in PARAMETERS.values() for k in own))
+
 
 @dataclass(frozen=True)
 class InputDistribution:

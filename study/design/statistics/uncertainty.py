@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from study import units
 from study.design import overlay
 from study.design.diagnostics import Faults, Table, entries, noted
-from study.design.sections.distribution import PARAMETERS, InputDistribution
+from study.design.sections.distribution import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
 from study.design.spec import Factor, Span
 from study.errors import UnitError, nearest
 from study.setup.quantity import number, quantity, shown
@@ -27,7 +27,6 @@ from study.setup.text import choice
 #: most of a distribution that may lie outside of the range that is run, and is cut off
 MOST_OUTSIDE = 0.05
 
-_KEYS = ("distribution", *dict.fromkeys(name for own in PARAMETERS.values() for name in own))
 _EXAMPLE = '{ distribution = "normal", mean = "7 kPa", sd = "0.5 kPa" }'
 
 
@@ -86,7 +85,7 @@ def _grouped(table: Table) -> dict[str, object]:
     own: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, last = key.rpartition(".")
-        if name and last in _KEYS and not overlay.may_vary(key):
+        if name and last in DISTRIBUTION_KEYS and not overlay.may_vary(key):
             found[name] = own.setdefault(name, {})
             own[name][last] = value
         else:

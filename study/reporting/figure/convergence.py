@@ -102,7 +102,12 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
     order_seen = part["observed_order"].iloc[0]
     known = order_seen is not None and np.isfinite(order_seen)
     text = f"order {order_seen:.2f}" if known else str(part["behaviour"].iloc[0])
-    ax.text(0.97, 0.05, text, transform=ax.transAxes, ha="right", fontsize=7.5, color=MUTED)
+    # away from the point of the coarsest mesh, which stands at the right
+    below = v[int(h.argmax())] > 0.5 * (v.min() + v.max())
+    place, side = (0.05, "bottom") if below else (0.95, "top")
+    ax.text(
+        0.97, place, text, transform=ax.transAxes, ha="right", va=side, fontsize=7.5, color=MUTED
+    )
     ax.set_xlim(left=0)
     ax.margins(y=0.15)
     plain_ticks(ax, "y")

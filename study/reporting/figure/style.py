@@ -227,6 +227,7 @@ def name_rows(
     """
     at = list(places)
     ax.set_yticks(at, [""] * len(at))
+    ax.tick_params(axis="y", length=0)  # a tick would touch the name that ends at the axis
     for place, name in zip(at, names, strict=True):
         lines = name.split("\n")
         for number, line in enumerate(lines):

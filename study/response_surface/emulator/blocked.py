@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,12 @@ from scipy import stats
 from study.arrays import Array
 from study.errors import Fault, RefusedError
 from study.response_surface.emulator.effect_ranges import EffectRange, Small
-from study.response_surface.emulator.emulator import Emulator, Gate, fit_emulator
+from study.response_surface.emulator.emulator import (
+    Emulator,
+    Gate,
+    fit_emulator,
+    fit_together,
+)
 from study.response_surface.emulator.sobol_indices import SAMPLE_ERROR, SobolIndex
 from study.response_surface.factors import Runs
 
@@ -130,19 +135,47 @@ def fit_blocks(runs: Runs, seed: int = 0) -> BlockedEmulator:
     RefusedError
         If there are fewer blocks, or a block cannot carry an emulator.
     """
+    found = {name: fit_emulator(_of_block(runs, name), seed) for name in _blocks(runs)}
+    return BlockedEmulator(runs, found)
+
+
+def fit_blocks_together(
+    runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0
+) -> tuple[BlockedEmulator, ...]:
+    """Fit one process a block to its runs of all combinations of categories.
+
+    Parameters
+    ----------
+    runs, sizes, seed
+        As for `fit_together`; every combination has runs of the same blocks.
+
+    Raises
+    ------
+    RefusedError
+        As for `fit_blocks` and `fit_together`.
+    """
+    every = [_blocks(one) for one in runs]
+    if any(set(one) != set(every[0]) for one in every):
+        rule = "the combinations of levels have runs of other blocks"
+        raise RefusedError(str(Fault("emulator", rule, "run every block at each of them")))
+    found = {
+        name: fit_together([_of_block(one, name) for one in runs], sizes, seed) for name in every[0]
+    }
+    return tuple(
+        BlockedEmulator(one, {name: own[place] for name, own in found.items()})
+        for place, one in enumerate(runs)
+    )
+
+
+def _blocks(runs: Runs) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(runs.blocks))
     if len(names) < FEWEST:
         rule = f"{len(names)} blocks have no interval, at least {FEWEST} are needed"
         mend = "analyze the rows of one block at a time, without --block"
         raise RefusedError(str(Fault("--block", rule, mend)))
-    block = np.array(runs.blocks)
-    own = {name: block == name for name in names}
-    return BlockedEmulator(
-        runs,
-        {
-            name: fit_emulator(
-                Runs(runs.name, runs.factors, runs.coded[rows], runs.response[rows]), seed
-            )
-            for name, rows in own.items()
-        },
-    )
+    return names
+
+
+def _of_block(runs: Runs, name: str) -> Runs:
+    rows = np.array(runs.blocks) == name
+    return Runs(runs.name, runs.factors, runs.coded[rows], runs.response[rows])

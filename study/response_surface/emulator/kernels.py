@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from study.arrays import Array
+from study.arrays import Array, Ints
+from study.response_surface.emulator.category_correlation import CategoryCorrelation
 
 Family = Literal["Matern 5/2", "Gaussian"]
 FAMILIES: tuple[Family, ...] = ("Matern 5/2", "Gaussian")
@@ -27,17 +28,23 @@ class Kernel:
         Twice differentiable, or without end.
     lengths : array, shape (k,)
         Length scales, in the unit box.
+    categories : CategoryCorrelation, optional
+        Where the runs belong to combinations of categories: points have the number of theirs in
+        a last column, and correlations are multiplied by those of the combinations.
     """
 
     family: Family
     lengths: Array
+    categories: CategoryCorrelation | None = None
 
     def correlation(self, x: Array, other: Array) -> Array:
         """Correlations, shape (n, m), of points of shape (n, k) and (m, k)."""
         if self.family == "Gaussian":
-            return np.asarray(np.exp(-0.5 * self._squared(x, other)))
-        a = np.sqrt(5.0 * self._squared(x, other))
-        return np.asarray((1.0 + a + a * a / 3.0) * np.exp(-a))
+            found = np.asarray(np.exp(-0.5 * self._squared(x, other)))
+        else:
+            a = np.sqrt(5.0 * self._squared(x, other))
+            found = np.asarray((1.0 + a + a * a / 3.0) * np.exp(-a))
+        return self._among(found, x, other)
 
     def with_slope(self, x: Array) -> tuple[Array, Array]:
         """Correlations R of points of shape (n, k), and H: dR/d ln l_j = H (x_ij - x_kj)^2/l_j^2.
@@ -46,11 +53,32 @@ class Kernel:
         """
         squared = self._squared(x, x)
         if self.family == "Gaussian":
-            r = np.exp(-0.5 * squared)
+            r = self._among(np.exp(-0.5 * squared), x, x)
             return r, r
         a = np.sqrt(5.0 * squared)
-        decay = np.exp(-a)
+        decay = self._among(np.exp(-a), x, x)
         return (1.0 + a + a * a / 3.0) * decay, 5.0 / 3.0 * (1.0 + a) * decay
+
+    def numbers(self, x: Array) -> Array:
+        """Columns (n, k) of the points that are no categories."""
+        return x[:, : self.lengths.size]
+
+    def combination(self, x: Array) -> Ints:
+        """Give the combination of categories of each point, shape (n,); 0 where there are none."""
+        if self.categories is None:
+            return np.zeros(len(x), dtype=np.int64)
+        return np.asarray(x[:, -1], dtype=np.int64)
+
+    def constants(self, x: Array) -> Array:
+        """Columns (n, p) of the constant mean of every combination of categories."""
+        p = 1 if self.categories is None else len(self.categories.matrix)
+        return np.asarray(np.eye(p)[self.combination(x)])
+
+    def _among(self, found: Array, x: Array, other: Array) -> Array:
+        if self.categories is None:
+            return found
+        rows, columns = self.combination(x), self.combination(other)
+        return np.asarray(found * self.categories.matrix[np.ix_(rows, columns)])
 
     def frequencies(self, rng: np.random.Generator, n: int) -> Array:
         """Draw frequencies, shape (n, k), from the spectrum of the correlation (Bochner)."""
@@ -60,4 +88,5 @@ class Kernel:
         return np.asarray(normal / self.lengths)
 
     def _squared(self, x: Array, other: Array) -> Array:
-        return np.asarray(cdist(x / self.lengths, other / self.lengths, "sqeuclidean"))
+        scaled = (self.numbers(points) / self.lengths for points in (x, other))
+        return np.asarray(cdist(*scaled, "sqeuclidean"))

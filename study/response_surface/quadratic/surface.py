@@ -11,7 +11,7 @@ from scipy import stats
 from study.arrays import Array, Flags, Ints
 from study.errors import Fault, RefusedError
 from study.response_surface.extremes import Extreme, box_points, extremes
-from study.response_surface.factors import Runs
+from study.response_surface.factors import Runs, change_together
 from study.response_surface.quadratic.hypotheses import FTest, against_blocks, lack_of_fit
 from study.response_surface.quadratic.least_squares import (
     LeaveOneOut,
@@ -240,6 +240,12 @@ def _surface(
     smallest, largest = extremes(polynomial.value, polynomial.k, half_width)
     linear = [n for n, count in zip(runs.names, runs.levels(), strict=True) if count == 2]
     said = [f"{name} has two settings: linear only" for name in linear]
+    together = change_together(runs)
+    if together:
+        said.append(
+            f"{', '.join(together[:-1])} and {together[-1]} change together in every run: what one "
+            "does is not told from the others, and nothing is known where they change alone"
+        )
     if loo is None:
         said.append("as many coefficients as runs: no error of the surface can be told; add runs")
     elif not loo.q2 >= CARRIED:

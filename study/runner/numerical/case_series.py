@@ -108,7 +108,10 @@ class CaseSeries:
 
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
-        sizes = [float(record.mesh.get("mesh_size_mm", 0.0)) for record in records]
+        asked = {job.case.case_id: job.case for job in self.jobs}
+        # another program does not say what its mesh is: it was asked for this one
+        sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
+                 for r in records]  # fmt: skip
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         return tuple(series_sizes(sizes, elements, self.base.case.config, anchor=0))
 

@@ -123,7 +123,34 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         for item in found.sensitivity
         if item.range is not None and item.range.claims
     ]
-    return (accuracy(one), *_shape(one, data), *ends, *confirm, *uncertainty.lines(one, data))
+    return (
+        accuracy(one),
+        *_shape(one, data),
+        *(differences(one, data)),
+        *ends,
+        *confirm,
+        *uncertainty.lines(one, data),
+    )
+
+
+def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
+    """Say what another level of a factor without numbers changes over the ranges."""
+    unit = clean(one.unit)
+    for told in one.differences:
+        word = "more" if told.mean >= 0 else "less"
+        ends = (told.low, told.high) if told.mean >= 0 else (-told.high, -told.low)
+        said = {
+            MATTERS: "this matters",
+            NO_DIFFERENCE: "this makes no practical difference at any setting",
+        }.get(told.verdict, "these runs cannot show whether this matters")
+        judged = "" if one.practical is None else f"; against {one.practical:.3g} {unit}, {said}"
+        yield sentence(
+            f"{name_of(one.response, data.labels)} with {name_of(told.factor, data.labels)} "
+            f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
+            f"{clean(told.other)} on average over the ranges, and between "
+            f"{significant(ends[0])} and {quantity(ends[1], unit)} {word} at 95 % of the settings "
+            f"(each \N{PLUS-MINUS SIGN} {significant(told.bound, 2)}){judged}"
+        )
 
 
 def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
@@ -222,7 +249,8 @@ def _answer(one: FittedSurface, data: ReportData) -> str:
             for place, (name, size) in enumerate(moved.items())
         ]
         said = f"over its range, {listing(sizes)}"
-    parts = (f"{named}: {said}.", _judged(one, data), accuracy(one), *uncertainty.answer(one, data))
+    beside = (_judged(one, data), *differences(one, data), accuracy(one))
+    parts = (f"{named}: {said}.", *beside, *uncertainty.answer(one, data))
     return " ".join(text for text in parts if text)
 
 

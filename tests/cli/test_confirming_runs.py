@@ -1,0 +1,245 @@
+"""Runs that confirm a best setting: of other programs, in blocks, and beside lists of levels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import study as public
+from study.api.statistics.confirmation import Permission
+from study.forward.python_function import PythonFunction
+from study.response_surface.emulator.emulator import fit_together
+from study.response_surface.level_difference import level_difference
+from study.runner.fitting.external_model import Allowed
+from study.study_result.study_result import StudyResult
+from tests.cli.small import Answer, study
+from tests.response_surface import functions
+
+#: the force is a product of functions of four inputs, one of which is no number
+DESIGN = """
+schema = 1
+[study]
+name = "product"
+[specimen]
+shape = "cylinder"
+radius = "10 mm"
+height = "20 mm"
+[test]
+kind = "compression"
+interface = "frictionless"
+displacement = "1 mm"
+steps = 1
+[material]
+model = "reduced-polynomial"
+C10 = "5 kPa"
+C20 = "1 kPa"
+poisson_ratio = 0.45
+[forward]
+model = "python"
+[factors]
+material.C10 = { low = "5 kPa", high = "15 kPa" }
+material.C20 = { low = "1 kPa", high = "3 kPa" }
+specimen.height = { low = "18 mm", high = "22 mm" }
+test.interface = ["frictionless", "bonded"]
+[design]
+kind = "latin-hypercube"
+runs = 48
+[[response]]
+name = "peak_force"
+practical = "0.2 N"
+[report]
+format = ["csv"]
+"""
+
+PROGRAM = """
+import csv, json
+problem = json.load(open("problem.json"))
+constants, height = problem["material"]["constants_MPa"], problem["specimen"]["height_mm"]
+x, z = 100 * constants["C10"] - 0.5, (height - 18) / 4
+share = 2.718281828459045 ** x * (2 + z * z) * (1 + 250 * constants["C20"])
+own = 3.0 if problem["test"]["interface"] == "bonded" else 1.0
+rows = [["displacement_mm", "force_N"], *([d, own * share * d] for d in problem["displacement_mm"])]
+csv.writer(open("curve.csv", "w", newline="")).writerows(rows)
+"""
+COMMAND = DESIGN.replace(
+    'model = "python"',
+    'model = "command"\nargv = [["python", "product.py"]]\nfiles = ["product.py"]',
+).replace("runs = 48", "runs = 30")
+
+BLOCKED = (
+    DESIGN.replace(
+        '[forward]\nmodel = "python"\n',
+        """[measurements]
+file = "m.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+block = "mix"
+points = 10
+range = ["1 %", "10 %"]
+[calibration]
+method = "none"
+""",
+    )
+    .replace('displacement = "1 mm"\n', "")
+    .replace("poisson_ratio = 0.45", "incompressible = true")
+)
+BLOCKED = (
+    BLOCKED[: BLOCKED.index("material.C20 = {")]
+    + """[design]
+kind = "latin-hypercube"
+runs = 20
+[[response]]
+name = "relative_rms_force_error"
+practical = "1 pp"
+[report]
+format = ["csv"]
+"""
+)
+
+
+#: means and mean squares of exp(x), 1.25 + y/2 and 2 + z^2 over the unit box, and points there
+MEANS = np.array([np.e - 1, 1.5, 7 / 3])
+SQUARES = np.array([(np.e**2 - 1) / 2, (1.75**3 - 1.25**3) / 1.5, 4 + 4 / 3 + 1 / 5])
+X = np.random.default_rng(5).random((4000, 3))
+
+
+def forward(problem):  # type: ignore[no-untyped-def]
+    """Give the product as a function: what `forward.model = "python"` stands for."""
+    constants, height = problem["material"]["constants_MPa"], problem["specimen"]["height_mm"]
+    x, z = 100 * constants["C10"] - 0.5, (height - 18) / 4
+    share = 2.718281828459045**x * (2 + z * z) * (1 + 250 * constants["C20"])
+    own = 3.0 if problem["test"]["interface"] == "bonded" else 1.0
+    return [own * share * d for d in problem["displacement_mm"]]
+
+
+@pytest.fixture(scope="module")
+def product(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
+    home = tmp_path_factory.mktemp("product")
+    (home / "product.toml").write_text(DESIGN)
+    found = public.run(
+        home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
+        version="1",
+    )  # fmt: skip
+    return home, found
+
+
+def test_indices_beside_a_list_of_levels_are_those_of_a_product(
+    product: tuple[Path, StudyResult],
+) -> None:
+    """24 runs a level, which learn from each other; shares do not depend on the level."""
+    parts = SQUARES / MEANS**2 - 1
+    whole = np.prod(1 + parts) - 1
+    first = parts / whole
+    total = 1 - (np.prod(1 + parts) / (1 + parts) - 1) / whole
+    _, found = product
+    assert [dict(one.labels)["test.interface"] for one in found.surfaces] == [
+        "frictionless", "bonded",
+    ]  # fmt: skip
+    for one in found.surfaces:
+        told = one.to_json()
+        surface, rows = told["surface"], told["sensitivity"]
+        assert surface["category_correlation"][0] > 0.9
+        assert surface["q2"] > 0.99
+        for row, s, t in zip(rows, first, total, strict=True):
+            assert row["S_interval"][0] <= s <= row["S_interval"][1]
+            assert row["T_interval"][0] <= t <= row["T_interval"][1]
+
+
+def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) -> None:
+    """Bonded less frictionless is twice the product: its mean is that of the means."""
+    _, found = product
+    first, second = found.surfaces
+    assert first.differences == ()
+    (told,) = second.differences
+    assert (told.factor, told.level, told.other) == ("test.interface", "bonded", "frictionless")
+    assert told.mean == pytest.approx(2 * np.prod(MEANS), rel=0.02)
+    box = 2 * (np.exp(X[:, 0]) * (1.25 + 0.5 * X[:, 1]) * (2 + X[:, 2] ** 2))
+    ends = np.quantile(box, [0.025, 0.975])
+    assert [told.low, told.high] == pytest.approx(ends, rel=0.05)  # of 256 points
+    assert told.verdict == "matters"
+    assert second.to_json()["differences"] == [told.to_json()]
+
+
+def test_a_level_that_changes_nothing_makes_no_practical_difference() -> None:
+    x = functions.hypercube(2, 40, 1)
+    y = np.sin(3 * x[:, 0]) + x[:, 1]
+    same = (functions.unit_runs(x[:20], y[:20]), functions.unit_runs(x[20:], y[20:] + 0.01))
+    first, second = fit_together(same, (2,))
+    told = level_difference(("f", "b", "a"), (second, first), 0.2)
+    assert told.mean == pytest.approx(0.01, abs=1e-3)
+    assert told.verdict == "no practical difference"
+    assert level_difference(("f", "b", "a"), (second, first), 0.011).verdict == "cannot tell"
+    assert level_difference(("f", "b", "a"), (second, first), None).verdict == "cannot tell"
+
+
+def test_a_level_is_chosen_with_the_numbers_and_confirmed_by_the_function(
+    product: tuple[Path, StudyResult],
+) -> None:
+    _, found = product
+    allowed = Allowed(function=PythonFunction.of(forward, "1"))
+    (told,) = public.optimize(found, maximize="peak_force", permission=Permission(allowed=allowed))
+    assert told.settings["test.interface"] == "bonded"
+    assert told.confirmed is not None
+    assert told.confirmed.predicted
+    (own,) = [one for one in public.report(found.folder, reports=None).surfaces
+              if dict(one.labels) == {"test.interface": "bonded"}]  # fmt: skip
+    assert own.found is not None
+    assert own.found.runs.response.size == 25
+
+
+def test_a_program_confirms_once_it_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "product.toml").write_text(COMMAND)
+    (tmp_path / "product.py").write_text(PROGRAM)
+    answer = study("run", "product.toml", "--jobs", 1, "--allow-commands", "--json")
+    assert answer.code == 0, answer.err
+    asked = ("optimize", "product", "--minimize", "peak_force", "--json")
+    refused = study(*asked)
+    assert refused.code == 3
+    assert "--allow-commands" in refused.err
+    assert _runs(tmp_path) == 30
+    answer = study(*asked, "--allow-commands")
+    assert answer.code == 0, answer.err
+    (one,) = answer.json["recommendations"]
+    assert one["settings"]["test.interface"] == "frictionless"
+    at = one["settings"]
+    x, z = at["material.C10"] / 10 - 0.5, (at["specimen.height"] - 18) / 4
+    exact = np.exp(x) * (2 + z * z) * (1 + at["material.C20"] / 4)
+    # settings of a run are rounded to a ten-thousandth of their range
+    assert one["confirmed"]["values"]["peak_force"] == pytest.approx(exact, rel=1e-3)
+    # the least product is that of the least factors that were run at this level
+    assert set(one["at_end_of_range"]) == {"material.C10", "material.C20", "specimen.height"}
+    assert one["confirmed"]["inside_interval"]
+    assert _runs(tmp_path) == 31
+
+
+def test_every_block_confirms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four cylinders of 7 to 10 kPa: the constant that is least wrong for all lies between."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "product.toml").write_text(BLOCKED)
+    stretch = 1 - np.linspace(0, 2, 21) / 20
+    lines = ["mix,d,f"]
+    for mix, c10 in zip("ABCD", (7.0, 8.0, 9.0, 10.0), strict=True):
+        force = np.pi * 100 * 2e-3 * c10 * (stretch**-2 - stretch)
+        lines += [f"{mix},{20 * (1 - x):.6g},{f:.8g}" for x, f in zip(stretch, force, strict=True)]
+    (tmp_path / "m.csv").write_text("\n".join(lines) + "\n")
+    asked = ("--data", ".", "--json")
+    answer = study("run", "product.toml", "--jobs", 1, *asked)
+    assert answer.code == 0, answer.err
+    before = _runs(tmp_path)
+    answer = study("optimize", "product", "--minimize", "relative_rms_force_error", *asked)
+    assert answer.code in (0, 1), answer.err
+    (one,) = answer.json["recommendations"]
+    assert 7.0 <= one["settings"]["material.C10"] <= 10.0
+    assert _runs(tmp_path) == before + 4
+
+
+def _runs(folder: Path) -> int:
+    """Count the runs of all surfaces of the study in a folder."""
+    answer: Answer = study("report", "product", "--json")
+    assert answer.code == 0, answer.err
+    return sum(one["runs"] for one in answer.json["surfaces"])
