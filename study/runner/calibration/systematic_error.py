@@ -91,7 +91,8 @@ def mesh_error(
     coarser = _coarser(config)
     if coarser is None:
         return np.zeros_like(found.fit.values)
-    other = calibrate(coarser, root, progress=progress)
+    # from the same minimum: the distance to another one is no error of the mesh
+    other = calibrate(coarser, root, progress=progress, begin=found.fit.constants())
     if not other.converged:
         raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
                            "take a finer mesh")  # fmt: skip
@@ -113,4 +114,5 @@ def _coarser(config: Tables) -> Tables | None:
             mend = 'write mesh = "medium" or "fine" in [model]'
             raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
         model = {**model, "mesh": MESH_LEVELS[level - 1]}
-    return {**config, "model": model, "tests": [{**test, "model": model}]}
+    once = {**config["calibration"], "starts": 1}
+    return {**config, "model": model, "calibration": once, "tests": [{**test, "model": model}]}
