@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.fit import Fit
 from study.errors import Fault, InputError, RefusedError
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import in_order, problem_of, read_tests
@@ -24,7 +25,7 @@ from study.setup.setup import MESH_LEVELS
 _RATIO = 1.5
 
 
-def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float) -> Array:
+def zero_error(config: Tables, root: Path, found: Fit, zero: float) -> Array:
     """Change of the constants by a shift of all forces of one test.
 
     Parameters
@@ -33,7 +34,7 @@ def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float
         Calibration of this test alone.
     root : Path
         Data root.
-    found : CalibrationResult
+    found : Fit
         Its converged fit.
     zero : float
         Standard uncertainty of the force's zero, over the largest force.
@@ -45,9 +46,9 @@ def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float
     """
     curves = in_order(read_tests(config["tests"], root)[0])
     rows, shifts = [], []
-    for measured, predicted in zip(curves, found.fit.curves, strict=True):
+    for measured, predicted in zip(curves, found.curves, strict=True):
         curve, weight = measured.measured.curve, np.asarray(measured.weight)
-        slopes = [predicted.gradient_at(n, curve.displacement_mm) for n in found.fit.names]
+        slopes = [predicted.gradient_at(n, curve.displacement_mm) for n in found.names]
         rows.append((weight * np.array(slopes)).T)
         shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
     jacobian = np.concatenate(rows)
