@@ -219,3 +219,45 @@ def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -
         assert alphas == pytest.approx([alpha, alpha], rel=0.2)
         assert found["verdict"] != "differ", found["sentence"]
         assert found["p"] > 0.05
+
+
+def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
+    """Tension and simple shear of one Ogden solid, mu = 2 kPa, 1 % of noise."""
+    mu, share = 2.0, np.linspace(0.01, 0.3, 25)
+    stretch = 1 + share
+    longest = 0.5 * (share + np.sqrt(share**2 + 4))
+    by_kind = {
+        "tension": 2 * mu / alpha * (stretch ** (alpha - 1) - stretch ** (-alpha / 2 - 1)),
+        "simple-shear": 2 * mu / alpha * (longest**alpha - longest**-alpha)
+        / (longest + 1 / longest),
+    }  # fmt: skip
+    text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
+    for kind, exact in by_kind.items():
+        s = exact + 0.01 * np.abs(exact).max() * rng.normal(size=share.size)
+        rows = ["e,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(share, s, strict=True))]
+        (folder / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
+        text += TEST.format(kind=kind, file=kind).replace("stretch", "strain").replace('"l"', '"e"')
+    path = folder / "ogden.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_test_that_stops_at_a_higher_minimum_is_fitted_from_the_others(tmp_path: Path) -> None:
+    """From its own start tension ends near alpha = 0, with five times the sum of squares."""
+    path = ogden_solid(tmp_path, -8.0, np.random.default_rng(11))
+    found = calibrated(path, "--by", "test")
+    for one in found["groups"]:
+        alpha = one["parameters"]["alpha1"]
+        assert abs(alpha["value"] + 8) < 4 * alpha["standard_error"]
+    assert found["form"] == "score"
+    assert found["verdict"] != "differ", found["sentence"]
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+@pytest.mark.parametrize("alpha", [-8.0, -3.0, 3.0, 8.0])
+def test_one_ogden_solid_is_told_apart_at_the_nominal_rate(tmp_path: Path, alpha: float) -> None:
+    """200 materials; at 0.05, three binomial standard deviations are 0.046."""
+    rng = np.random.default_rng(11)
+    p = [calibrated(ogden_solid(tmp_path, alpha, rng), "--by", "test")["p"] for _ in range(200)]
+    assert np.mean(np.array(p) < 0.05) <= 0.05 + 0.046

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.identifiability import identify
-from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
 from study.calibration.profile_likelihood import profile
@@ -33,21 +32,17 @@ from study.runner.calibration.measured_tests import (
     read_tests,
     warnings_of,
 )
-from study.runner.calibration.multistart import Starts, best, excluded, scattered
-from study.runner.calibration.nuisance.propagation import predicted, with_nuisance
+from study.runner.calibration.nuisance.propagation import predicted
 from study.runner.calibration.optimal_design import next_tests
 from study.runner.calibration.result import CalibrationResult, CurveFit, PartialFit
+from study.runner.calibration.search import Setting, from_all_starts, setting_of
 from study.runner.fitting import fit_task
 from study.runner.fitting.fit_summary import status_of
 from study.runner.fitting.staged_fit import (
     Checkpoint,
     Progress,
     Staged,
-    begun_stage,
-    cheaper,
-    staged_fit,
 )
-from study.runner.fitting.starts import gentler
 from study.runner.provenance import code_version
 from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
@@ -61,32 +56,6 @@ if TYPE_CHECKING:
 _ORDERED = 0.5
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """What all fits of one calibration share."""
-
-    config: Tables
-    tests: Sequence[Tables]
-    names: tuple[str, ...]
-    start: Array
-    bounds: Sequence[tuple[float, float]] | None
-    progress: Progress | None
-    #: what was done to a start outside the bounds, in words
-    moved: tuple[str, ...] = ()
-
-    def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
-        """Fit to the curves whose role is ``fit``."""
-        parts = parts_of(self.tests, in_order(curves))
-        done = staged_fit(
-            parts, self.names, self.start, fit_task.model, bounds=self.bounds,
-            progress=self.progress, checkpoint=checkpoint,
-        )  # fmt: skip
-        measured = [one for part in parts for one in part.measured]
-        found = with_serial_correlation(done.fit, measured)
-        own = in_order(curves)
-        return replace(done, fit=with_nuisance(found, parts, self.tests, own, self.bounds))
-
-
 def calibrate(
     config: Tables,
     root: Path,
@@ -95,6 +64,7 @@ def calibrate(
     profiles: bool = False,
     resamples: int = 0,
     folder: Path | None = None,
+    begin: Mapping[str, float] | None = None,
 ) -> CalibrationResult:
     """Fit one material to all tests of a calibration at once.
 
@@ -112,6 +82,8 @@ def calibrate(
         How many resampled fits give bootstrap intervals; 0 for none.
     folder : Path, optional
         Where accepted iterations are kept, so that an interrupted calibration can go on.
+    begin : mapping of str to float, optional
+        Constants to start from, MPa (exponents plain), in place of the calibration's own start.
 
     Raises
     ------
@@ -122,8 +94,8 @@ def calibrate(
     curves, notes = read_tests(config["tests"], root)
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
-    setting = _setting(config, curves, progress, checkpoint)
-    done, starts = _from_all_starts(setting, curves, setting.fitted(curves, checkpoint))
+    setting = setting_of(config, curves, progress, checkpoint, begin)
+    done, starts = from_all_starts(setting, curves, setting.fitted(curves, checkpoint))
     found = done.fit
     specimens = tuple(_partial(setting, label, group) for label, group in own.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
@@ -158,112 +130,6 @@ def _checkpoint(folder: Path | None, config: Tables, curves: Sequence[FitCurve])
     return Checkpoint(folder / "calibration.checkpoint.json", key)
 
 
-def _setting(
-    config: Tables, curves: Sequence[FitCurve], progress: Progress | None, checkpoint: Checkpoint
-) -> _Setting:
-    tests, given = config["tests"], config["calibration"]["bounds"]
-    names, start = _start(tests, curves, progress, checkpoint)
-    bounds = bounds_of(config, names)
-    low, high = np.array(bounds).T
-    inside = np.clip(start, low, high)
-    outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
-    if outside and config["material"].get("constants"):
-        raise InputError([excluded(n, start[names.index(n)], given[n]) for n in outside])
-    moved = tuple(
-        f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
-        for n in outside
-    )
-    finite = np.isfinite(bounds).any()
-    return _Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
-
-
-def bounds_of(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
-    """Bounds of the file; else those beyond which an energy is not defined.
-
-    Parameters
-    ----------
-    config : mapping
-        Of a calibration.
-    names : sequence of str
-        Constants.
-
-    Returns
-    -------
-    list of (low, high)
-        MPa (exponents plain); may be infinite.
-    """
-    section, given = MaterialSection.of(config["material"]), config["calibration"]["bounds"]
-    return [given.get(n) or section.bounds(n) for n in names]
-
-
-def _from_all_starts(
-    setting: _Setting, curves: Sequence[FitCurve], own: Staged
-) -> tuple[Staged, Starts | None]:
-    """Fit from the other starts that were asked for; the least sum of squares is the answer."""
-    asked = setting.config["calibration"]
-    count, seed = int(asked.get("starts", 1)), int(asked.get("seed", 0))
-    if count == 1:
-        return own, None
-    rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
-    energy, found = setting.config["material"]["model"], [own]
-    for _ in range(count - 1):
-        start = scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
-        found.append(replace(setting, start=start, progress=None).fitted(curves))
-    rss = tuple(one.fit.rss if one.fit.converged else None for one in found)
-    chosen = best(found)
-    evaluations = sum(one.evaluations for one in found if one is not chosen)
-    return replace(chosen, fruitless=chosen.fruitless + evaluations), Starts(seed, rss)
-
-
-def _start(
-    tests: Sequence[Tables],
-    curves: Sequence[FitCurve],
-    progress: Progress | None,
-    checkpoint: Checkpoint,
-) -> tuple[tuple[str, ...], Array]:
-    """Find the start: the given constants, or those of a simpler fit of one fitted test.
-
-    A homogeneous test is preferred: its closed form costs nothing.
-    """
-    fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
-    problems = {number: problem_of(tests[number]) for number in fitted}
-    closed = [number for number in fitted if problems[number].method == "closed-form"]
-    number = (closed or fitted)[0]
-    problem = problems[number]
-    part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
-    measured = [m.curve for m in part.measured]
-    constants: dict[str, float] | None = None
-    for before in _simpler(problem):
-        names, first = fit_task.start_values(before.tables, measured, constants)
-        own = replace(part, tables=before.tables)
-        stage = f"start ({before.tables['material']['model']}, {len(names)} constants)"
-        found = begun_stage(
-            stage,
-            [cheaper(own) or own],
-            names,
-            gentler(names, first),
-            fit_task.model,
-            None,
-            progress,
-            checkpoint,
-        ).fit
-        if not found.status.usable:
-            message = f"the {stage} did not converge: {found.message}"
-            raise InputError(Fault("calibration", message, "give constants to start from"))
-        constants = found.constants()
-    return fit_task.start_values(problem.tables, measured, constants)
-
-
-def _simpler(problem: fit_task.FitProblem) -> list[fit_task.FitProblem]:
-    """Problems whose constants lead to those of a fit, the neo-Hookean one first."""
-    chain: list[fit_task.FitProblem] = []
-    before = fit_task.start_problem(problem)
-    while before is not None:
-        chain.insert(0, before)
-        before = fit_task.start_problem(before)
-    return chain
-
-
 def _splits(
     config: Tables, curves: Sequence[FitCurve]
 ) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
@@ -276,12 +142,12 @@ def _splits(
     return own, left_out(curves, asked["leave_out"]) if asked["leave_out"] else []
 
 
-def _partial(setting: _Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
+def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
     done = setting.fitted(curves)
     return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
 
 
-def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> tuple[CurveFit, ...]:
+def _predictions(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> tuple[CurveFit, ...]:
     """Every curve beside its prediction; those of held-out tests are made now."""
     fitted = iter(found.curves)
     known = {id(c): next(fitted, None) for c in in_order(curves)}
@@ -296,7 +162,7 @@ def _predictions(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> t
     return tuple(out)
 
 
-def _predicted(setting: _Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
+def _predicted(setting: Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
     (part,) = parts_of(setting.tests, [curve])
     try:
         model = fit_task.model(part.method, part.tables, [curve.measured.curve], setting.names)
@@ -316,7 +182,7 @@ def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None
     return same_constants(found.rss, own, rows, len(found.names), len(specimens))
 
 
-def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
+def _profiles(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
     own = in_order(curves)
     parts = parts_of(setting.tests, own)
     models = [
@@ -341,12 +207,12 @@ def _profiles(setting: _Setting, curves: Sequence[FitCurve], found: Fit) -> dict
     }
 
 
-def _measured(setting: _Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
+def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
     parts = parts_of(setting.tests, in_order(curves))
     return [one for part in parts for one in part.measured]
 
 
-def _result(setting: _Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
+def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config["material"]
     predictions = _predictions(setting, curves, found)
     status: str = status_of(found)

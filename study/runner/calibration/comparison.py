@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from study.record.record import plain
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult, parameters
+from study.runner.calibration.score_test import linearized_fit
 from study.runner.calibration.systematic_error import mesh_error, zero_error
 from study.runner.fitting.fit_task import model
 from study.runner.fitting.staged_fit import Progress
@@ -30,6 +32,9 @@ from study.runner.tables import Tables
 _ROUNDING = 1e-9
 
 Verdict = Literal["differ", "agree", "undecided"]
+
+#: slopes of the models at every test's own constants, or at those of all tests together
+Form = Literal["wald", "score"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,8 @@ class Comparison:
         By the test that is off: probability that the Wald test says so.
     detectable : mapping of str to float
         By the test that is off: share that is seen with a power of 80 %.
+    form : {"wald", "score"}
+        Whether slopes are those at each test's own constants, or at the common ones.
     """
 
     name: str
@@ -81,6 +88,7 @@ class Comparison:
     difference: float
     power: Mapping[str, float]
     detectable: Mapping[str, float]
+    form: Form = "wald"
 
     @property
     def verdict(self) -> Verdict:
@@ -105,7 +113,8 @@ class Comparison:
         """The verdict in words."""
         test, seen = self.test, f"mu0 spreads over {100 * self.mu0_spread:.3g} %"
         f = test.statistic / test.df
-        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, p = {test.p:.3g}"
+        at = ", slopes at the common constants" if self.form == "score" else ""
+        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, p = {test.p:.3g}{at}"
         off = f"moduli of {self.least} that are {100 * self.difference:.3g} % off"
         chance = f"{off} would be seen with a power of {self.power[self.least]:.3g}"
         says = {
@@ -167,6 +176,7 @@ class Comparison:
             "df_error": self.test.df_error,
             "p": self.test.p,
             "p_chi_square": self.test.p_chi_square,
+            "form": self.form,
             "mu0_spread": self.mu0_spread,
             "difference": self.difference,
             "warnings": list(self.warnings),
@@ -210,20 +220,22 @@ def compare(
         If a test alone does not determine the constants.
     """
     groups = _groups(config)
-    fits = {label: calibrate(one, root, progress=progress) for label, one in groups.items()}
+    fits, joint = _at_least_squares(config, groups, root, progress)
     for label, one in fits.items():
         if not one.converged:
             mend = "take an energy with fewer constants, or give constants to start from"
             raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
     fits = _of_one_sign(groups, fits)
+    compared, form = _compared(groups, root, fits, joint)
     systematic = {
         label: Systematic(
-            mesh_error(one, root, fits[label], progress), zero_error(one, root, fits[label], zero)
+            mesh_error(one, root, fits[label], progress),
+            zero_error(one, root, compared[label], zero),
         )
         for label, one in groups.items()
     }
     extra = [one.covariance for one in systematic.values()]
-    test = agreement([one.fit for one in fits.values()], extra)
+    test = agreement(list(compared.values()), extra)
     power: dict[str, float] = {}
     detectable: dict[str, float] = {}
     for i, label in enumerate(fits):
@@ -231,8 +243,66 @@ def compare(
         power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
     return Comparison(
         config["name"], config["material"]["model"], fits, test, systematic, difference, power,
-        detectable,
+        detectable, form,
     )  # fmt: skip
+
+
+def _compared(
+    groups: Mapping[str, Tables],
+    root: Path,
+    fits: Mapping[str, CalibrationResult],
+    joint: Fit | None,
+) -> tuple[dict[str, Fit], Form]:
+    """Fits whose constants are compared: those of slopes at the common ones where these are had."""
+    own = {label: one.fit for label, one in fits.items()}
+    if joint is None or any(one.nuisance for one in own.values()):
+        return own, "wald"
+    try:
+        linear = {k: linearized_fit(one, root, joint.constants()) for k, one in groups.items()}
+    except EvaluationFailed:
+        return own, "wald"
+    sound = all(one.converged and (np.diag(one.covariance) > 0).all() for one in linear.values())
+    return (linear, "score") if sound else (own, "wald")
+
+
+def _at_least_squares(
+    config: Tables, groups: Mapping[str, Tables], root: Path, progress: Progress | None
+) -> tuple[dict[str, CalibrationResult], Fit | None]:
+    """Fit every test alone, and again from where the others and all together ended.
+
+    The fit of all together comes second, where there are exponents and it converged.
+
+    A sum of squares with exponents has several minima, and a fit that stopped at one of the
+    higher ones would pass for another material.
+    """
+    fits = {label: calibrate(one, root, progress=progress) for label, one in groups.items()}
+    if not any(is_dimensionless(name) for name in next(iter(fits.values())).fit.names):
+        return fits, None  # linear in its moduli: one minimum
+    begins, joint = [one.fit for one in fits.values() if one.converged], None
+    with contextlib.suppress(InputError):
+        whole = calibrate(_together(config), root, progress=progress)
+        joint = whole.fit if whole.converged else None
+    begins = begins if joint is None else [joint, *begins]
+    once: dict[str, Tables] = {
+        label: {**one, "calibration": {**one["calibration"], "starts": 1}}
+        for label, one in groups.items()
+    }
+    for label, one in once.items():
+        own = fits[label].fit
+        again = (
+            calibrate(one, root, progress=progress, begin=other.constants())
+            for other in begins
+            if other is not own
+        )
+        found = [each for each in (fits[label], *again) if each.converged]
+        fits[label] = min(found, key=lambda each: each.fit.rss, default=fits[label])
+    return fits, joint
+
+
+def _together(config: Tables) -> Tables:
+    """Calibration of all tests at once, of which nothing but the constants is asked."""
+    asked = {**config["calibration"], "specimens": "pooled", "leave_out": None}
+    return {**config, "calibration": asked}
 
 
 def _of_one_sign(

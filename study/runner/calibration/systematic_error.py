@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.fit import Fit
 from study.errors import Fault, InputError, RefusedError
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import in_order, problem_of, read_tests
@@ -24,7 +25,7 @@ from study.setup.setup import MESH_LEVELS
 _RATIO = 1.5
 
 
-def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float) -> Array:
+def zero_error(config: Tables, root: Path, found: Fit, zero: float) -> Array:
     """Change of the constants by a shift of all forces of one test.
 
     Parameters
@@ -33,7 +34,7 @@ def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float
         Calibration of this test alone.
     root : Path
         Data root.
-    found : CalibrationResult
+    found : Fit
         Its converged fit.
     zero : float
         Standard uncertainty of the force's zero, over the largest force.
@@ -45,9 +46,9 @@ def zero_error(config: Tables, root: Path, found: CalibrationResult, zero: float
     """
     curves = in_order(read_tests(config["tests"], root)[0])
     rows, shifts = [], []
-    for measured, predicted in zip(curves, found.fit.curves, strict=True):
+    for measured, predicted in zip(curves, found.curves, strict=True):
         curve, weight = measured.measured.curve, np.asarray(measured.weight)
-        slopes = predicted.gradients_at(found.fit.names, curve.displacement_mm)
+        slopes = predicted.gradients_at(found.names, curve.displacement_mm)
         rows.append((weight * slopes.T).T)
         shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
     jacobian = np.concatenate(rows)
@@ -91,7 +92,8 @@ def mesh_error(
     coarser = _coarser(config)
     if coarser is None:
         return np.zeros_like(found.fit.values)
-    other = calibrate(coarser, root, progress=progress)
+    # from the same minimum: the distance to another one is no error of the mesh
+    other = calibrate(coarser, root, progress=progress, begin=found.fit.constants())
     if not other.converged:
         raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
                            "take a finer mesh")  # fmt: skip
@@ -113,4 +115,5 @@ def _coarser(config: Tables) -> Tables | None:
             mend = 'write mesh = "medium" or "fine" in [model]'
             raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
         model = {**model, "mesh": MESH_LEVELS[level - 1]}
-    return {**config, "model": model, "tests": [{**test, "model": model}]}
+    once = {**config["calibration"], "starts": 1}
+    return {**config, "model": model, "calibration": once, "tests": [{**test, "model": model}]}

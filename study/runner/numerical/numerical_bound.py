@@ -18,8 +18,8 @@ import numpy as np
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.arrays import Array
-from study.runner.calibration.calibrate import bounds_of
 from study.runner.calibration.measured_tests import in_order, parts_of, read_tests
+from study.runner.calibration.search import bounds_of
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Checkpoint, Part, Progress, single_stage
 from study.runner.numerical.formal_order import formal_order
