@@ -3,7 +3,8 @@
 ``python -m benchmarks.studies`` makes its own measurements: nine specimens of two halves and five
 repeats, on which four materials are fitted over fourteen ranges (504 cases in closed form, 1,008
 calibrations). ``--cases 10000`` instead computes cases that do nothing, which leaves what is
-around the solver; ``--workers`` equal cases with finite elements by one process and by two.
+around the solver; ``--workers 40`` so many equal cases with finite elements, by one process and by
+two.
 Processor seconds, those of workers included, hardly depend on what else the machine does;
 those on the clock do.
 """
@@ -122,11 +123,40 @@ name = "peak_force"
 """
 
 
+EQUAL_STUDY = """schema = 1
+[study]
+name = "equal"
+question = "How much faster are two workers?"
+assumed = ["test.interface"]
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "3 mm"
+steps = 4
+[material]
+model = "neo-hookean"
+poisson_ratio = 0.4995
+[model]
+mesh_size = "1.5 mm"
+[calibration]
+method = "none"
+[factors]
+"material.C10" = [{constants}]
+[[response]]
+name = "peak_force"
+"""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure each part in a process of its own and print its seconds."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.studies", description=__doc__)
     parser.add_argument("--jobs", type=int, default=2, help="workers")
     parser.add_argument("--cases", type=int, default=0, help="so many cases that do nothing")
+    parser.add_argument("--workers", type=int, default=0, help="so many equal finite-element cases")
     parser.add_argument("--folder", type=Path, help="where to work; a temporary one by default")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     chosen = parser.parse_args(arguments)
@@ -136,11 +166,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = chosen.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
+        if chosen.workers:
+            compare_workers(folder, chosen.workers)
+            return
         write_study(folder, chosen.cases)
         print(f"{'part':20}{'processor s':>12}{'clock s':>10}{'owner MB':>10}")
         for part in ("plan", "run", "resume", "status") if chosen.cases else PARTS:
             found = alone(part, folder, chosen.jobs, chosen.cases)
             print(f"{part:20}{found['cpu']:12.2f}{found['clock']:10.2f}{found['MB']:10.0f}")
+
+
+def compare_workers(folder: Path, cases: int) -> None:
+    """Compute equal cases with one worker and with two; kernels are compiled before."""
+    design = folder / "equal.toml"
+    seconds = {}
+    for jobs, count in ((1, 2), (1, cases), (2, cases)):
+        constants = ", ".join(f'"{10 + k / 1000:.6g} kPa"' for k in range(count))
+        design.write_text(EQUAL_STUDY.format(constants=constants))
+        work = expand(load_design(design), folder)
+        began = time.monotonic()
+        run_batch(work, Store(folder / f"equal-{jobs}-{count}"), jobs=jobs)
+        seconds[jobs] = time.monotonic() - began
+    print(f"{cases} equal cases: one worker {seconds[1]:.1f} s, two {seconds[2]:.1f} s")
+    print(f"ratio {seconds[1] / seconds[2]:.2f} (asked: 1.8, on a machine with two idle cores)")
 
 
 def alone(part: str, folder: Path, jobs: int, cases: int) -> dict[str, float]:
