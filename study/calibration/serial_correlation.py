@@ -35,8 +35,9 @@ _FIRST_LOOK = np.linspace(-1.8, 3.8, 57)
 #: the same of the second partial autocorrelation: from -0.89 to 0.89
 _SECOND_LOOK = np.linspace(-1.4, 1.4, 21)
 
-#: rows of a recording below which it says nothing of a second order
-_FEWEST_OF_SECOND_ORDER = 8
+#: rows of the shortest recording below which errors are taken as of first order: a second
+#: coefficient, known to 1 / sqrt(rows), would cost more power than it saves in coverage
+_FEWEST_OF_SECOND_ORDER = 30
 
 #: log weight below the largest from which values of rho no longer count
 _NEGLIGIBLE = 15.0
