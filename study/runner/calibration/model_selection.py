@@ -11,6 +11,7 @@ from study.calibration.lack_of_fit import akaike_weights
 from study.errors import InputError
 from study.record.record import plain
 from study.runner.calibration.calibrate import calibrate
+from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.staged_fit import Progress
 from study.runner.tables import Tables
@@ -32,6 +33,9 @@ CANDIDATES = (
     ("van-der-waals", None, "van-der-waals"),
     ("extended-tube", None, "extended-tube"),
 )
+
+#: compared besides where the sides are free to follow Poisson's ratio, in closed-form tests
+FOAMS = (("ogden-hill", 1, "ogden-hill-1"), ("ogden-hill", 2, "ogden-hill-2"))
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def choose(config: Tables, root: Path, *, progress: Progress | None = None) -> E
     """
     found: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}
-    for model, order, label in CANDIDATES:
+    for model, order, label in (*CANDIDATES, *(FOAMS if _may_be_foam(config) else ())):
         try:
             result = calibrate(_with_energy(config, model, order), root, progress=progress)
         except InputError as error:
@@ -125,6 +129,13 @@ def choose(config: Tables, root: Path, *, progress: Progress | None = None) -> E
             failures[label] = f"{result.status}: {result.message}"
     weights = akaike_weights({label: one.fit.aicc for label, one in found.items()})
     return EnergyChoice(found, weights, failures)
+
+
+def _may_be_foam(config: Tables) -> bool:
+    """Whether Poisson's ratio is given and no test asks for elements, which foams lack."""
+    problems = (problem_of(test) for test in config["tests"])
+    compressible = config["material"].get("poisson_ratio") is not None
+    return compressible and all(one.method == "closed-form" for one in problems)
 
 
 def _with_energy(config: Tables, model: str, order: int | None) -> Tables:

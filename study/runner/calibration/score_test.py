@@ -12,19 +12,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.fit import Fit, fit
 from study.calibration.influence import with_serial_correlation
 from study.curve import Curve
 from study.runner.calibration.measured_tests import in_order, parts_of, read_tests
 from study.runner.fitting import fit_task
 from study.runner.tables import Tables
-
-if TYPE_CHECKING:
-    from study.calibration.fit import Fit
 
 
 def linearized_fit(config: Tables, root: Path, common: Mapping[str, float]) -> Fit:
@@ -49,8 +46,6 @@ def linearized_fit(config: Tables, root: Path, common: Mapping[str, float]) -> F
     EvaluationFailed
         If the model has no answer at the common constants.
     """
-    from study.calibration.fit import fit
-
     names, center = tuple(common), np.array(list(common.values()), float)
     parts = parts_of(config["tests"], in_order(read_tests(config["tests"], root)[0]))
     measured = [one for part in parts for one in part.measured]
