@@ -335,3 +335,18 @@ def test_pooled_blocks_are_the_mixed_model_with_random_blocks() -> None:
     for term, at in {"a": [1, 2], "b": [3], "a:b": [4, 5]}.items():
         theirs = fit.f_test(np.eye(columns.shape[1] + 1)[at])
         assert ours.anova.row(term).f == pytest.approx(float(theirs.fvalue), rel=1e-4)
+
+
+@pytest.mark.parametrize("block", ["blk", None])
+def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block: str | None) -> None:
+    """The note says "no test", and blocks had a p of what was left, which is not the effect."""
+    rng = np.random.default_rng(5)
+    rows = [
+        (f"a{i}", f"b{j}", f"s{s}", i + rng.normal())
+        for i in range(3) for j in range(2) for s in range(6)
+        if (i, j) != (2, 1)
+    ]  # fmt: skip
+    table = pd.DataFrame(rows, columns=["A", "B", "blk", "y"])
+    found = anova(table, "y", ["A", "B"], block=block, exact=False)
+    assert found.anova.row("A").p_deciding is None
+    assert any("A: 1 of 2 degrees of freedom are not estimable" in note for note in found.notes)

@@ -10,7 +10,13 @@ import pytest
 from study.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
 from study.analysis.assumption.normality import RyanJoinerResult
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
-from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
+from study.analysis.effects.verdict import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+)
 from study.analysis.request import AnalysisRequest
 from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
 from study.reporting import report
@@ -251,6 +257,13 @@ def test_plurals_of_blocks_are_english(data: ReportData):
     assert (
         "more batches would narrow" in would_change(replace(data, block="batch"), (doubt,)).lower()
     )
+
+
+def test_replicates_are_not_advised_where_one_specimen_is_the_reason(data: ReportData):
+    doubt = replace(effect(CANNOT_TELL), why=ONE_SPECIMEN)
+    text = would_change(data, (replace(facts(data)[0], terms=(doubt,)),))
+    assert "easurements of more specimens, for one tells nothing of" in text
+    assert "would narrow" not in text
 
 
 def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData):

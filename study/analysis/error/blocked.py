@@ -95,6 +95,8 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
+    if df < sums.nominal_df:  # what is left is not the effect: an empty cell, or an alias
+        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread)
     why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
