@@ -180,7 +180,7 @@ def print_fitted(one: FittedSurface) -> None:
     at = ", ".join(f"{name} = {label}" for name, label in one.labels.items())
     unit, in_unit = (f" in {one.unit}", f" {one.unit}") if one.unit else ("", "")
     print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
-    print_surface(one.found)
+    print_surface(one.found, one.units)
     for told in one.differences:
         output.paragraph(
             f"{told.factor} = {told.level} less {told.other}: {told.mean:.3g}{in_unit} on average "
@@ -210,24 +210,24 @@ def _print_uncertain(one: FittedSurface) -> None:
     output.table(rows)
 
 
-def print_surface(found: SurfaceAnalysis) -> None:
-    """Print model, error, factors and extremes of a surface."""
+def print_surface(found: SurfaceAnalysis, units: Mapping[str, str] | None = None) -> None:
+    """Print model, error, factors and extremes of a surface, settings with their units."""
     from study.response_surface.quadratic.surface import QuadraticSurface
 
     model = found.model
     if isinstance(model, QuadraticSurface):
-        _print_quadratic(model)
+        _print_quadratic(model, units or {})
     else:
         runs = model.runs
         blocks = f", one emulator for each of {len(set(runs.blocks))} blocks" if runs.blocks else ""
         print(f"Gaussian process: {runs.response.size} runs of {len(runs.factors)} factors{blocks}")
         print(f"leave-one-out: rms {output.number(model.loo_rms)}, Q2 {model.q2:.3f}\n")
-        _print_sensitivity(found)
+        _print_sensitivity(found, units or {})
     for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
-        print(f"{word} predicted: {_extreme(found, extreme)}")
+        print(f"{word} predicted: {_extreme(found, extreme, units or {})}")
 
 
-def _print_quadratic(model: QuadraticSurface) -> None:
+def _print_quadratic(model: QuadraticSurface, units: Mapping[str, str]) -> None:
     judged = model.error != "none"
     rows = [["Term (coded)", "Coefficient", *(["95 % interval", "P-Value"] if judged else [])]]
     for term in model.terms:
@@ -250,11 +250,11 @@ def _print_quadratic(model: QuadraticSurface) -> None:
     point = model.stationary
     if point is not None and point.established:
         values = ", ".join(output.number(float(v)) for v in point.eigenvalues)
-        at = _settings(model.runs.settings(point.at))
+        at = _settings(model.runs.settings(point.at), units)
         print(f"stationary point ({point.kind}): {point.value:.4g} at {at}; eigenvalues {values}")
 
 
-def _print_sensitivity(found: SurfaceAnalysis) -> None:
+def _print_sensitivity(found: SurfaceAnalysis, units: Mapping[str, str]) -> None:
     rows = [["Rank", "Factor", "S", "T", "Range", "Verdict"]]
     for item in sorted(found.sensitivity, key=lambda item: item.rank):
         row = [str(item.rank), item.factor]
@@ -271,7 +271,7 @@ def _print_sensitivity(found: SurfaceAnalysis) -> None:
         print()
     for item in found.sensitivity:
         if item.range is not None and item.range.claims:
-            ends = [_settings(found.runs.settings(point)) for point in item.range.confirm]
+            ends = [_settings(found.runs.settings(at), units) for at in item.range.confirm]
             print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
 
 
@@ -283,13 +283,15 @@ def _share(value: float, interval: tuple[float, float]) -> str:
     return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
 
 
-def _extreme(found: SurfaceAnalysis, extreme: Extreme) -> str:
-    at = _settings(found.runs.settings(extreme.at))
+def _extreme(found: SurfaceAnalysis, extreme: Extreme, units: Mapping[str, str]) -> str:
+    at = _settings(found.runs.settings(extreme.at), units)
     # NaN where no run can be left out
     known = math.isfinite(extreme.half_width)
     error = f" +- {extreme.half_width:.2g}" if known else ", error unknown,"
     return f"{extreme.value:.4g}{error} at {at}"
 
 
-def _settings(settings: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.4g}" for name, value in settings.items())
+def _settings(settings: Mapping[str, float], units: Mapping[str, str]) -> str:
+    return ", ".join(
+        f"{name} = {value:.4g} {units.get(name, '')}".rstrip() for name, value in settings.items()
+    )

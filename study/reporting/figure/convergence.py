@@ -102,15 +102,20 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
     order_seen = part["observed_order"].iloc[0]
     known = order_seen is not None and np.isfinite(order_seen)
     text = f"order {order_seen:.2f}" if known else str(part["behaviour"].iloc[0])
-    # away from the point of the coarsest mesh, which stands at the right
-    below = v[int(h.argmax())] > 0.5 * (v.min() + v.max())
-    place, side = (0.05, "bottom") if below else (0.95, "top")
     ax.text(
-        0.97, place, text, transform=ax.transAxes, ha="right", va=side, fontsize=7.5, color=MUTED
-    )
+        0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
+        color=MUTED,
+    )  # fmt: skip
     ax.set_xlim(left=0)
     ax.margins(y=0.15)
     plain_ticks(ax, "y")
+
+
+def _free(h: Array, v: Array) -> float:
+    """Height at the right of a panel, top or bottom, that is farther from all its points."""
+    across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
+    room = [float(np.min(np.hypot(across - 0.85, up - place))) for place in (0.0, 1.0)]
+    return 0.07 if room[0] >= room[1] else 0.93
 
 
 def error_points(cells: Sequence[Document]) -> pd.DataFrame:

@@ -22,6 +22,7 @@ from study.reporting.numbers import (
     sentence,
     significant,
 )
+from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.profile import profiles, strongest
 from study.response_surface.quadratic.surface import QuadraticSurface
 
@@ -77,10 +78,19 @@ def accuracy(one: FittedSurface) -> str:
     if loo is None:
         return f"A {kind} of {runs}; no run can be left out, so its error is not known."
     rms = loo.rms if hasattr(loo, "rms") else loo.loo_rms
+    if learns_from_others(found):
+        runs += ", which learns from those at the other levels,"
     return (
         f"A {kind} of {runs} predicts each from all the others within "
         f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {_q2(quality(found))})."
     )
+
+
+def learns_from_others(found: SurfaceAnalysis) -> bool:
+    """Whether the runs at other levels were fitted together with those of a surface."""
+    model = found.model
+    each = getattr(model, "each", (model,))
+    return any(isinstance(e, Emulator) and e.combination is not None for e in each)
 
 
 def method(one: FittedSurface, data: ReportData) -> str:
@@ -95,6 +105,11 @@ def method(one: FittedSurface, data: ReportData) -> str:
         "maximum likelihood, the kernel (Mat\N{LATIN SMALL LETTER E WITH ACUTE}rn 5/2 or Gaussian) "
         "by leave-one-out error"
     )
+    if learns_from_others(found):
+        how += (
+            ", together with the runs at the other levels, between whose functions a correlation "
+            "was fitted (Qian, Wu and Wu 2008)"
+        )
     shares = (
         "; shares of variance are Sobol indices of factors uniform over their ranges, by "
         "Jansen's estimators on posterior paths"
@@ -126,7 +141,7 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     return (
         accuracy(one),
         *_shape(one, data),
-        *(differences(one, data)),
+        *differences(one, data),
         *ends,
         *confirm,
         *uncertainty.lines(one, data),
@@ -143,13 +158,17 @@ def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
             MATTERS: "this matters",
             NO_DIFFERENCE: "this makes no practical difference at any setting",
         }.get(told.verdict, "these runs cannot show whether this matters")
-        judged = "" if one.practical is None else f"; against {one.practical:.3g} {unit}, {said}"
+        limit = (
+            ""
+            if one.practical is None
+            else f"; with {one.practical:.3g} {unit} as what matters, {said}"
+        )
         yield sentence(
             f"{name_of(one.response, data.labels)} with {name_of(told.factor, data.labels)} "
             f"{clean(told.level)} is {quantity(abs(told.mean), unit)} {word} than with "
             f"{clean(told.other)} on average over the ranges, and between "
             f"{significant(ends[0])} and {quantity(ends[1], unit)} {word} at 95 % of the settings "
-            f"(each \N{PLUS-MINUS SIGN} {significant(told.bound, 2)}){judged}"
+            f"(each \N{PLUS-MINUS SIGN} {significant(told.bound, 2)}){limit}"
         )
 
 
@@ -283,7 +302,11 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     rest = [name for names in by.values() for name in names]
     if rest:
         said.append(f"these runs cannot show whether {listing(rest, 'or')} matters")
-    return sentence(f"against {limit}, {'; '.join(said)}") if said else ""
+    return (
+        sentence(f"with {limit} as the smallest difference that matters, {'; '.join(said)}")
+        if said
+        else ""
+    )
 
 
 def _sensitivity_row(item: Sensitivity, one: FittedSurface, data: ReportData) -> tuple[str, ...]:
