@@ -55,9 +55,9 @@ def curve(path: Path, found: dict[str, list[float]]) -> None:
 def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path: Path) -> None:
     """Both curves are made by the model itself (virtual): the constant is known to be 5 kPa."""
     truth = ("material.model=neo-hookean", "material.C10=5 kPa")
-    places = {"phantom": (10, -14, "fit"), "needle": (-12, 12, "held-out")}
+    places = {"tip": (10, -14, "fit"), "needle": (-12, 12, "held-out")}
     shapes = {
-        "phantom": 'shape = "flat", radius = "8 mm", edge_radius = "4 mm"',
+        "tip": 'shape = "flat", radius = "8 mm", edge_radius = "4 mm"',
         "needle": 'shape = "cone", half_angle = "60 deg", tip_radius = "8 mm"',
     }
     text = 'schema = 1\n[material]\nmodel = "neo-hookean"\nC10 = "4 kPa"\npoisson_ratio = 0.495\n'
@@ -81,6 +81,6 @@ def test_constants_of_a_flat_tip_predict_a_needle_elsewhere(tmp_path: Path) -> N
 
 
 def test_the_designs_solve_and_the_clamp_carries_the_tip_and_the_weight() -> None:
-    found = solved("phantom")
+    found = solved("tip")
     assert found["force_N"][-1] > 0
     assert found["base_reaction_N"][-1] > found["force_N"][-1]

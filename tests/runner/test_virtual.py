@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
+from study.forward import finite_element
 from study.measurement.section import MeasurementSpec
+from study.runner.virtual import specimens
 from study.runner.virtual.specimens import Generator, VirtualTest, _csv, _files, generate
+from study.runner.virtual.truth import truth
+from study.setup.setup import problem_of
 
 D = np.linspace(0.1, 6.2, 62)
 REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})
@@ -70,3 +74,29 @@ def test_files_follow_a_pattern_and_units_and_sign() -> None:
     d, f = map(float, rows[-1].split(","))
     assert (d, f) == (pytest.approx(6.15e-3, abs=1e-5), pytest.approx(-4 * 6.15e-3, abs=1e-4))
     assert _csv(SPEC, drawn(batches=1), ["batch"]).startswith("batch,x,f\n1,0.00000,")
+
+
+def sagging(stiffer: float) -> Curve:
+    """Solve a heavy cylinder under a flat tip, its moduli multiplied."""
+    constants = {name: stiffer * value for name, value in truth("yeoh").constants.items()}
+    heavy = {"density_kg_m3": 4000.0, "direction": "down"}
+    tables = {
+        "specimen": {"shape": "cylinder", "radius_mm": 20.0, "height_mm": 25.0},
+        "test": {"kind": "indentation", "interface": "frictionless", "base": "bonded",
+                 "displacement_mm": 1.0, "steps": 2, "gravity": heavy,
+                 "indenter": {"shape": "flat", "radius_mm": 6.0, "edge_radius_mm": 2.0}},
+        "material": {"model": "reduced-polynomial", "constants": constants,
+                     "poisson_ratio": 0.4995},
+        "model": {"space": "axisymmetric", "mesh": "coarse"},
+    }  # fmt: skip
+    return finite_element.solve(problem_of(tables), gradients=True).curve
+
+
+def test_a_stiffer_specimen_sags_less() -> None:
+    """The weight does not grow with the moduli: the reference says by how much, to first order."""
+    one, exact = sagging(1.0), sagging(1.1).force_N[-1]
+    quiet = Generator(batches=1, repeats=1, batch_sd=0, specimen_sd=0, shape_sd=0, noise_N=0)
+    by_weight = specimens._weight_change(one, quiet, one.displacement_mm)[-1]
+    naive = 1.1 * one.force_N[-1]
+    assert abs(naive - exact) > 1e-3 * exact  # what is left without it
+    assert naive - 0.1 * by_weight == pytest.approx(exact, abs=0.1 * abs(naive - exact))
