@@ -37,11 +37,20 @@ STAGES = (
 #: stage in which the distance is wrong
 BIASED = "retract"
 
-#: distance of the markers where no number says it, radius of scanned spheres, mm
-_APART_MM, _RADIUS_MM = 80.0, 6.0
+#: distance of the markers where no number says it, mm
+_APART_MM = 80.0
 
-#: points scanned on a sphere, their noise (mm), and the part of its height that the scanner sees
-_SCANNED, _SCAN_SD_MM, _SEEN = 400, 0.02, 0.4
+#: radius of scanned spheres, mm
+_RADIUS_MM = 6.0
+
+#: points scanned on a sphere
+_SCANNED = 400
+
+#: their noise, mm
+_SCAN_SD_MM = 0.02
+
+#: part of a sphere's height that the scanner sees
+_SEEN = 0.4
 
 #: direction of the needle and place of its tip at home, mm
 _AXIS = np.array([2.0, -1.0, 2.0]) / 3
