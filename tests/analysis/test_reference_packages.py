@@ -106,7 +106,7 @@ def _short(term: str, names: dict[str, str]) -> str:
 
 
 def test_linear_terms_and_products_of_paper_helicopters_are_those_printed() -> None:
-    """As Box, Hunter and Hunter (2005), section 12.3, have them beside their two blocks."""
+    """As Lenth (2009), J. Stat. Softw. 32(7), has them beside the two blocks of the design."""
     response, ranges = SURFACES["paper_helicopter"]
     found = study.fit_surface(FOLDER / "paper_helicopter.csv", response, [*ranges.values()])
     terms = {t["term"]: t["coefficient"] for t in found.to_json()["surface"]["terms"]}
