@@ -24,10 +24,6 @@ LIMIT_CORRELATION = 0.99
 #: share of the largest force below which what an interval leaves open does not matter
 AS_GOOD_AS_ZERO = 0.01
 
-#: most steps of Newton's method, and the relative one whose square is rounding
-_STEPS = 50
-_LAST_STEP = 1e-8
-
 
 @dataclass(frozen=True)
 class Uncertainty:
@@ -258,42 +254,3 @@ def _caution(names: Sequence[str], first: int, second: int, worst: float, condit
 
 def _listed(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def half_widths(errors: Array, weight: Array, freedom: Array, level: float) -> Array:
-    """Half widths that hold a share of mixtures of Student's t of several scales.
-
-    The distribution function is concave above zero, so that Newton's method does not pass the
-    answer from below, where it is at the latest after its first step.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (p, k)
-        Scales of each mixture.
-    weight : ndarray, shape (k,)
-        Of the scales.
-    freedom : ndarray, shape (p,)
-        Degrees of freedom.
-    level : float
-        Share that is held, such as 0.95.
-
-    Returns
-    -------
-    ndarray, shape (p,)
-    """
-    from scipy.special import gammaln, stdtr, stdtrit
-
-    nu, wanted = freedom[:, None], 0.5 * (1 + level)
-    quantile = stdtrit(freedom, wanted)
-    low = quantile * errors.min(axis=1)
-    log_density = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
-    half = np.asarray(quantile * np.sqrt(errors**2 @ weight))
-    for _ in range(_STEPS):
-        t = half[:, None] / errors
-        missing = wanted - stdtr(nu, t) @ weight
-        density = np.exp(log_density - 0.5 * (nu + 1) * np.log1p(t**2 / nu))
-        step = missing / ((density / errors) @ weight)
-        half = np.maximum(half + step, low)
-        if np.all(np.abs(step) <= _LAST_STEP * half):
-            break
-    return half

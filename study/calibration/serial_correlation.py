@@ -1,16 +1,13 @@
 """Intervals of constants where the errors of neighboring rows are correlated.
 
 A load cell drifts and a contact settles, so that the errors of a recording follow each other. They
-are taken as an autoregression of second order, whose memory may fade more slowly than the
-correlation of neighbors says. Estimates put in as if they were known give intervals that are too
-narrow: at 60 rows and rho = 0.9 nominal 95 %
+are taken as an autoregression of first order, e_t = rho e_(t-1) + noise. An estimate of rho put
+in as if it were known gives intervals that are too narrow: at 60 rows and rho = 0.9 nominal 95 %
 intervals cover 70 to 78 % by the lag-1 correlation of the residuals, and 84 to 87 % by restricted
-maximum likelihood (600 simulated tests). Nor do 60 rows say which order they have. The intervals
-here are therefore averaged over all pairs of partial autocorrelations, each weighed by its
-restricted likelihood (Harville 1974, Biometrika 61, 383; free of the bias by fitted constants),
-the reference prior (1 - rho^2)^(-1/2) of the first (Berger and Yang 1994, Econometric Theory 10,
-461) and a uniform one of the second; white noise and first order are among them. What is said
-of the correlation of neighbors, of effective rows and in AICc is that of first order.
+maximum likelihood (600 simulated tests). The intervals here are
+therefore averaged over all rho, each weighed by its restricted likelihood (Harville 1974,
+Biometrika 61, 383; free of the bias by fitted constants) and the reference prior
+(1 - rho^2)^(-1/2) (Berger and Yang 1994, Econometric Theory 10, 461).
 """
 
 from __future__ import annotations
@@ -22,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.covariance import half_widths
 
 #: rows below which nothing is said about their correlation, and they count as independent
 FEWEST_ROWS = 8
@@ -33,24 +29,15 @@ _OUTSIDE = 0.05
 #: Fisher's z = artanh(rho) of the first look: rho from -0.947 to 0.999
 _FIRST_LOOK = np.linspace(-1.8, 3.8, 57)
 
-#: the same of the second partial autocorrelation: from -0.89 to 0.89
-_SECOND_LOOK = np.linspace(-1.4, 1.4, 21)
-
-#: rows of the shortest recording below which errors are taken as of first order: a second
-#: coefficient, known to 1 / sqrt(rows), would cost more power than it saves in coverage
-_FEWEST_OF_SECOND_ORDER = 30
-
 #: log weight below the largest from which values of rho no longer count
 _NEGLIGIBLE = 15.0
 
-#: values of rho among which the likeliest is looked for: 7 to a standard error
+#: values of rho over which is averaged: 7 to a standard error
 _VALUES = 81
 
-#: values of each partial autocorrelation over which is averaged: 2 to a standard error
-_VALUES_EACH = 25
-
-#: autocovariances held at a time
-_NUMBERS = 4_000_000
+#: most steps of Newton's method, and the relative one whose square is rounding
+_STEPS = 50
+_LAST_STEP = 1e-8
 
 #: rounding of a sum of squares relative to its first term
 _ROUNDING = 1e-13
@@ -186,25 +173,22 @@ def intervals(
     moments = _Moments.of(series, beside)
     if freedom <= 0 or moments is None:
         return None
-    partial, weight = np.zeros((1, 2)), np.ones(1)
-    rho = np.zeros((1, 2))
+    rho, weight = np.zeros(1), np.ones(1)
     if rows >= FEWEST_ROWS:
-        partial, weight = _posterior(moments, freedom)
-        rho = _of_first_order(moments, freedom)
-    squares, _ = moments.generalized(partial)
-    scaled = (squares / freedom)[:, None, None] * _propagated(series, partial)
+        rho, weight = _posterior(moments, freedom)
+    squares, determinant = moments.generalized(rho)
+    scaled = (squares / freedom)[:, None, None] * _propagated(series, rho)
     total = scaled if known is None else scaled + known
     variances = np.diagonal(total, axis1=1, axis2=2).T
     own = np.diagonal(scaled, axis1=1, axis2=2).T
     satterthwaite = freedom * ((variances / own) @ weight) ** 2
-    half = half_widths(np.sqrt(variances), weight, satterthwaite, 1 - _OUTSIDE)
-    squares, determinant = moments.generalized(rho)
+    half = _half_widths(np.sqrt(variances), weight, satterthwaite)
     likely = -0.5 * freedom * np.log(squares) - determinant
-    deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho[:, 0] ** 2))
+    deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho**2))
     return Intervals(
         np.einsum("k,kij->ij", weight, total),
         half,
-        float(rho[np.argmax(likely), 0]) if rows >= FEWEST_ROWS else math.nan,
+        float(rho[np.argmax(likely)]) if rows >= FEWEST_ROWS else math.nan,
         float(deviance.min()),
     )
 
@@ -225,24 +209,24 @@ def effective_rows(rows: int, correlation: float) -> float:
 
 @dataclass(frozen=True)
 class _Moments:
-    """Sums of products of rows, from which the likelihood of any autoregression follows.
+    """Sums of products of rows, lag 0 and 1, from which any rho's likelihood follows.
 
     Parameters
     ----------
-    lagged : ndarray, shape (3, 3, p + 1, p + 1)
-        Sums of products of row t + i and row t + j over t from 0 to n - 1 - i - j (Box, Jenkins
-        and Reinsel 1994, Time Series Analysis, sec. A7.4), symmetric in i and j.
+    all_rows, neighbors, interior : ndarray, shape (p + 1, p + 1)
+        Sums over rows, over pairs of neighbors (both ways), and over rows that are no ends.
     pseudo : ndarray, shape (p + 1, p + 1)
         Sums over the pseudo-observations, which have the variance of a row.
-    series, rows, shortest : int
-        Number of recordings and of rows, and rows of the shortest recording.
+    series, rows : int
+        Number of recordings and of rows.
     """
 
-    lagged: Array
+    all_rows: Array
+    neighbors: Array
+    interior: Array
     pseudo: Array
     series: int
     rows: int
-    shortest: int
 
     @classmethod
     def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _Moments | None:
@@ -260,23 +244,19 @@ class _Moments:
         joined = np.column_stack([basis, residual])
         ends = np.cumsum([one.residual.size for one in series])
         *parts, beside = np.split(joined, ends)
-        lagged = np.zeros((3, 3, len(norms) + 1, len(norms) + 1))
-        for z in parts:
-            for i, k in np.ndindex(3, 3):
-                count = max(len(z) - i - k, 0)
-                lagged[i, k] += z[i : i + count].T @ z[k : k + count]
+        rows = joined[: ends[-1]]
+        cross = sum((z[1:].T @ z[:-1] for z in parts), np.zeros((len(norms) + 1,) * 2))
+        inner = sum((z[1:-1].T @ z[1:-1] for z in parts), np.zeros_like(cross))
         return cls(
-            0.5 * (lagged + lagged.transpose(1, 0, 2, 3)), beside.T @ beside, len(parts),
-            int(ends[-1]), min(len(z) for z in parts),
+            rows.T @ rows, cross + cross.T, inner, beside.T @ beside, len(parts), len(rows)
         )  # fmt: skip
 
-    def generalized(self, partial: Array) -> tuple[Array, Array]:
+    def generalized(self, rho: Array) -> tuple[Array, Array]:
         """Residual sum of squares by generalized least squares, and the log determinants.
 
         Parameters
         ----------
-        partial : ndarray, shape (k, 2)
-            Partial autocorrelations; the second is 0 for an autoregression of first order.
+        rho : ndarray, shape (k,)
 
         Returns
         -------
@@ -285,95 +265,95 @@ class _Moments:
             errors' and of the estimates' inverse covariance, as the restricted likelihood
             subtracts them.
         """
-        weight = np.column_stack([np.ones(len(partial)), -_coefficients(partial)])
-        product = np.einsum("ki,kj,ijab->kab", weight, weight, self.lagged)
-        product = 0.5 * (product + product.transpose(0, 2, 1))
-        product = product + np.prod(1 - partial**2, axis=1)[:, None, None] * self.pseudo
+        r = rho[:, None, None]
+        product = self.all_rows - r * self.neighbors + r**2 * self.interior
+        product = product + (1 - r**2) * self.pseudo
         normal, right, own = product[:, :-1, :-1], product[:, :-1, -1:], product[:, -1, -1]
         explained = (right * np.linalg.solve(normal, right)).sum(axis=(1, 2))
-        squares = np.maximum(own - explained, _ROUNDING * self.lagged[0, 0, -1, -1])
+        squares = np.maximum(own - explained, _ROUNDING * self.all_rows[-1, -1])
         log_normal = np.linalg.slogdet(normal)[1]
-        log_errors = np.log1p(-(partial**2)) @ np.array([1.0, 2.0])
-        return squares, 0.5 * (log_normal - self.series * log_errors)
-
-
-def _coefficients(partial: Array) -> Array:
-    """Coefficients phi of autoregressions of second order, shape (k, 2) (Durbin 1960)."""
-    first, second = partial.T
-    return np.column_stack([first * (1 - second), second])
-
-
-def _of_first_order(moments: _Moments, freedom: float) -> Array:
-    """Values of rho, even in Fisher's z, around the likeliest; shape (81, 2), the second 0."""
-    z = np.column_stack([_FIRST_LOOK, np.zeros_like(_FIRST_LOOK)])
-    low, high = _span(z[:, 0], _log_weight(moments, z, freedom))
-    return np.tanh(np.column_stack([np.linspace(low, high, _VALUES), np.zeros(_VALUES)]))
+        return squares, 0.5 * (log_normal - self.series * np.log1p(-(rho**2)))
 
 
 def _posterior(moments: _Moments, freedom: float) -> tuple[Array, Array]:
-    """Partial autocorrelations on a grid even in Fisher's z, and the weight of each."""
-    first = _FIRST_LOOK
-    second = _SECOND_LOOK if moments.shortest >= _FEWEST_OF_SECOND_ORDER else np.zeros(1)
-    for count in (_VALUES_EACH, _VALUES_EACH):
-        z = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
-        weight = _log_weight(moments, z, freedom).reshape(first.size, second.size)
-        first = np.linspace(*_span(first, weight.max(axis=1)), count)
-        if second.size > 1:
-            second = np.linspace(*_span(second, weight.max(axis=0)), count)
-    z = np.stack(np.meshgrid(first, second, indexing="ij"), axis=-1).reshape(-1, 2)
-    log_weight = _log_weight(moments, z, freedom)
-    counts = log_weight > log_weight.max() - _NEGLIGIBLE
-    weight = np.exp(log_weight[counts] - log_weight.max())
-    return np.tanh(z[counts]), weight / weight.sum()
-
-
-def _span(z: Array, log_weight: Array) -> tuple[float, float]:
-    """Find the ends of the values that count, with a neighbor on either side."""
-    counts = np.flatnonzero(log_weight > log_weight.max() - _NEGLIGIBLE)
-    return float(z[max(counts[0] - 1, 0)]), float(z[min(counts[-1] + 1, z.size - 1)])
+    """Values of rho, even in Fisher's z, and the weight of each; shapes (81,)."""
+    look = _log_weight(moments, _FIRST_LOOK, freedom)
+    counts = np.flatnonzero(look > look.max() - _NEGLIGIBLE)
+    low, high = max(counts[0] - 1, 0), min(counts[-1] + 1, look.size - 1)
+    z = np.linspace(_FIRST_LOOK[low], _FIRST_LOOK[high], _VALUES)
+    weight = _log_weight(moments, z, freedom)
+    weight = np.exp(weight - weight.max())
+    return np.tanh(z), weight / weight.sum()
 
 
 def _log_weight(moments: _Moments, z: Array, freedom: float) -> Array:
-    """Log of restricted likelihood x prior x steps of z.
-
-    The prior of the first partial autocorrelation is the reference prior, that of the second
-    is uniform; the derivative of each by its z is 1 less its square.
-    """
-    partial = np.tanh(z)
-    squares, determinant = moments.generalized(partial)
-    prior_and_step = np.log1p(-(partial**2)) @ np.array([1 - 0.5, 1.0])
+    """Log of restricted likelihood x reference prior x d rho / d z."""
+    rho = np.tanh(z)
+    squares, determinant = moments.generalized(rho)
+    prior_and_step = (1 - 0.5) * np.log1p(-(rho**2))
     return np.asarray(-0.5 * freedom * np.log(squares) - determinant + prior_and_step)
 
 
-def _propagated(series: Sequence[Series], partial: Array) -> Array:
+def _propagated(series: Sequence[Series], rho: Array) -> Array:
     """Covariance of the estimates for unit noise, shape (k, p, p): influence R influence'.
 
-    R has the autocovariances of the lag as elements, so that lagged products are all it takes.
+    R has the elements rho^|i - j| / (1 - rho^2), so that lagged products are all it takes.
     """
     p, rows = series[0].influence.shape[0], max(one.residual.size for one in series)
-    # the lags of all recordings are added up before R weighs them; twice the rows, so that
+    # the lags of all recordings are added up before rho weighs them; twice the rows, so that
     # the ends of a recording do not meet
     size = 1 << (2 * rows - 1).bit_length()
     spectra = [np.fft.rfft(one.influence, size, axis=1) for one in series]
     power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
-    products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows].reshape(p * p, rows).T
-    half = np.empty((len(partial), p * p))
-    block = max(1, _NUMBERS // rows)
-    for begin in range(0, len(partial), block):
-        own = _autocovariances(partial[begin : begin + block], rows)
-        own[:, 0] *= 0.5
-        half[begin : begin + block] = own @ products
-    halves = half.reshape(-1, p, p)
-    return np.asarray(halves + halves.transpose(0, 2, 1))
+    products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
+    weight = _powers(rho, rows)
+    weight[:, 0] = 0.5
+    half = (weight @ products.reshape(p * p, rows).T).reshape(rho.size, p, p)
+    return np.asarray((half + half.transpose(0, 2, 1)) / (1 - rho**2)[:, None, None])
 
 
-def _autocovariances(partial: Array, n: int) -> Array:
-    """Autocovariances of lag 0 to n - 1 for unit noise (Yule and Walker), shape (k, n)."""
-    first, second = _coefficients(partial).T
-    out = np.empty((n, len(partial)))
-    out[0] = 1 / np.prod(1 - partial**2, axis=1)
-    if n > 1:
-        out[1] = partial[:, 0] * out[0]
-    for lag in range(2, n):
-        out[lag] = first * out[lag - 1] + second * out[lag - 2]
-    return out.T
+def _powers(base: Array, count: int) -> Array:
+    """Powers 0 to ``count`` - 1 of every number, shape (k, count): each by few products."""
+    out = np.ones((base.size, count))
+    known, factor = 1, base[:, None]
+    while known < count:
+        out[:, known : 2 * known] = out[:, : min(known, count - known)] * factor
+        known, factor = 2 * known, factor**2
+    return out
+
+
+def _half_widths(errors: Array, weight: Array, freedom: Array) -> Array:
+    """Half widths that hold 95 % of mixtures of Student's t of several scales.
+
+    The distribution function is concave above zero, so that Newton's method does not pass the
+    answer from below, where it is at the latest after its first step.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (p, k)
+        Scales of each mixture.
+    weight : ndarray, shape (k,)
+        Of the scales.
+    freedom : ndarray, shape (p,)
+        Degrees of freedom.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+    """
+    from scipy.special import gammaln, stdtr, stdtrit
+
+    nu, wanted = freedom[:, None], 1 - _OUTSIDE / 2
+    quantile = stdtrit(freedom, wanted)
+    low = quantile * errors.min(axis=1)
+    log_density = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
+    half = np.asarray(quantile * np.sqrt(errors**2 @ weight))
+    for _ in range(_STEPS):
+        t = half[:, None] / errors
+        missing = wanted - stdtr(nu, t) @ weight
+        density = np.exp(log_density - 0.5 * (nu + 1) * np.log1p(t**2 / nu))
+        step = missing / ((density / errors) @ weight)
+        half = np.maximum(half + step, low)
+        if np.all(np.abs(step) <= _LAST_STEP * half):
+            break
+    return half

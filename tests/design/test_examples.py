@@ -13,6 +13,7 @@ from study.design import cases, load, overview
 from study.design.spec import Design, Practical
 from study.measurement.section import MeasurementSpec, Range
 from study.sensors.load import load_requirement
+from study.tracker_accuracy.section import load_tracking
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
@@ -201,6 +202,8 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
         assert load.load_calibration(path)["tests"]
     elif kind == "problem" and "[requirement]" in path.read_text():
         assert load_requirement(path).fitted
+    elif kind == "problem" and "[tracking]" in path.read_text():
+        assert load_tracking(path).distance
     elif kind == "problem":
         assert load.load_problem(path)["test"]
     else:

@@ -17,7 +17,7 @@ from study.design.load import load_calibration
 from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
-from study.runner.calibration import calibrate, measured_tests
+from study.runner.calibration import measured_tests, search
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting import fit_task, staged_fit
 from study.setup.setup import specimen_of
@@ -418,7 +418,7 @@ def test_a_kink_is_called_alike_in_every_verb(
         kink = replace(done.fit, status=Status.at_kink, covariance=none, standard_error=none[0])
         return replace(done, fit=kink)
 
-    monkeypatch.setattr(calibrate, "staged_fit", ended)
+    monkeypatch.setattr(search, "staged_fit", ended)
     monkeypatch.setattr(fit_task, "staged_fit", ended)
     arguments = ["calibrate", str(path), "--data", str(tmp_path)]
     assert run([*arguments, "--results", str(tmp_path / "r"), "--json"]) == 0
