@@ -193,6 +193,8 @@ def errors(records: list[dict[str, Any]], material: str, state: str) -> dict[str
             "floor": marked["floor_mm"]}  # fmt: skip
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 @pytest.mark.parametrize(
     ("state", "nominal", "rigid", "slipping", "predicted", "floor"),
     [
@@ -211,6 +213,8 @@ def test_the_truth_cube(truth_cube, state, nominal, rigid, slipping, predicted, 
     assert found["slipping"] > found["floor"]  # no model comes below
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_truth_cube_tells_wrong_materials(truth_cube) -> None:  # type: ignore[no-untyped-def]
     right, linear, soft = (
         errors(truth_cube, name, "18.25 %")["slipping"]

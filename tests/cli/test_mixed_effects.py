@@ -21,6 +21,8 @@ def dyestuff(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_scatter_of_batches_as_lme4_has_it(dyestuff: Path) -> None:
     asked = ("analyze", str(dyestuff), "--response", "yield", "--block", "batch", "--error", "reml")
     found = study(*asked, "--json").json
