@@ -182,7 +182,7 @@ def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
     assert extras == {"x86_64": ["fast,test"], "aarch64": ["test"]}
 
 
-TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "check")
+TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "gallery", "check")
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -52,8 +52,11 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
         assert any(
             re.search(r"\d+/\d+ cases, \d+/\d+ calibrations", line) for line in process.stderr
         )
+        # held, for the rest of it may take less time than the question
+        process.send_signal(signal.SIGSTOP)
         during = study("status", "small")
         process.send_signal(number)
+        process.send_signal(signal.SIGCONT)
         _, words = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "To resume:\n  study run small.toml --data data --jobs 1\n" in words
