@@ -83,7 +83,7 @@ def calibrate(
     folder : Path, optional
         Where accepted iterations are kept, so that an interrupted calibration can go on.
     begin : mapping of str to float, optional
-        Constants to start from, MPa (exponents plain), in place of the calibration's own start.
+        Constants to start from, MPa (exponents plain), in place of all starts of the calibration.
 
     Raises
     ------
@@ -95,7 +95,9 @@ def calibrate(
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = setting_of(config, curves, progress, checkpoint, begin)
-    done, starts = from_all_starts(setting, curves, setting.fitted(curves, checkpoint))
+    done, starts = setting.fitted(curves, checkpoint), None
+    if begin is None:
+        done, starts = from_all_starts(setting, curves, done)
     found = done.fit
     specimens = tuple(_partial(setting, label, group) for label, group in own.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)

@@ -283,11 +283,7 @@ def _at_least_squares(
         whole = calibrate(_together(config), root, progress=progress)
         joint = whole.fit if whole.converged else None
     begins = begins if joint is None else [joint, *begins]
-    once: dict[str, Tables] = {
-        label: {**one, "calibration": {**one["calibration"], "starts": 1}}
-        for label, one in groups.items()
-    }
-    for label, one in once.items():
+    for label, one in groups.items():
         own = fits[label].fit
         again = (
             calibrate(one, root, progress=progress, begin=other.constants())

@@ -74,9 +74,5 @@ def linearized_fit(config: Tables, root: Path, common: Mapping[str, float]) -> F
 def _at_points(predicted: Curve, measured: Curve, names: tuple[str, ...]) -> Curve:
     """Force and gradient at the measured points, where a line is all that is needed."""
     d = measured.displacement_mm
-    return Curve(
-        d,
-        predicted.force_at(d),
-        force_gradient={name: predicted.gradient_at(name, d) for name in names},
-        time_s=predicted.time_s,
-    )
+    slopes = dict(zip(names, predicted.gradients_at(names, d).T, strict=True))
+    return Curve(d, predicted.force_at(d), force_gradient=slopes, time_s=predicted.time_s)

@@ -115,5 +115,4 @@ def _coarser(config: Tables) -> Tables | None:
             mend = 'write mesh = "medium" or "fine" in [model]'
             raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
         model = {**model, "mesh": MESH_LEVELS[level - 1]}
-    once = {**config["calibration"], "starts": 1}
-    return {**config, "model": model, "calibration": once, "tests": [{**test, "model": model}]}
+    return {**config, "model": model, "tests": [{**test, "model": model}]}
