@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_type_hints
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -247,54 +245,6 @@ Commands = Annotated[
 Study = Annotated[Path, typer.Argument(help="Results folder, design file or study name.")]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """Options of the verbs that ask a study's surfaces and let its true model confirm."""
-
-    at: At = ""
-    decimal: Decimal = "."
-    confirm: Confirm = True
-    data: Data = None
-    allow_commands: Commands = False
-    results: Results = RESULTS
-    as_json: Json = False
-
-    @property
-    def settings(self) -> dict[str, str]:
-        """Settings that are held."""
-        return surface_tables.settings(self.at) if self.at else {}
-
-    @property
-    def permission(self) -> Permission:
-        """What confirming runs may use."""
-        from study.api.statistics.confirmation import Permission
-        from study.runner.fitting.external_model import Allowed
-
-        return Permission(self.data, Allowed(self.allow_commands))
-
-
-def _parameters(of: Callable[..., object]) -> list[inspect.Parameter]:
-    """Parameters with what typer reads of them, not its text."""
-    hints = get_type_hints(of, include_extras=True)
-    return [p.replace(annotation=hints[p.name]) for p in inspect.signature(of).parameters.values()]
-
-
-def _asking(verb: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the options of `Asked` beside its own, which it takes as ``asked``."""
-    shared = _parameters(Asked)
-    every = [*(p for p in _parameters(verb) if p.name != "asked"), *shared]
-
-    @functools.wraps(verb)
-    def command(**given: object) -> None:
-        told = {p.name: given.pop(p.name) for p in shared}
-        verb(asked=Asked(**told), **given)  # type: ignore[arg-type]  # typer has read them
-
-    command.__annotations__ = {p.name: p.annotation for p in every}
-    command.__dict__["__signature__"] = inspect.Signature(every)
-    return command
-
-
-@_asking
 def optimize(
     path: Annotated[
         Path, typer.Argument(help="Results folder, design file, study name; or a tidy CSV.")
@@ -305,10 +255,15 @@ def optimize(
         list[str] | None,
         typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
     ] = None,
+    at: At = "",
     numeric: Numeric = "",
     surface: Surface = "auto",
-    *,
-    asked: Asked,
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
 ) -> None:
     """Find the best setting among choices, within limits, and confirm it by a run."""
     from study import api
@@ -316,12 +271,12 @@ def optimize(
 
     found = api.optimize(
         path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
-        at=asked.settings, numeric=names(numeric), surface=cast("SurfaceKind", surface),
-        decimal=asked.decimal, results=asked.results, confirming=asked.confirm,
-        permission=asked.permission,
+        at=surface_tables.settings(at) if at else {}, numeric=names(numeric),
+        surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
     output.warn([note for one in found for note in one.notes])
-    if asked.as_json:
+    if as_json:
         output.print_json({"recommendations": [one.to_json() for one in found]})
     else:
         optimum_tables.print_recommendations(found)
@@ -329,10 +284,10 @@ def optimize(
         raise typer.Exit(1)
 
 
-@_asking
 def invert(
     path: Study,
     to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
+    at: At = "",
     columns: Annotated[
         str, typer.Option(help="Columns of displacement and force.")
     ] = "displacement_mm,force_N",
@@ -340,25 +295,37 @@ def invert(
     within: Annotated[
         str | None, typer.Option(help="What an agreeing curve may miss, rms: '2 %'.")
     ] = None,
-    *,
-    asked: Asked,
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
 ) -> None:
     """Find all inputs of a study whose curve agrees with a measured one."""
     from study import api
     from study.cli.tables import optimum_tables
 
     found = api.invert(
-        path, to, at=asked.settings, columns=names(columns), in_units=names(units),
-        within=within, decimal=asked.decimal, results=asked.results, confirming=asked.confirm,
-        permission=asked.permission,
+        path, to, at=surface_tables.settings(at) if at else {}, columns=names(columns),
+        in_units=names(units), within=within, decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
     output.warn(found.notes)
-    if asked.as_json:
+    if as_json:
         output.print_json(found.to_json())
     else:
         optimum_tables.print_inverted(found)
     if found.best_run is not None and not found.best_run.agrees:
         raise typer.Exit(1)
+
+
+def _permission(data: Path | None, allow_commands: bool) -> Permission:
+    """Say what confirming runs may use."""
+    from study.api.statistics.confirmation import Permission
+    from study.runner.fitting.external_model import Allowed
+
+    return Permission(data, Allowed(allow_commands))
 
 
 VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
