@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from study.arrays import Array
 from tests.cli.small import study
 
 HEAD = """
@@ -195,21 +197,12 @@ def test_the_design_tells_two_truths_apart(tmp_path: Path, truth: str, verdict: 
 
 def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -> None:
     """One Ogden solid with alpha = -3; its shear is even in alpha and is fitted at either sign."""
-    mu, alpha, rng = 2.0, -3.0, np.random.default_rng(3)
-    share = np.linspace(0.02, 0.5, 25)
-    stretch = 1 + share
-    longest = 0.5 * (share + np.sqrt(share**2 + 4))
-    by_kind = {
-        "tension": 2 * mu / alpha * (stretch ** (alpha - 1) - stretch ** (-alpha / 2 - 1)),
-        "simple-shear": 2 * mu / alpha * (longest**alpha - longest**-alpha)
-        / (longest + 1 / longest),
-    }  # fmt: skip
-    text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
-    for kind, exact in by_kind.items():
-        s = exact * (1 + 0.01 * rng.normal(size=share.size))
-        rows = ["e,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(share, s, strict=True))]
-        (tmp_path / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-        text += TEST.format(kind=kind, file=kind).replace("stretch", "strain").replace('"l"', '"e"')
+    alpha, share, rng = -3.0, np.linspace(0.02, 0.5, 25), np.random.default_rng(3)
+    noisy = {
+        kind: exact * (1 + 0.01 * rng.normal(size=share.size))
+        for kind, exact in ogden_stresses(share, alpha).items()
+    }
+    text = written_tests(tmp_path, share, noisy)
     path = tmp_path / "ogden.toml"
     for start in ("4.0", "-4.0"):
         started = f'mu = ["2 kPa"]\nalpha = [{start}]\n'
@@ -221,22 +214,35 @@ def test_shear_that_cannot_tell_the_sign_of_an_exponent_agrees(tmp_path: Path) -
         assert found["p"] > 0.05
 
 
-def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
-    """Tension and simple shear of one Ogden solid, mu = 2 kPa, 1 % of noise."""
-    mu, share = 2.0, np.linspace(0.01, 0.3, 25)
-    stretch = 1 + share
+def ogden_stresses(share: Array, alpha: float) -> dict[str, Array]:
+    """Stresses of an Ogden solid with mu = 2 kPa, at strains of each test."""
+    mu, stretch = 2.0, 1 + share
     longest = 0.5 * (share + np.sqrt(share**2 + 4))
-    by_kind = {
+    return {
         "tension": 2 * mu / alpha * (stretch ** (alpha - 1) - stretch ** (-alpha / 2 - 1)),
         "simple-shear": 2 * mu / alpha * (longest**alpha - longest**-alpha)
         / (longest + 1 / longest),
     }  # fmt: skip
+
+
+def written_tests(folder: Path, share: Array, stresses: Mapping[str, Array]) -> str:
+    """Write a CSV of each test, and give the calibration of one Ogden solid to all of them."""
     text = HEAD.replace("neo-hookean", "ogden") + "order = 1\n"
-    for kind, exact in by_kind.items():
-        s = exact + 0.01 * np.abs(exact).max() * rng.normal(size=share.size)
+    for kind, s in stresses.items():
         rows = ["e,s", *(f"{a:.8f},{b:.10f}" for a, b in zip(share, s, strict=True))]
         (folder / f"{kind}.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
         text += TEST.format(kind=kind, file=kind).replace("stretch", "strain").replace('"l"', '"e"')
+    return text
+
+
+def ogden_solid(folder: Path, alpha: float, rng: np.random.Generator) -> Path:
+    """Tension and simple shear of one Ogden solid, 1 % of noise."""
+    share = np.linspace(0.01, 0.3, 25)
+    noisy = {
+        kind: exact + 0.01 * np.abs(exact).max() * rng.normal(size=share.size)
+        for kind, exact in ogden_stresses(share, alpha).items()
+    }
+    text = written_tests(folder, share, noisy)
     path = folder / "ogden.toml"
     path.write_text(text, encoding="utf-8")
     return path
