@@ -95,8 +95,8 @@ def answer(perform: Perform, text: str) -> str:
     -------
     str
         JSON of the result, or of the list of them; its ``status`` is ``failed`` with the traceback
-        where ``perform``
-        raised or gave something that JSON cannot hold, ``out-of-memory`` where memory was short.
+        where ``perform`` raised or gave something that JSON cannot hold, ``out-of-memory`` where
+        memory was short.
     """
     asked = json.loads(text)
     if isinstance(asked, list):

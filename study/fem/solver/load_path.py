@@ -277,16 +277,15 @@ class LoadPath:
         """
         if self.system.sticks:
             return
-        here_mm, lift = self.state.displacement_mm, self._lift() is not None
+        here_mm, newton = self.state.displacement_mm, self.options.newton
         last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
         if here_mm - last_mm > self.rule.smallest_mm():
-            self._write_down(solve_step(self.system, self.state, self.options.newton), self.state)
+            self._write_down(solve_step(self.system, self.state, newton), self.state)
+        lift = None if self._lift() is None else landed
         for share in _BACK:
             back_mm = here_mm + share * (landed.displacement_mm - here_mm)
             start = replace(landed, displacement_mm=back_mm)
-            newton = self.options.newton
-            found = solve_step(self.system, start, newton, lifted_from=landed if lift else None)
-            if self._write_down(found, landed):
+            if self._write_down(solve_step(self.system, start, newton, lifted_from=lift), landed):
                 return
 
     def _write_down(self, found: NewtonResult, neighbor: State) -> bool:

@@ -17,7 +17,14 @@ from study.arrays import Array
 from study.material.compressibility import Compressibility
 from study.material.energies.finite_extensibility import FiniteExtensibilityEnergy
 from study.material.energies.ogden import Ogden
-from study.material.energy import Constant, Constants, DeclaredConstants, Law, PointLaw
+from study.material.energy import (
+    Constant,
+    Constants,
+    DeclaredConstants,
+    IsochoricEnergy,
+    Law,
+    PointLaw,
+)
 
 _ENTANGLEMENT = Ogden()
 
@@ -65,12 +72,8 @@ class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
         tubes = _ENTANGLEMENT.principal_stress_slope(_term(constants), bar, direction)
         return crosslinks + tubes
 
-    def stress_and_slope(
-        self, constants: Constants, bar: Array, direction: Array
-    ) -> tuple[Array, Array]:
-        """One after the other: only crosslinks go by the invariants."""
-        stress = self.principal_stress(constants, bar)
-        return stress, self.principal_stress_slope(constants, bar, direction)
+    #: one after the other: only crosslinks go by the invariants
+    stress_and_slope = IsochoricEnergy.stress_and_slope
 
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Of both; the exponent is -beta."""

@@ -87,9 +87,7 @@ class Emulator:
 
     def points(self, unit: Array) -> Array:
         """Points of the process at points (m, k) of the unit box."""
-        if self.combination is None:
-            return unit
-        return np.column_stack([unit, np.full(len(unit), float(self.combination))])
+        return _among(unit, self.combination)
 
     def paths(self, seed: int) -> Callable[[Array], Array]:
         """Draw posterior paths: the mean and functions, shape (m, 1 + paths), of points (m, k).
@@ -233,7 +231,7 @@ def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emul
             raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
     numbers = range(len(runs)) if sizes else [None]
     x, y, noise = (np.concatenate(parts) for parts in zip(*(
-        (_unit(one.coded, number), (one.response - centre) / scale, (u / scale) ** 2)
+        (_among(0.5 * (one.coded + 1.0), number), (one.response - centre) / scale, (u / scale) ** 2)
         for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
     ), strict=True))  # fmt: skip
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
@@ -244,11 +242,11 @@ def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emul
     )
 
 
-def _unit(coded: Array, combination: int | None) -> Array:
-    """Points of the process: the unit box, and the number of the combination."""
-    unit = 0.5 * (coded + 1.0)
-    own = np.full((len(unit), 0 if combination is None else 1), float(combination or 0))
-    return np.column_stack([unit, own])
+def _among(unit: Array, combination: int | None) -> Array:
+    """Points of the process: those of the unit box, and the number of the combination."""
+    if combination is None:
+        return unit
+    return np.column_stack([unit, np.full(len(unit), float(combination))])
 
 
 def _q2(process: GaussianProcess) -> float:
