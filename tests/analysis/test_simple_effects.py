@@ -6,11 +6,13 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import t as student
 
+from study.analysis.anova import anova
 from study.analysis.effects.blocked_dunnett import blocked_dunnett
 from study.analysis.effects.multiplicity import response_family, study_family
 from study.analysis.effects.samples import over_blocks
@@ -229,3 +231,21 @@ def test_simple_effects_hold_their_rates_everywhere(levels: int, blocks: int, er
     found = outcomes(case, 1000, 33)
     print(case, found)
     held(case, found, error=0.0)
+
+
+def test_a_table_says_that_only_single_settings_matter():
+    """An average below what matters beside *matters* would be a contradiction."""
+    rng = np.random.default_rng(3)
+    rows = [
+        (block, a, b, base + (3.0 if (a, b) == ("y", "q") else 0.0) + rng.normal(0, 0.05))
+        for block, base in enumerate(rng.normal(8, 0.5, 6))
+        for a in "xy"
+        for b in "pq"
+    ]
+    table = pd.DataFrame(rows, columns=["block", "a", "b", "response"])
+    found = anova(table, "response", ["a", "b"], block="block", practical=2.0).effects[0]
+    assert (found.term, found.verdict) == ("a", MATTERS)
+    assert found.range == pytest.approx(1.5, abs=0.1)  # half of 3: one of two settings
+    assert found.told == "matters at some settings"
+    all_of_it = anova(table, "response", ["a", "b"], block="block", practical=1.0).effects[0]
+    assert (all_of_it.verdict, all_of_it.told) == (MATTERS, MATTERS)

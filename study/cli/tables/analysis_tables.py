@@ -115,7 +115,7 @@ def _print_effects(found: AnalysisResult) -> None:
     share = {row.term: row.share for row in found.anova.rows}
     rows += [
         [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3),
-         _p(e.p), _p(e.p_holm), e.verdict]
+         _p(e.p), _p(e.p_holm), e.told]
         for e in found.effects
     ]  # fmt: skip
     output.table(rows, "Effects")

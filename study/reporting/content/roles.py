@@ -78,14 +78,14 @@ def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportDat
             return ""
         verdict = together([e.verdict for e in here])
         largest = _largest([e for e in here if e.verdict == verdict] or here, effect)
-        size = shown_difference(_apart(largest.difference, effect), effect, facts)
+        size = shown_difference(apart(largest.difference, effect), effect, facts)
         found.setdefault(verdict, []).append(f"{clean(level)} ({size})")
     parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in found.items()]
     name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
     return sentence(f"{name} by {by}, for the {facts.title}: {'; '.join(parts)}")
 
 
-def _apart(difference: float, effect: Effect) -> float:
+def apart(difference: float, effect: Effect) -> float:
     """How far two levels are apart, whichever is higher."""
     if effect.is_ratio:
         return max(difference, 1 / difference) if difference > 0 else difference

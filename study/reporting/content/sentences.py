@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.reporting.content import recommendation, roles
-from study.reporting.content.sizes import change, size
+from study.reporting.content.sizes import change, shown_difference, size
 from study.reporting.content.surfaces import response_surface
+from study.reporting.content.verdicts import setting
 from study.reporting.numbers import (
     MISSING,
     clean,
@@ -97,7 +98,9 @@ def _which(data: ReportData, facts: Facts) -> str:
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
     if named[MATTERS]:
-        listed = listing([f"{_label(e, data)} ({_to_reader(e, facts)})" for e in named[MATTERS]])
+        listed = listing(
+            [f"{_label(e, data)} ({_to_reader(e, facts, data)})" for e in named[MATTERS]]
+        )
         several = len(named[MATTERS]) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
     if named[NO_DIFFERENCE]:
@@ -121,7 +124,11 @@ def _label(effect: Effect, data: ReportData) -> str:
     return term_name(effect.term, data.labels)
 
 
-def _to_reader(effect: Effect, facts: Facts) -> str:
+def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
+    one = effect.deciding_simple
+    if one is not None and effect.matters_at_settings_only:
+        number = shown_difference(roles.apart(one.difference, effect), effect, facts)
+        return f"{number} {setting(one, data.labels)}; {size(effect, facts)} on average"
     return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"
 
 

@@ -45,7 +45,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                 (
                     facts.title,
                     term_name(effect.term, data.labels),
-                    effect.verdict,
+                    effect.told,
                     size(effect, facts),
                     size_interval(effect, facts),
                     practical(effect, facts),
@@ -58,7 +58,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                 {
                     "response": facts.name,
                     "factor": effect.term,
-                    "verdict": effect.verdict,
+                    "verdict": effect.told,
                     "effect": effect.range,
                     "low": effect.low,
                     "high": effect.high,

@@ -164,7 +164,7 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     if effect.largest is None:
         return f"{name}: matters for the {facts.title}, {numbers}"
     one = effect.deciding_simple
-    if one is not None and effect.depends_on_settings and not effect.matters_on_average:
+    if one is not None and effect.matters_at_settings_only:
         return (
             f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
             f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "
