@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.analysis.effects.verdict import MATTERS, MATTERS_AT_SETTINGS
 from study.canonical import plain
 
 if TYPE_CHECKING:
@@ -256,16 +255,6 @@ class Effect:
         if self.is_ratio:
             return math.log(self.low) - u > math.log(self.practical)
         return self.low - u > self.practical
-
-    @property
-    def matters_at_settings_only(self) -> bool:
-        """Whether a single setting of the other factors carries *matters*, not the average."""
-        return self.verdict == MATTERS and self.depends_on_settings and not self.matters_on_average
-
-    @property
-    def told(self) -> str:
-        """Verdict as a table says it, so that the average beside it does not contradict it."""
-        return MATTERS_AT_SETTINGS if self.matters_at_settings_only else self.verdict
 
     @property
     def _known_means(self) -> list[tuple[str, float]]:

@@ -57,10 +57,19 @@ def converge(
             _print_series(cell)
         for front in document.get("fronts", ()):
             _print_front(front)
+        _print_left_out(document.get("left_out") or ())
         if document.get("report"):
             print(f"report: {document['report']}")
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
+
+
+def _print_left_out(cells: Sequence[Document]) -> None:
+    """Name the cells that the budget of ``[converge]`` did not allow to be refined."""
+    if cells:
+        named = ", ".join(" / ".join(str(v) for v in one["levels"].values()) for one in cells)
+        print(f"not refined, for the time budget does not allow it: {named}")
+        print("  a longer budget in [converge], or none, refines them too\n")
 
 
 def _numbers(text: str, option: str) -> list[float]:

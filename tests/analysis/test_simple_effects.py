@@ -24,6 +24,7 @@ from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.linear_model.sums_of_squares import factor as fitted
 from study.arrays import Array
 from study.errors import InputError
+from study.reporting.content.verdicts import told
 
 FULL = ("A", "B", "C")
 
@@ -246,6 +247,6 @@ def test_a_table_says_that_only_single_settings_matter():
     found = anova(table, "response", ["a", "b"], block="block", practical=2.0).effects[0]
     assert (found.term, found.verdict) == ("a", MATTERS)
     assert found.range == pytest.approx(1.5, abs=0.1)  # half of 3: one of two settings
-    assert found.told == "matters at some settings"
+    assert told(found) == "matters at some settings"
     all_of_it = anova(table, "response", ["a", "b"], block="block", practical=1.0).effects[0]
-    assert (all_of_it.verdict, all_of_it.told) == (MATTERS, MATTERS)
+    assert (all_of_it.verdict, told(all_of_it)) == (MATTERS, MATTERS)

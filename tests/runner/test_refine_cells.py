@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +10,19 @@ import numpy as np
 import pytest
 
 from study.analysis.convergence.validation import compare
-from study.api.convergence.cells import affordable, measured_cells
+from study.api.convergence.cells import measured_cells
+from study.api.convergence.time_budget import refine_within
 from study.api.opened_study import open_study
 from study.api.planning.manifest import manifest_of
 from study.api.uncertainty import numerical, validation
 from study.design.load import loads
 from study.design.spec import Design
 from study.errors import InputError
+from study.record.record import Record
 from study.record.store import Store
 from study.runner.batch import run_batch
 from study.runner.expansion import expand
+from study.runner.job import CaseJob
 from study.runner.numerical import formal_order, input_uncertainty, study_refinement
 
 from .conftest import DESIGN, fake
@@ -54,12 +58,31 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert numerical.stored_numerical(store, {"other": "hash"}) == ()
 
 
-def test_a_time_budget_leaves_cells_out(one_mix: Path) -> None:
+def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
     design = loads(DESIGN + '[converge]\nbudget = "1 ms"\n', "small.toml")
+    found = measured_cells(design, one_mix, 1, tmp_path, lambda _: None, executor=fake())
+    assert (found.cells, len(found.left_out or ())) == ((), 4)
+
+
+def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) -> None:
+    """A cell whose first mesh took an hour is not refined, whatever was predicted of it."""
     work = expand(design, one_mix)
-    kept, left = affordable(work, study_refinement.every_cell(work), 1)
-    assert len(kept) + len(left) == 4
-    assert left
+    series = study_refinement.every_series(work, study_refinement.every_cell(work), {})
+    slow, computed = series[0].base.case.case_id, []
+
+    def compute(cases: Sequence[CaseJob]) -> list[Record]:
+        computed.extend(case.case.case_id for case in cases)
+        hour = {True: 3600.0, False: 0.01}
+        return [
+            Record(c.case.case_id, "small", timings={"total": hour[c.case.case_id == slow]})
+            for c in cases
+        ]
+
+    complete = refine_within(600.0, 2, series, compute)
+    assert [one is series[0] for one in series if one not in complete] == [True]
+    assert computed.count(slow) == 1
+    assert len(computed) == 1 + 3 * (len(series) - 1)
+    assert [len(one.records) for one in series] == [1, 3, 3, 3]
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,6 @@ from study.errors import Fault, InputError
 
 MATTERS = "matters"
 NO_DIFFERENCE = "no practical difference"
-#: *matters* where the average over the other factors does not
-MATTERS_AT_SETTINGS = "matters at some settings"
 NOT_RESOLVED = "not resolved by the mesh"
 CANNOT_TELL = "cannot tell"
 CLAIMS = (MATTERS, NO_DIFFERENCE)

@@ -15,6 +15,7 @@ from study.analysis.convergence.work_precision import (
 )
 from study.api.convergence.page import write_page
 from study.api.convergence.result import CostFront, DesignConvergence, FrontPoint, RankedCell
+from study.api.convergence.time_budget import refine_within
 from study.api.folders import data_root
 from study.api.uncertainty.credibility import uncertainties
 from study.canonical import digest
@@ -25,7 +26,6 @@ from study.record.store import Store
 from study.runner import provenance
 from study.runner.batch import Progress as RunProgress
 from study.runner.batch import computing, default_jobs
-from study.runner.cost import Costs
 from study.runner.expansion import expand
 from study.runner.numerical import curve_quantities, study_refinement
 from study.runner.numerical.curve_quantities import QUANTITIES
@@ -38,7 +38,6 @@ from study.setup.setup import problem_of
 
 if TYPE_CHECKING:
     from study.design.spec import Design
-    from study.runner.job import CaseJob, Work
     from study.runner.numerical.solve_task import Solver
 
 Progress = Callable[[str], None]
@@ -216,44 +215,26 @@ def measured_cells(
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     whole = expand(design, data)
     work = whole.plain()
-    bases, left_out = affordable(work, study_refinement.every_cell(work), jobs)
-    store = Store(results / design.name)
-    series = study_refinement.every_series(work, bases, {})
-    finer = sum(len(one.jobs) - 1 for one in series)
-    progress(f"{len(bases)} cells, {finer} refined cases besides")
+    store, seconds = Store(results / design.name), design.converge.budget_s
+    every = study_refinement.every_series(work, study_refinement.every_cell(work), {})
+    finer = sum(len(one.jobs) - 1 for one in every)
+    limit = "" if seconds is None else f", as many as {seconds:g} s allow"
+    progress(f"{len(every)} cells, {finer} refined cases besides{limit}")
     compute = computing(work, store, jobs=jobs, executor=executor, progress=_said(progress))
-    refine(series, compute)
+    if seconds is None:
+        refine(every, compute)
+    else:
+        refine_within(seconds, jobs, every, compute)
+    series = [one for one in every if len(one.records) > 1]
     rows = [asdict(row) for row in uncertainties(work, series)]
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
     judged = [one.judge(design.converge, work.responses) for one in series]
-    found = DesignConvergence(tuple(judged), left_out=tuple(left_out))
-    return _with_page(found, design, [base.case.config for base in bases], reports)
+    found = DesignConvergence(
+        tuple(judged), left_out=tuple(one.base for one in every if one not in series)
+    )
+    return _with_page(found, design, [one.base.case.config for one in series], reports)
 
 
 def _said(progress: Progress) -> Callable[[RunProgress], None]:
     return lambda state: progress(f"{state.done}/{state.total}: {state.label}")
-
-
-def affordable(
-    work: Work, bases: Sequence[CaseJob], jobs: int
-) -> tuple[list[CaseJob], list[CaseJob]]:
-    """Cells whose refinement fits into the time budget, cheapest first, and the others."""
-    seconds = work.design.converge.budget_s
-    if seconds is None:
-        return list(bases), []
-    costs, left = Costs(), seconds * jobs
-    price = {}
-    for base in bases:
-        finer = study_refinement.refinement_work(work, [base])
-        price[base.case.case_id] = costs.total_seconds(finer.fits.values(), finer.jobs, 1)
-    kept = []
-    for base in sorted(bases, key=lambda job: price[job.case.case_id]):
-        left -= price[base.case.case_id]
-        if left < 0:
-            break
-        kept.append(base.case.case_id)
-    return (
-        [b for b in bases if b.case.case_id in kept],
-        [b for b in bases if b.case.case_id not in kept],
-    )

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from study.analysis.effects.verdict import REFUSALS
 from study.cli import output
+from study.reporting.content.verdicts import told
 from study.reporting.numbers import ratio_digits
 
 if TYPE_CHECKING:
@@ -115,7 +116,7 @@ def _print_effects(found: AnalysisResult) -> None:
     share = {row.term: row.share for row in found.anova.rows}
     rows += [
         [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3),
-         _p(e.p), _p(e.p_holm), e.told]
+         _p(e.p), _p(e.p_holm), told(e)]
         for e in found.effects
     ]  # fmt: skip
     output.table(rows, "Effects")

@@ -12,6 +12,7 @@ from study.reporting.content import sentences
 from study.reporting.content.sizes import numerical as u_num_of
 from study.reporting.content.sizes import practical, size, size_interval
 from study.reporting.content.table import Table
+from study.reporting.content.verdicts import told
 from study.reporting.numbers import (
     MISSING,
     THIN,
@@ -45,7 +46,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                 (
                     facts.title,
                     term_name(effect.term, data.labels),
-                    effect.told,
+                    told(effect),
                     size(effect, facts),
                     size_interval(effect, facts),
                     practical(effect, facts),
@@ -58,7 +59,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                 {
                     "response": facts.name,
                     "factor": effect.term,
-                    "verdict": effect.told,
+                    "verdict": told(effect),
                     "effect": effect.range,
                     "low": effect.low,
                     "high": effect.high,

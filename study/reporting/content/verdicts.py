@@ -40,6 +40,9 @@ from study.study_result.report_data import ReportData
 Labels = Mapping[str, str] | None
 SpreadTest = BartlettResult | LeveneResult
 
+#: *matters* where the average over the other factors does not
+MATTERS_AT_SETTINGS = "matters at some settings"
+
 PLUS_MINUS = "\u00b1"
 
 
@@ -76,6 +79,18 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
         f"{name}: these data cannot show whether it matters for the {facts.title}; the largest "
         f"difference is {numbers}{against}{f' ({effect.why})' if effect.why else ''}{worst}"
     )
+
+
+def only_at_settings(effect: Effect) -> bool:
+    """Whether a single setting of the other factors carries *matters*, not the average."""
+    return (
+        effect.verdict == MATTERS and effect.depends_on_settings and not effect.matters_on_average
+    )
+
+
+def told(effect: Effect) -> str:
+    """Verdict as a table says it, so that the average beside it does not contradict it."""
+    return MATTERS_AT_SETTINGS if only_at_settings(effect) else effect.verdict
 
 
 def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
@@ -164,7 +179,7 @@ def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labe
     if effect.largest is None:
         return f"{name}: matters for the {facts.title}, {numbers}"
     one = effect.deciding_simple
-    if one is not None and effect.matters_at_settings_only:
+    if one is not None and only_at_settings(effect):
         return (
             f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
             f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "
