@@ -11,7 +11,8 @@
 
 PYTEST_WORKERS ?= 2
 ready := .venv/.ready
-# pytest-xdist uses the cores; threads inside a worker would only get in each other's way.
+# pytest-xdist uses the cores; threads inside a worker would only get in each other's way. A file's
+# tests stay in one worker, which makes what they share (a study that has run) once.
 one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 export PYTHON
@@ -37,7 +38,7 @@ demo: $(ready)
 	@.venv/bin/study demo
 
 test: $(ready)
-	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadgroup -q
+	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
 
 verify: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests

@@ -19,9 +19,6 @@ from study.setup.geometry import Cylinder
 from study.setup.setup import problem_of
 from study.study_result.study_result import StudyResult
 
-#: one process makes what these tests share
-pytestmark = pytest.mark.xdist_group("replicates")
-
 SPECIMEN = Cylinder(25.0, 30.0)
 HEAD = """
 schema = 1

@@ -17,9 +17,6 @@ from study.setup.setup import Model, Problem
 from study.setup.test_kind import Test
 from tests.cli.small import study
 
-#: one process makes what these tests share
-pytestmark = pytest.mark.xdist_group("markers")
-
 DESIGN = Path(__file__).parents[2] / "designs" / "truth-cube.toml"
 NOISE_MM = 0.05
 #: down, x, y (mm), tilts and twist (deg), spread (%) of the virtual plate, in the state that

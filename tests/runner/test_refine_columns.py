@@ -24,9 +24,6 @@ from study.runner.numerical.study_refinement import own_series
 from study.runner.virtual.specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import DESIGN, finished
 
-#: one process makes what these tests share
-pytestmark = pytest.mark.xdist_group("refine-columns")
-
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'
 RESPONSE = ("relative_rms_force_error", "%")
 

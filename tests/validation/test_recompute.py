@@ -59,9 +59,6 @@ SEEDS = (
     + "[replicates]\nmesh_seeds = 5\n"
 )  # fmt: skip
 
-#: one process makes what these tests share
-pytestmark = pytest.mark.xdist_group("recompute")
-
 
 def run(home: Path, text: str) -> Path:
     """Results of a design that was run in a folder."""
