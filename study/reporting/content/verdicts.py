@@ -23,6 +23,7 @@ from study.reporting.numbers import (
     MISSING,
     THIN,
     clean,
+    count,
     level,
     listing,
     name_of,
@@ -146,8 +147,9 @@ def robust(effect: Effect, facts: Facts) -> str:
     if not effect.lost_without:
         return f"; so with any one {block} left out"
     named = [clean(name) for name in effect.lost_without]
-    which = listing(named, "or") if len(named) < 4 else f"any one of {len(named)}"
-    return f"; fragile, for it is not shown without {block} {which}"
+    several = f"any one of {count(len(named), block)}"
+    which = f"{block} {listing(named, 'or')}" if len(named) < 4 else several
+    return f"; fragile, for it is not shown without {which}"
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:

@@ -25,7 +25,7 @@ from study.reporting.figure.style import (
     plain_ticks,
     wrap,
 )
-from study.reporting.numbers import clean, percent
+from study.reporting.numbers import clean, name_of, percent
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,16 +50,27 @@ def value_points(cells: Sequence[Document]) -> pd.DataFrame:
 
     rows = [
         {
-            "cell": label_of(cell), "quantity": cell["qoi"], "unit": cell["unit"],
+            "cell": label_of(cell), "panel": title, "quantity": cell["qoi"], "unit": cell["unit"],
             "mesh_size": h, "value": v, "behaviour": cell["behaviour"],
             "observed_order": cell["observed_order"], "formal_order": cell["formal_order"],
             "order_used": cell.get("order_used"), "extrapolated": cell["extrapolated"],
             "u_num": cell["u_num"] if k == 0 else None,
         }
-        for cell in cells
+        for cell, title in zip(cells, _titles(cells), strict=True)
         for k, (h, v) in enumerate(zip(cell["mesh_size"], cell["value"], strict=True))
     ]  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _titles(cells: Sequence[Document]) -> list[str]:
+    """Name cells by the levels in which they differ; the quantity stands at the axis."""
+    levels = [{k: str(v) for k, v in (cell.get("levels") or {}).items()} for cell in cells]
+    differ = [
+        key
+        for key in dict.fromkeys(key for own in levels for key in own)
+        if key != "response" and len({own.get(key) for own in levels}) > 1
+    ]
+    return [" / ".join(own[key] for key in differ if key in own) for own in levels]
 
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
@@ -69,21 +80,23 @@ def draw_values(frame: pd.DataFrame) -> Canvas:
     rows = -(-len(groups) // columns)
     figure = canvas(WIDTH_IN, 0.5 + 2.1 * rows)
     axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    for ax, (cell, part) in zip(axes, groups, strict=False):
+    several = len(set(frame["quantity"])) > 1
+    for ax, (_, part) in zip(axes, groups, strict=False):
         _value_panel(ax, part)
-        ax.set_title(wrap(cell, 30), fontsize=7.5)
+        ax.set_title(wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
+        if several:
+            ax.set_ylabel(wrap(_axis(part), 24), fontsize=7.5)
     for ax in axes[len(groups) :]:
         ax.set_visible(False)
     figure.supxlabel("mesh size (mm)", fontsize=8.5)
-    figure.supylabel(_axis(frame), fontsize=8.5)
+    if not several:
+        figure.supylabel(_axis(frame), fontsize=8.5)
     return figure
 
 
 def _axis(frame: pd.DataFrame) -> str:
-    """Name of the quantity where all panels share one."""
-    if len(set(frame["quantity"])) > 1:
-        return "value (unit of each)"
-    quantity = clean(str(frame["quantity"].iloc[0]).replace("_", " "))
+    """Name of the quantity with its unit."""
+    quantity = name_of(str(frame["quantity"].iloc[0]))
     unit = clean(str(frame["unit"].iloc[0]))
     return f"{quantity} ({unit})" if unit else quantity
 
