@@ -61,6 +61,7 @@ name = "predicted_marker_error"
 practical = "0.05 mm"
 [converge]
 levels = 2
+ratio = 1.2
 [report]
 format = ["csv"]
 """
