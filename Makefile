@@ -25,7 +25,7 @@ help:
 setup: $(ready)
 
 # The mark is written last, so that a set-up that was stopped is done again.
-$(ready): pyproject.toml requirements.lock scripts/setup.sh scripts/system_libraries.py
+$(ready): pyproject.toml requirements.lock scripts/installer.lock scripts/setup.sh scripts/system_libraries.py
 	@sh scripts/setup.sh
 	@touch $@
 

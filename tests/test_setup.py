@@ -182,6 +182,23 @@ def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
     assert extras == {"x86_64": ["fast,test"], "aarch64": ["test"]}
 
 
+@pytest.mark.parametrize("works", [True, False])
+def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(
+    machine: Path, works: bool
+) -> None:
+    folder = machine / ".venv" / "bin"
+    folder.mkdir(parents=True)
+    python = 'case "$*" in *platform*) echo linux x86_64 3.11 ;; *) echo "python $*" ;; esac'
+    for name, body in (("python", python), ("uv", f'echo "uv $*"\nexit {int(not works)}')):
+        (folder / name).write_text(f"#!{SH}\n{body}\n")
+        (folder / name).chmod(0o755)
+    run = set_up(machine)
+    assert run.returncode == 0, run.stderr
+    installed = [line for line in run.stdout.splitlines() if "requirements.lock" in line]
+    assert [line.split()[0] for line in installed] == (["uv"] if works else ["uv", "python"])
+    assert all("--require-hashes" in line for line in installed)
+
+
 TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "gallery", "check")
 
 
