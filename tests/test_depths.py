@@ -68,7 +68,7 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
 def test_the_page_draws_it(outcome: StudyResult) -> None:
     from study.api.assemble import report_data
 
-    data = report_data(outcome, {})
+    data = report_data(outcome, {}, effects_by_depth(outcome))
     page = build(data)
     assert "A second look" in page
     assert "f-relative-rms-force-error-depth" in page

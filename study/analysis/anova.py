@@ -72,13 +72,35 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     RefusedError
         For copies that pose as replicates.
     """
-    if request.layout.unit is None and _one_cell_a_block(table, request):
-        # a block that lies in one cell is a replicate of it, and its rows are repeats
-        layout = Blocking(unit=request.layout.block[0], replicates="runs")
-        request = replace(request, layout=layout, error="auto")
+    request = _of_units(table, request)
     if request.layout.unit is not None:
         return _with_units(table, request, request.layout.unit)
     return _complete(table, request)
+
+
+@one_thread
+def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]:
+    """Effects with their verdicts alone, as :func:`analyze` has them; p are not adjusted.
+
+    No assumption is checked and no block is left out in turn, which takes most of the time.
+
+    Raises
+    ------
+    InputError, RefusedError
+        As of :func:`analyze`.
+    """
+    request = _of_units(table, request)
+    if request.layout.unit is not None:
+        table = nested.average_units(table, request, request.layout.unit, request.layout.block)
+    return _found(table, request).effects
+
+
+def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisRequest:
+    """Take a block that lies in one cell for a replicate of it, and its rows for repeats."""
+    if request.layout.unit is not None or not _one_cell_a_block(table, request):
+        return request
+    layout = Blocking(unit=request.layout.block[0], replicates="runs")
+    return replace(request, layout=layout, error="auto")
 
 
 def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -207,10 +229,10 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     if not out.data.missing:
         return result
 
-    def effects(completed: pd.DataFrame) -> tuple[Effect, ...]:
+    def refilled(completed: pd.DataFrame) -> tuple[Effect, ...]:
         return _found(completed, request).effects
 
-    found = missing_cases.bounds(table, request, out.effects, effects)
+    found = missing_cases.bounds(table, request, out.effects, refilled)
     notes = missing_cases.sentences(found, out.data.missing)
     return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
 

@@ -6,7 +6,6 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from study.api.statistics.depth_effects import effects_by_depth
 from study.api.uncertainty.credibility import checks_of_spaces
 from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
@@ -29,6 +28,7 @@ from study.study_result.report_data import (
 if TYPE_CHECKING:
     from study.design.spec import Design
     from study.record.record import Record
+    from study.study_result.report_data import DepthEffect
     from study.study_result.study_result import StudyResult
 
 
@@ -43,8 +43,21 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
            "expected")  # fmt: skip
 
 
-def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
-    """Everything that the report of a study shows."""
+def report_data(
+    study: StudyResult, timings: Mapping[str, float], depths: Sequence[DepthEffect] = ()
+) -> ReportData:
+    """Everything that the report of a study shows.
+
+    Parameters
+    ----------
+    study : StudyResult
+        The study.
+    timings : mapping of str to float
+        Seconds of its parts.
+    depths : sequence of DepthEffect, optional
+        Analyses over the first part of the test, which take longer than all of the rest: they
+        are drawn, and no sentence or table needs them.
+    """
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
     return ReportData(
@@ -72,7 +85,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),
-        depths=effects_by_depth(study),
+        depths=tuple(depths),
         validation=tuple(study.validation),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=bool(manifest["virtual"]),

@@ -21,6 +21,7 @@ from study.api.planning.remaining_time import (
     with_time_left,
 )
 from study.api.planning.stale import WARN, check_choice, check_stale, mixed_meshes
+from study.api.statistics.depth_effects import effects_by_depth
 from study.api.study_notebook import Study
 from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
@@ -357,7 +358,7 @@ def _written(
     if study.beside is None and provenance.is_kept(folder, name, made_from):
         return main_file(folder, name, asked)
     provenance.forget(folder, name)
-    written = write(report_data(study, timings), folder, asked)
+    written = write(report_data(study, timings, effects_by_depth(study)), folder, asked)
     if study.beside is None:
         provenance.keep(folder, name, made_from)
     return written

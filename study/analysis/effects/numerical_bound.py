@@ -130,7 +130,13 @@ class SeriesBounds:
         """Bound of a difference of pure components: their alternating sums of means."""
         if self.mesh in first:
             return 0.0
-        return self._bound(_difference(self._component(first), self._component(second)))
+        # the same for every block left out, and asked again for each
+        key = (*(tuple(side.get(f, "") for f in self.factors) for side in (first, second)),
+               ("component",))  # fmt: skip
+        if key not in self._known:
+            weights = _difference(self._component(first), self._component(second))
+            self._known[key] = self._bound(weights)
+        return self._known[key]
 
     def _component(self, side: Levels) -> dict[tuple[str, ...], float]:
         total: dict[tuple[str, ...], float] = {}

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from study.api.statistics.records import analyze_records
+from study.api.statistics.records import effects_of_records
 from study.curve import Curve
 from study.errors import StudyError
 from study.runner.response import CURVE_RESPONSES
@@ -86,10 +86,10 @@ def _points(records: Sequence[Record], depth_mm: float) -> int:
 def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterator[DepthEffect]:
     records = [_rescored(record, response.name, depth_mm) for record in study.records]
     try:
-        found = analyze_records(study.design, records, response, study.numerical)
+        found = effects_of_records(study.design, records, response, study.numerical)
     except StudyError:
         return  # the study's own analysis says why
-    for e in found.effects:
+    for e in found:
         if e.is_main and e.range is not None:
             yield DepthEffect(
                 response.name, e.term, depth_mm, e.range, e.low, e.high, e.practical, e.verdict,

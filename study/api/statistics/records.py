@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.analysis.anova import analyze
+from study.analysis.anova import analyze, effects
 from study.analysis.error.seed_blocks import SeedRole, seed_design
 from study.analysis.linear_model.design_matrix import Model, terms_of
 from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, threshold
@@ -19,6 +19,7 @@ from study.tidy_csv import names_of
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.analysis.anova_table import Effect
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.analysis.result import AnalysisResult
     from study.design.spec import Design, Response
@@ -45,6 +46,31 @@ def analyze_records(
     RefusedError
         If the answer would be meaningless.
     """
+    rows, request, notes = _asked(design, records, response, numerical)
+    return analyze(rows, request).noted(*notes)
+
+
+def effects_of_records(
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[NumericalUncertainty] = (),
+) -> tuple[Effect, ...]:
+    """Effects alone of :func:`analyze_records`, which is given the same.
+
+    Nothing is checked of the assumptions, and no block is left out in turn.
+    """
+    rows, request, _ = _asked(design, records, response, numerical)
+    return effects(rows, request)
+
+
+def _asked(
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[NumericalUncertainty],
+) -> tuple[pd.DataFrame, AnalysisRequest, tuple[str, ...]]:
+    """Rows to analyze, what is asked of them, and what was left out of them."""
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
     spec = design.analysis
@@ -68,8 +94,7 @@ def analyze_records(
         alpha=spec.alpha,
         seed=design.seed,
     )
-    found = analyze(whole, request)
-    return found.noted(*rows.notes, *gaps)
+    return whole, request, (*rows.notes, *gaps)
 
 
 def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
