@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import study
+from study.analysis.anova_table import Effect
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.analysis.result import AnalysisResult
 from study.api.statistics.depth_effects import effects_by_depth
-from study.api.statistics.records import analyze_records
+from study.api.statistics.records import effects_of_records
 from study.curve import Curve
 from study.reporting.output.page import build
 from study.study_result.study_result import StudyResult
@@ -68,7 +68,7 @@ def test_half_the_depth_scores_half_the_curve(outcome: StudyResult) -> None:
 def test_the_page_draws_it(outcome: StudyResult) -> None:
     from study.api.assemble import report_data
 
-    data = report_data(outcome, {}, effects_by_depth(outcome))
+    data = replace(report_data(outcome, {}), depths=effects_by_depth(outcome))
     page = build(data)
     assert "A second look" in page
     assert "f-relative-rms-force-error-depth" in page
@@ -84,14 +84,14 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
                       mesh_size=(2.0, 1.0), series=(10.0, 60.0))  # fmt: skip
     problem = type(outcome.design.treatments[0].cell.problem)
     monkeypatch.setattr(problem, "is_homogeneous", False)
-    found: list[float | dict[str, float] | None] = []
+    found: list[float | None] = []
 
-    def noted(*given: Any) -> AnalysisResult:
-        result = analyze_records(*given)
-        found.append(result.detection.u_num)
-        return result
+    def noted(*given: Any) -> tuple[Effect, ...]:
+        effects = effects_of_records(*given)
+        found.extend(e.u_num for e in effects if e.is_main)
+        return effects
 
-    monkeypatch.setattr("study.api.statistics.depth_effects.analyze_records", noted)
+    monkeypatch.setattr("study.api.statistics.depth_effects.effects_of_records", noted)
     effects_by_depth(replace(outcome, numerical=(rough,)))
     # an order of .7 and a factor of 3 bound the finer mesh, whose distance is 50; a cell that was
     # not refined is taken to be at most three times as far off, on either side of a difference

@@ -28,7 +28,6 @@ from study.study_result.report_data import (
 if TYPE_CHECKING:
     from study.design.spec import Design
     from study.record.record import Record
-    from study.study_result.report_data import DepthEffect
     from study.study_result.study_result import StudyResult
 
 
@@ -43,21 +42,8 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
            "expected")  # fmt: skip
 
 
-def report_data(
-    study: StudyResult, timings: Mapping[str, float], depths: Sequence[DepthEffect] = ()
-) -> ReportData:
-    """Everything that the report of a study shows.
-
-    Parameters
-    ----------
-    study : StudyResult
-        The study.
-    timings : mapping of str to float
-        Seconds of its parts.
-    depths : sequence of DepthEffect, optional
-        Analyses over the first part of the test, which take longer than all of the rest: they
-        are drawn, and no sentence or table needs them.
-    """
+def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
+    """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
     return ReportData(
@@ -85,7 +71,6 @@ def report_data(
         checks=tuple(_checks(study)),
         numerical=study.numerical,
         convergence=_convergence(study),
-        depths=tuple(depths),
         validation=tuple(study.validation),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
         virtual=bool(manifest["virtual"]),

@@ -358,7 +358,8 @@ def _written(
     if study.beside is None and provenance.is_kept(folder, name, made_from):
         return main_file(folder, name, asked)
     provenance.forget(folder, name)
-    written = write(report_data(study, timings, effects_by_depth(study)), folder, asked)
+    data = replace(report_data(study, timings), depths=effects_by_depth(study))
+    written = write(data, folder, asked)
     if study.beside is None:
         provenance.keep(folder, name, made_from)
     return written
