@@ -17,6 +17,7 @@ _LAZY = {
     "converge": "study.api",
     "report": "study.api",
     "fit_surface": "study.api",
+    "fit_surfaces": "study.api",
     "predict": "study.api",
     "optimize": "study.api",
     "invert": "study.api",

@@ -27,6 +27,7 @@ _HOME = {
     "verify": "study.api.verification",
     "analyze": "study.api.statistics.analysis",
     "fit_surface": "study.api.statistics.response_surface",
+    "fit_surfaces": "study.api.statistics.level_surfaces",
     "predict": "study.api.statistics.prediction",
     "optimize": "study.api.planning.optimum",
     "invert": "study.api.planning.inversion",

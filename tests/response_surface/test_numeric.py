@@ -224,7 +224,6 @@ def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) 
         ("time=a..b", (), 2, "cannot read the range"),
         ("flat", (), 2, "range 1..1 is empty"),
         ("time", ("--surface", "quadratc"), 2, "did you mean 'quadratic'"),
-        ("time", ("--factors", "temp"), 2, "labels are never read as numbers"),
         ("time", ("--unit", "temp"), 2, "has no meaning for a surface"),
         ("time", ("--transform", "log"), 2, "has no meaning for a surface"),
         ("time", ("--alpha", "0.1"), 2, "intervals are 95 %"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from study import tabular
 from study.analysis.request import threshold
-from study.arrays import Array
+from study.arrays import Array, Flags
 from study.errors import Fault, InputError, RefusedError, nearest
 from study.response_surface.emulator.blocked import (
     BlockedEmulator,
@@ -103,15 +103,12 @@ def fit_surface(
     RefusedError
         If the runs cannot carry what is asked.
     """
-    if surface not in get_args(Surface) or surface == "none":
-        words = [word for word in get_args(Surface) if word != "none"]
-        mend = nearest(surface, words) if surface != "none" else "leave --numeric out for a table"
-        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
+    check_kind(surface)
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
-    runs, left_out = _runs(table, response, numeric, block)
+    runs, _, left_out = runs_of(table, response, numeric, block)
     chosen = _chosen(runs) if surface == "auto" else surface
     if chosen == "emulator":
-        _announce(runs, announce)
+        announce_cost(runs, announce)
     elif practical is not None:
         left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
     few = _few(runs)
@@ -122,6 +119,20 @@ def fit_surface(
         )
     found = fit_runs(runs, chosen, _difference(practical, runs.response))
     return found.noted(*table.notes, *left_out)
+
+
+def check_kind(surface: str) -> None:
+    """Refuse what is no kind of a surface.
+
+    Raises
+    ------
+    InputError
+        With the nearest one.
+    """
+    if surface not in get_args(Surface) or surface == "none":
+        words = [word for word in get_args(Surface) if word != "none"]
+        mend = nearest(surface, words) if surface != "none" else "leave --numeric out for a table"
+        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
 
 
 def fit_runs(
@@ -209,7 +220,8 @@ def fitted_together(
     return common if worst[0] >= worst[1] else tuple(apart)
 
 
-def _announce(runs: Runs, announce: Callable[[str], None] | None) -> None:
+def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
+    """Say beforehand what an emulator of many runs will take."""
     own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
     seconds = sum(expected_seconds(n) for n in own)
     if announce is not None and seconds > LONG and max(own) <= LARGEST:
@@ -235,10 +247,23 @@ def _few(runs: Runs) -> list[str]:
     return [name for name, count in counts if count < FEWEST_SETTINGS]
 
 
-def _runs(
+def runs_of(
     table: CsvTable, response: str, numeric: Sequence[str], block: str | None
-) -> tuple[Runs, list[str]]:
-    """Rows that have a response, and what is to be said of the others."""
+) -> tuple[Runs, Flags, list[str]]:
+    """Rows that have a response, which these are, and what is to be said of the others.
+
+    Parameters
+    ----------
+    table : CsvTable
+        One row a run.
+    response, numeric, block
+        As of :func:`fit_surface`.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column.
+    """
     if not numeric:
         raise InputError(Fault("--numeric", "is missing", "name the columns of the factors"))
     values = table.numbers(response, missing=MISSING)
@@ -259,7 +284,7 @@ def _runs(
     factors = tuple(_factor(columns[name], name, low, high, log) for name, low, high, log in asked)
     coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
     labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
-    return Runs(response, factors, coded, values[kept], labels), notes
+    return Runs(response, factors, coded, values[kept], labels), kept, notes
 
 
 def _check_plain(table: CsvTable, names: Sequence[str]) -> None:

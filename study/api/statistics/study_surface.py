@@ -11,15 +11,13 @@ import numpy as np
 
 from study import units
 from study.analysis.request import threshold
+from study.api.statistics.level_surfaces import differences
 from study.api.statistics.response_surface import fitted, fitted_together, told
 from study.design import overlay
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
-from study.response_surface.emulator.blocked import BlockedEmulator
-from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.factors import NumericFactor, Runs
-from study.response_surface.level_difference import LevelDifference, level_difference
 from study.response_surface.propagation import propagate
 from study.study_result.response_surface import FittedSurface
 
@@ -27,14 +25,13 @@ if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
     from study.design.spec import Design, Factor, Response
     from study.record.record import Record
+    from study.response_surface.emulator.blocked import BlockedEmulator
+    from study.response_surface.emulator.emulator import Emulator
     from study.response_surface.propagation import Propagated
     from study.response_surface.result import SurfaceAnalysis
 
 #: kinds of a design whose settings are chosen for a surface
 _FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
-
-#: surfaces whose error holds everywhere in the ranges
-_EMULATORS = (Emulator, BlockedEmulator)
 
 #: what stands in the place of a table of levels
 SEE_SURFACE = "its factors are numbers: see the surface"
@@ -77,7 +74,7 @@ def surfaces(
         each = [_fitted(asked, labels, own, together.get(place))
                 for place, labels in enumerate(places)]  # fmt: skip
         first = {factor.name: factor.labels[0] for factor in others}
-        found += [replace(one, differences=_differences(one, each, first)) for one in each]
+        found += [replace(one, differences=differences(one, each, first)) for one in each]
     return tuple(found)
 
 
@@ -197,25 +194,6 @@ def _fitted(
         response.name, response.unit, found, "", labels, practical, bound, units_of, uncertain,
         words,
     )  # fmt: skip
-
-
-def _differences(
-    one: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
-) -> tuple[LevelDifference, ...]:
-    """Compare a surface with those at the first levels of the other factors, one at a time."""
-    made = []
-    for name, base in first.items():
-        wanted = {**one.labels, name: base}
-        other = next(found for found in each if dict(found.labels) == wanted)
-        models = [None if s.found is None else s.found.model for s in (one, other)]
-        mine, theirs = models
-        if one is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
-            continue
-        limits = [s.practical for s in (one, other) if s.practical is not None]
-        limit = min(limits) if limits else None
-        names = (name, one.labels[name], base)
-        made.append(level_difference(names, (mine, theirs), limit, one.bound or 0.0))
-    return tuple(made)
 
 
 def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | None, str]:

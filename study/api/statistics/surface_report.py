@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,29 +16,25 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.response_surface.factors import Runs
-    from study.response_surface.result import SurfaceAnalysis
 
 
 def write_surface_page(
-    found: SurfaceAnalysis,
+    found: Sequence[FittedSurface],
     out_dir: str | Path,
     *,
     source: Source,
-    practical: float | None = None,
     formats: Sequence[str] = ("html",),
 ) -> Path:
-    """Write the page of a surface, with the CSV of its tables and figures beside it.
+    """Write the page of the surfaces of one response, with the CSV of its tables and figures.
 
     Parameters
     ----------
-    found : SurfaceAnalysis
-        Of :func:`study.fit_surface`.
+    found : sequence of FittedSurface
+        Of :func:`study.fit_surfaces`, one a combination of labels; one of them is fitted at least.
     out_dir : str or Path
         Made where it is missing.
     source : Source
         File and command line, for the line that makes the page again.
-    practical : float, optional
-        Smallest difference that matters, in the response's unit.
     formats : sequence of {"html", "csv", "tex", "pdf"}
         As for a study's report.
 
@@ -52,18 +48,20 @@ def write_surface_page(
     InputError
         If a column has a name that the page needs for itself, or for an unknown format.
     """
-    check_taken(found.runs.names)
-    return write(_report_data(found, source, practical), out_dir, formats)
+    runs = next(one.found for one in found if one.found is not None).runs
+    check_taken([*runs.names, *found[0].labels])
+    return write(_report_data(found, runs, source), out_dir, formats)
 
 
-def _report_data(found: SurfaceAnalysis, source: Source, practical: float | None) -> ReportData:
-    runs = found.runs
-    table = _table(runs)
+def _report_data(found: Sequence[FittedSurface], runs: Runs, source: Source) -> ReportData:
+    practical = found[0].practical
+    table = _table(found)
     ends = {f.name: (f.low, f.high) for f in runs.factors}
+    labels = list(found[0].labels)
     return ReportData(
         name=source.name,
-        question=f"How does {runs.name} depend on {', '.join(runs.names)}?",
-        factors={name: tuple(table[name].unique()) for name in runs.names},
+        question=f"How does {runs.name} depend on {', '.join([*labels, *runs.names])}?",
+        factors={name: tuple(table[name].unique()) for name in (*labels, *runs.names)},
         table=table,
         responses=(
             ResponseAnalysis(
@@ -71,28 +69,37 @@ def _report_data(found: SurfaceAnalysis, source: Source, practical: float | None
             ),
         ),
         block="block" if runs.blocks else "",
-        blocks=tuple(dict.fromkeys(runs.blocks)),
+        blocks=tuple(table["block"].unique()) if runs.blocks else (),
         citation="" if source.path is None else source.path.name,
         provenance=provenance(source),
         commands=source.commands(),
         scheme=f"a table of {len(table):,} rows was analyzed",
-        cells=len(runs.distinct()[0]),
-        labels={name: name for name in (runs.name, *runs.names)},
-        surfaces=(FittedSurface(runs.name, "", found, practical=practical),),
+        cells=sum(len(one.found.runs.distinct()[0]) for one in found if one.found is not None),
+        labels={name: name for name in (runs.name, *labels, *runs.names)},
+        surfaces=tuple(found),
         ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
         is_table=True,
     )
 
 
-def _table(runs: Runs) -> pd.DataFrame:
+def _table(found: Sequence[FittedSurface]) -> pd.DataFrame:
     """Rows as a report wants them: settings, block, status, the response under its own name."""
+    import pandas as pd
+
+    parts = [_rows(one.found.runs, one.labels) for one in found if one.found is not None]
+    frame = pd.concat(parts, ignore_index=True)
+    frame.insert(0, "case_id", [str(n + 1) for n in range(len(frame))])
+    return frame
+
+
+def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
     import pandas as pd
 
     settings = {
         factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
         for factor, column in zip(runs.factors, runs.coded.T, strict=True)
     }
-    frame = pd.DataFrame({"case_id": [str(n + 1) for n in range(runs.response.size)], **settings})
+    frame = pd.DataFrame({**{n: [at] * runs.response.size for n, at in labels.items()}, **settings})
     if runs.blocks:
         frame["block"] = list(runs.blocks)
     return frame.assign(status="converged", **{runs.name: runs.response})

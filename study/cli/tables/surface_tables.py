@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from study.study_result.response_surface import FittedSurface
 
 #: flags of `study analyze` that a surface has a use for
-USED = frozenset({"--response", "--block", "--practical", "--decimal", "--report", "--format"})
+USED = frozenset({
+    "--response", "--factors", "--block", "--practical", "--decimal", "--report", "--format",
+})  # fmt: skip
 
 #: what to do instead of a flag; every other one is left out
 MEND = {
@@ -53,54 +55,57 @@ def show(
     from study import api
 
     _check(source, flags)
-    found = api.fit_surface(
+    every = api.fit_surfaces(
         source,
         cast(str, flags["--response"]),
         numeric,
+        names(flags["--factors"]),
         surface=cast("Surface", surface),
         block=flags["--block"],
         practical=flags["--practical"],
         decimal=flags["--decimal"] or ".",
         announce=lambda said: output.warn([said]),
     )
-    output.warn(found.notes)
-    page = _page(found, source, (*numeric,), surface, flags)
+    found = [one.found for one in every if one.found is not None]
+    notes = dict.fromkeys(note for one in found for note in one.notes)
+    output.warn([*notes, *_refused(every)])
+    page = _page(every, source, {"--numeric": ",".join(numeric), "--surface": surface}, flags)
     if as_json:
-        told = found.to_json()
-        output.print_json(told if page is None else told | {"report": str(page)})
+        told = {"surfaces": [one.to_json() for one in every]}
+        document = told if flags["--factors"] else found[0].to_json()
+        output.print_json(document if page is None else document | {"report": str(page)})
         return
-    print_surface(found)
+    for one in every:
+        print_fitted(one)
     if page is not None:
         print(f"\nreport: {page}")
 
 
+def _refused(every: Sequence[FittedSurface]) -> list[str]:
+    """Say at which labels there is no surface, and why."""
+    return [f"{_at(one)}: {one.refused}" for one in every if one.found is None]
+
+
+def _at(one: FittedSurface) -> str:
+    return ", ".join(f"{name} = {label}" for name, label in one.labels.items())
+
+
 def _page(
-    found: SurfaceAnalysis,
+    every: Sequence[FittedSurface],
     source: Path,
-    numeric: Sequence[str],
-    surface: str,
+    asked: dict[str, str],
     flags: Mapping[str, str | None],
 ) -> Path | None:
     """Write the page where one is asked for."""
     folder = flags["--report"]
     if folder is None:
         return None
-    from study.analysis.request import threshold
     from study.api.statistics.surface_report import write_surface_page
     from study.api.statistics.table_report import Source
 
-    asked = {"--numeric": ",".join(numeric), "--surface": surface}
     given = {flag: value for flag, value in flags.items() if value} | asked
-    limit = threshold(flags["--practical"])
-    practical = None if limit is None else limit.on_scale(float(found.runs.response.mean()), "none")
-    formats = names(flags["--format"])
-    return write_surface_page(
-        found,
-        folder,
-        source=Source(source, given),
-        practical=practical,
-        formats=formats or ["html"],
-    )
+    formats = names(flags["--format"]) or ["html"]
+    return write_surface_page(every, folder, source=Source(source, given), formats=formats)
 
 
 def _check(source: Path, flags: Mapping[str, str | None]) -> None:
@@ -109,10 +114,6 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
         faults.append(Fault("--numeric", "reads a table, one row a run", "name a CSV"))
     if not flags["--response"]:
         faults.append(Fault("--response", "is missing", "name the column of the response"))
-    if flags["--factors"]:
-        rule = "a surface takes numbers alone, labels are never read as numbers"
-        mend = "keep the rows of one combination of labels, or name a column in --numeric"
-        faults.append(Fault("--factors", rule, mend))
     faults += [
         Fault(
             flag,
@@ -120,7 +121,7 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
             MEND.get(flag, "leave it out"),
         )
         for flag, value in flags.items()
-        if value and flag not in USED | {"--factors"}
+        if value and flag not in USED
     ]
     if faults:
         raise InputError(faults)
@@ -177,7 +178,7 @@ def print_fitted(one: FittedSurface) -> None:
     """Print the surface of a response of a study."""
     if one.found is None:
         return
-    at = ", ".join(f"{name} = {label}" for name, label in one.labels.items())
+    at = _at(one)
     unit, in_unit = (f" in {one.unit}", f" {one.unit}") if one.unit else ("", "")
     print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
     print_surface(one.found, one.units)

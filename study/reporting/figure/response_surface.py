@@ -20,7 +20,7 @@ from study.reporting.figure.style import (
     plain_ticks,
     wrap,
 )
-from study.reporting.numbers import clean, listing, name_of, percent, quantity
+from study.reporting.numbers import clean, listing, name_of, percent, quantity, sentence
 from study.response_surface.profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:
@@ -67,8 +67,8 @@ def _profiles(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> D
     )
     sizes = [quantity(told[name].range, clean(one.unit)) for name in order]
     named = [name_of(name, data.labels) for name in order]
-    caption = (
-        f"{title(one, data).capitalize()} along each factor with the others in the middle of their "
+    caption = sentence(
+        f"{title(one, data)} along each factor with the others in the middle of their "
         f"ranges; bands are 95 % intervals of the prediction. It changes by up to "
         f"{listing([f'{s} ({n})' for s, n in zip(sizes, named, strict=True)])}."
     )
@@ -106,8 +106,8 @@ def _contours(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> D
     low, high = told.value.min(), told.value.max()
     unit = clean(one.unit)
     others = "; the others are in the middle of their ranges" if len(found.runs.factors) > 2 else ""
-    caption = (
-        f"{title(one, data).capitalize()} goes from {quantity(low, unit)} to "
+    caption = sentence(
+        f"{title(one, data)} goes from {quantity(low, unit)} to "
         f"{quantity(high, unit)} over {name_of(pair[0], data.labels)} and "
         f"{name_of(pair[1], data.labels)}{others}. Points are the runs."
     )
@@ -155,8 +155,8 @@ def _shares(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Dra
     )
     first = frame.iloc[0]
     alone = float(frame["alone"].sum())
-    caption = (
-        f"{name_of(str(first['factor']), data.labels).capitalize()} carries "
+    caption = sentence(
+        f"{name_of(str(first['factor']), data.labels)} carries "
         f"{percent(float(first['total']))} of the variance of {title(one, data)} when every "
         f"factor is uniform over its range. Bars are total indices with intervals of about 95 %, "
         f"rings what the factor does alone; all factors alone sum to {percent(min(alone, 1.0))}, "

@@ -1,0 +1,115 @@
+"""``study analyze --numeric`` with ``--factors``: one surface a combination of labels."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import qmc
+
+import study as public
+from study.errors import InputError
+from tests.cli.small import study
+
+#: mean of depth squared over its range, which is what the second material adds
+EXTRA = 0.35
+
+
+def table(folder: Path, runs: int = 24, lost: str = "") -> tuple[Path, tuple[float, float]]:
+    """Write runs of two materials: tip depth^1.5, and depth^2 besides in the second."""
+    random = np.random.default_rng(3)
+    rows = ["material,tip,depth,force"]
+    depths = []
+    for material, extra in (("neo-hookean", 0.0), ("ogden", EXTRA)):
+        cube = qmc.LatinHypercube(2, rng=random, optimization="random-cd").random(runs)
+        for u, v in cube:
+            tip, depth = 0.5 + 1.5 * u, 1 + 3 * v
+            depths.append(depth)
+            force = tip * depth**1.5 + extra * depth**2
+            rows.append(f"{material},{tip:.6f},{depth:.6f},{force:.9f}")
+    (folder / "runs.csv").write_text("\n".join(rows + ([lost] if lost else [])) + "\n")
+    return folder / "runs.csv", (min(depths), max(depths))
+
+
+def test_labels_are_compared_over_the_ranges(tmp_path: Path) -> None:
+    path, (low, high) = table(tmp_path)
+    one, other = public.fit_surfaces(path, "force", ["tip", "depth"], ["material"], practical=1.0)
+    assert [surface.labels for surface in (one, other)] == [
+        {"material": "neo-hookean"}, {"material": "ogden"},
+    ]  # fmt: skip
+    (told,) = other.differences
+    square = (high**3 - low**3) / (3 * (high - low))
+    assert (told.level, told.other, told.verdict) == ("ogden", "neo-hookean", "matters")
+    assert told.mean == pytest.approx(EXTRA * square, abs=told.bound)
+    assert one.differences == ()
+    assert one.found is not None
+    at = one.found.predict({"tip": [1.0], "depth": [2.0]})
+    assert at.value[0] == pytest.approx(2**1.5, rel=0.01)
+
+
+def test_terminal_page_and_json_have_every_combination(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table(tmp_path, lost="ogden,1.0,2.0,")
+    monkeypatch.chdir(tmp_path)
+    asked = ("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
+             "--factors", "material", "--practical", "1")  # fmt: skip
+    shown = study(*asked, "--report", "page")
+    assert shown.code == 0, shown.err
+    assert "force at material = neo-hookean" in shown.out
+    assert "material = ogden less neo-hookean: 2.4" in shown.out
+    assert shown.err.count("1 runs without a response are left out") == 1
+    page = (tmp_path / "page" / "runs.html").read_text(encoding="utf-8")
+    assert "How does force depend on material, tip, depth?" in page
+    assert "Force with material ogden is 2.4" in page
+    found = json.loads(study(*asked, "--json").out)["surfaces"]
+    assert [one["at"]["material"] for one in found] == ["neo-hookean", "ogden"]
+    assert found[1]["differences"][0]["verdict"] == "matters"
+
+
+def test_few_runs_each_are_fitted_together(tmp_path: Path) -> None:
+    """Fewer than ten runs a factor: what the materials share is learnt from both."""
+    path, _ = table(tmp_path, runs=14)
+    both = public.fit_surfaces(path, "force", ["tip", "depth"], ["material"], surface="emulator")
+    assert all(one.found is not None and one.found.model.q2 > 0.99 for one in both)
+
+
+def test_a_combination_without_a_surface_is_named_and_the_others_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table(tmp_path, lost="gent,1.0,2.0,3.0")
+    monkeypatch.chdir(tmp_path)
+    shown = study("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
+                  "--factors", "material")  # fmt: skip
+    assert shown.code == 0, shown.err
+    assert "material = gent: factor 'tip': has one setting in every run" in shown.err
+    assert "force at material = ogden" in shown.out
+    assert "gent" not in shown.out
+
+
+@pytest.mark.parametrize(
+    ("factors", "said"),
+    [
+        ("tip", "'tip' stands twice among factors, numbers, response and block"),
+        ("material,material", "'material' stands twice"),
+        ("materials", "material"),
+    ],
+)
+def test_bad_columns_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, factors: str, said: str
+) -> None:
+    table(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    shown = study("analyze", "runs.csv", "--response", "force", "--numeric", "tip,depth",
+                  "--factors", factors)  # fmt: skip
+    assert shown.code == 2
+    assert said in shown.err
+
+
+def test_labels_in_too_many_combinations_are_refused(tmp_path: Path) -> None:
+    rows = ["name,x,y", *(f"n{k},{k % 7},{k}" for k in range(130))]
+    (tmp_path / "many.csv").write_text("\n".join(rows))
+    with pytest.raises(InputError, match="130 combinations, and each gets a surface"):
+        public.fit_surfaces(tmp_path / "many.csv", "y", ["x"], ["name"])
