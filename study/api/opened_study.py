@@ -13,7 +13,7 @@ from study.api.statistics.contrast import with_contrasts
 from study.api.statistics.family import adjusted
 from study.api.statistics.records import analyze_records
 from study.api.statistics.scoring import cross_validated, scored_on
-from study.api.statistics.study_surface import SEE_SURFACE, is_numeric, surfaces
+from study.api.statistics.surface.study_surface import SEE_SURFACE, is_numeric, surfaces
 from study.api.study_notebook import Study
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
     from study.api.statistics.confirmation import Permission
-    from study.api.statistics.response_surface import Surface as SurfaceKind
+    from study.api.statistics.surface.response_surface import Surface as SurfaceKind
 
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]

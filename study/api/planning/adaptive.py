@@ -12,8 +12,8 @@ from scipy.stats import qmc
 from threadpoolctl import threadpool_limits
 
 from study.analysis.request import threshold
-from study.api.statistics.response_surface import fit_runs
-from study.api.statistics.study_surface import runs_at, settings_of
+from study.api.statistics.surface.response_surface import fit_runs
+from study.api.statistics.surface.study_surface import runs_at, settings_of
 from study.arrays import Array
 from study.design.layout.adaptive import share_of
 from study.design.load import dump, loads

@@ -13,7 +13,7 @@ from study import api, tabular, units
 from study.api.folders import RESULTS
 from study.api.statistics.confirmation import Permission, confirm, joined
 from study.api.statistics.prediction import number_in_unit
-from study.api.statistics.study_surface import settings_of
+from study.api.statistics.surface.study_surface import settings_of
 from study.calibration.serial_correlation import effective_rows
 from study.errors import Fault, InputError, RefusedError, nearest
 from study.record.store import Store

@@ -12,7 +12,7 @@ from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.api.statistics.prediction import Predicted
-    from study.api.statistics.response_surface import Surface
+    from study.api.statistics.surface.response_surface import Surface
     from study.response_surface.extremes import Extreme
     from study.response_surface.quadratic.hypotheses import FTest
     from study.response_surface.quadratic.surface import QuadraticSurface
@@ -100,7 +100,7 @@ def _page(
     folder = flags["--report"]
     if folder is None:
         return None
-    from study.api.statistics.surface_report import write_surface_page
+    from study.api.statistics.surface.surface_report import write_surface_page
     from study.api.statistics.table_report import Source
 
     given = {flag: value for flag, value in flags.items() if value} | asked

@@ -11,8 +11,8 @@ import numpy as np
 
 from study import units
 from study.analysis.request import threshold
-from study.api.statistics.level_surfaces import differences
-from study.api.statistics.response_surface import fitted, fitted_together, told
+from study.api.statistics.surface.level_surfaces import differences
+from study.api.statistics.surface.response_surface import fitted, fitted_together, told
 from study.design import overlay
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError

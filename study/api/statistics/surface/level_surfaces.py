@@ -11,7 +11,7 @@ import numpy as np
 
 from study import tabular
 from study.analysis.request import threshold
-from study.api.statistics.response_surface import (
+from study.api.statistics.surface.response_surface import (
     Surface,
     announce_cost,
     check_kind,
@@ -65,8 +65,16 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         all runs.
     factors : sequence of str
         Columns of the factors that are labels.
-    surface, block, practical, decimal, announce
-        As of :func:`fit_surface`.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        As of :func:`fit_surface`, at every combination.
+    block : str, optional
+        Column of the blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean" of all runs.
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
 
     Returns
     -------

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.statistics.study_surface import SEE_SURFACE
+from study.api.statistics.surface.study_surface import SEE_SURFACE
 from study.api.statistics.table_report import Source, check_taken, provenance
 from study.reporting.output.write import write
 from study.study_result.report_data import ReportData, ResponseAnalysis
