@@ -60,7 +60,7 @@ def test_terminal_page_and_json_have_every_combination(
     assert shown.code == 0, shown.err
     assert "force at material = neo-hookean" in shown.out
     assert "material = ogden less neo-hookean: 2.4" in shown.out
-    assert shown.err.count("1 runs without a response are left out") == 1
+    assert shown.err.count("1 run without a response left out") == 1
     page = (tmp_path / "page" / "runs.html").read_text(encoding="utf-8")
     assert "How does force depend on material, tip, depth?" in page
     assert "Force with material ogden is 2.4" in page

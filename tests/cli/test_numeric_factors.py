@@ -144,7 +144,7 @@ def test_a_failed_run_is_left_out_and_said(
     (found,) = surfaces(opened.design, [lost, *rest], opened.numerical)
     assert found.found is not None
     assert found.found.runs.response.size == 29
-    assert any("1 runs without an answer are left out" in note for note in found.found.notes)
+    assert any("1 run without an answer left out" in note for note in found.found.notes)
 
 
 def test_a_composite_design_gives_a_quadratic_surface(

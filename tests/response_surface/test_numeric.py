@@ -201,7 +201,7 @@ def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:
     path = write(tmp_path / "t.csv", {"x": x, "y": y})
     answer = analyze(path, "x", "--json")
     assert answer.json["runs"] == 11
-    assert "1 runs without a response are left out: lines 2" in answer.err
+    assert "1 run without a response left out: lines 2" in answer.err
 
 
 def test_a_log_scale_makes_a_power_law_of_logarithms_a_parabola(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from study import tabular
 from study.analysis.request import threshold
 from study.arrays import Array, Flags
 from study.errors import Fault, InputError, RefusedError, nearest
+from study.reporting.numbers import count
 from study.response_surface.emulator.blocked import (
     BlockedEmulator,
     fit_blocks,
@@ -271,7 +272,9 @@ def runs_of(
     notes = []
     if not kept.all():
         rows = ", ".join(str(table.lines[k]) for k in np.flatnonzero(~kept)[:10])
-        notes.append(f"{int((~kept).sum())} runs without a response are left out: lines {rows}")
+        notes.append(
+            f"{count(int((~kept).sum()), 'run')} without a response left out: lines {rows}"
+        )
     if kept.sum() < 2:
         raise InputError(Fault(table.source, "has fewer than two runs with a response"))
     asked = [_asked(item, table) for item in numeric]

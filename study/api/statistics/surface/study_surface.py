@@ -17,6 +17,7 @@ from study.design import overlay
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
+from study.reporting.numbers import count
 from study.response_surface.factors import NumericFactor, Runs
 from study.response_surface.propagation import propagate
 from study.study_result.response_surface import FittedSurface
@@ -214,7 +215,7 @@ def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | No
 def _left_out(failed: int) -> tuple[str, ...]:
     if not failed:
         return ()
-    return (f"{failed} runs without an answer are left out; nothing is put in their place",)
+    return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
 
 
 def _runs(
