@@ -21,10 +21,14 @@ import pytest
 from study import api
 from study.api.server.request import StudyServer
 from study.api.server.states import Folders
+from study.api.statistics.surface.surface_report import write_surface_page
+from study.api.statistics.table_report import Source
 from study.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import PROBLEM
+from tests.cli.test_labels_and_numbers import table as mixed_table
 from tests.reporting.browser.devtools import Browser, running
+from tests.tracker_accuracy.test_tracking import distance_study
 
 
 @cache
@@ -123,6 +127,21 @@ def test_the_pages_of_a_table_and_of_a_series(
     for page in (found.report(tmp_path / "table"), next(tmp_path.glob("series/**/*.html"))):
         tab.open(page, width, scheme)
         assert violations(tab) == []
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_pages_of_surfaces_and_of_a_tracker(
+    tab: Browser, tmp_path: Path, width: int, scheme: str
+) -> None:
+    runs, _ = mixed_table(tmp_path)
+    found = api.fit_surfaces(runs, "force", ["tip", "depth"], ["material"], practical=1.0)
+    surface = write_surface_page(found, tmp_path / "surface", source=Source(runs, {}))
+    tracked = api.tracking(distance_study(tmp_path, 1), reports=tmp_path / "tracker").report
+    assert tracked is not None
+    for page in (surface, Path(tracked)):
+        tab.open(page, width, scheme)
+        assert violations(tab) == []
+        assert tab.ask(OVERFLOW) <= 0
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
