@@ -87,7 +87,11 @@ def table(records: Sequence[Record]) -> DataFrame:
 
 def cell_names(frame: DataFrame, factors: Sequence[str]) -> Series[str]:
     """Name the cell of every row: its levels joined by ``:``."""
-    return frame[list(factors)].astype(str).agg(":".join, axis=1)
+    import pandas as pd
+
+    columns = [frame[name].astype(str) for name in factors]
+    joined = [":".join(levels) for levels in zip(*columns, strict=True)]
+    return pd.Series(joined, index=frame.index, dtype=str)
 
 
 def answered_often(
