@@ -129,9 +129,15 @@ def _scales(names: Sequence[str]) -> bool:
 
 
 def _from_anchor(config: Tables) -> float:
-    if _scales(MaterialSection.of(config["material"]).calibrated_names):
+    # weight stays what it is where a modulus doubles, so that nothing scales
+    if _scales(MaterialSection.of(config["material"]).calibrated_names) and not _is_heavy(config):
         return _SCALED
     return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
+
+
+def _is_heavy(config: Tables) -> bool:
+    gravity = config["test"].get("gravity")
+    return gravity is not None and gravity.get("direction") != "none"
 
 
 def same_model(config: Tables) -> str:
