@@ -38,7 +38,7 @@ demo: $(ready)
 	@.venv/bin/study demo
 
 test: $(ready)
-	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile --no-loadscope-reorder -q
+	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
 
 verify: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests

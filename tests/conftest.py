@@ -33,14 +33,3 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"shared measurement folder not found: {folder} (set STUDY_DATA)")
     return folder
-
-
-#: Folders whose files take longest: they run whole studies. With few tests each they would come
-#: last, one of them alone at the end.
-LONGEST = ("cli", "validation", "execution", "api", "runner", "reporting")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the files of :data:`LONGEST` first; all others keep their order."""
-    rank = {name: i for i, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: rank.get(item.path.parent.name, len(rank)))

@@ -19,6 +19,7 @@ PUBLIC = {
     "indentation_modulus",
     "analyze",
     "fit_surface",
+    "fit_surfaces",
     "predict",
     "optimize",
     "invert",
