@@ -311,10 +311,10 @@ def test_ten_thousand_rows_under_a_second() -> None:
     table = pd.DataFrame({f: rng.integers(0, 3, 10_000).astype(str) for f in "abcde"})
     table["y"] = rng.normal(size=10_000)
     anova(table[:200], "y", list("abc"), model=1, exact=False)
-    start = time.perf_counter()
+    start = time.process_time()
     anova(table, "y", list("abcde"), model=2, exact=False)
     # the bar is 1 s on an idle core; this machine may be shared
-    assert time.perf_counter() - start < 3.0
+    assert time.process_time() - start < 3.0
 
 
 def test_pooled_blocks_are_the_mixed_model_with_random_blocks() -> None:
