@@ -218,21 +218,18 @@ def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:
 
 def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     """Analysis of the rows there are, and what the missing ones could do to it."""
+
+    def refound(rows: pd.DataFrame) -> tuple[Effect, ...]:
+        return _found(rows, request).effects
+
     out = _found(table, request)
     if len(request.layout.block) == 1 and out.error.source == "E1":
-
-        def refound(rows: pd.DataFrame) -> tuple[Effect, ...]:
-            return _found(rows, request).effects
-
         out = replace(out, effects=without_each(table, *request.layout.block, out.effects, refound))
     result = assemble(add_robustness(out))
     if not out.data.missing:
         return result
 
-    def refilled(completed: pd.DataFrame) -> tuple[Effect, ...]:
-        return _found(completed, request).effects
-
-    found = missing_cases.bounds(table, request, out.effects, refilled)
+    found = missing_cases.bounds(table, request, out.effects, refound)
     notes = missing_cases.sentences(found, out.data.missing)
     return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
 

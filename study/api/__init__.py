@@ -26,7 +26,7 @@ _HOME = {
     "diff": "study.api.comparison.compare",
     "verify": "study.api.verification",
     "analyze": "study.api.statistics.analysis",
-    "fit_surface": "study.api.statistics.surface.response_surface",
+    "fit_surface": "study.api.statistics.surface.level_surfaces",
     "fit_surfaces": "study.api.statistics.surface.level_surfaces",
     "predict": "study.api.statistics.prediction",
     "optimize": "study.api.planning.optimum",

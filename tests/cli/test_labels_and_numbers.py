@@ -13,7 +13,7 @@ import study as public
 from study.errors import InputError
 from tests.cli.small import study
 
-#: mean of depth squared over its range, which is what the second material adds
+#: times depth squared: what the second material adds to the force
 EXTRA = 0.35
 
 
@@ -87,6 +87,29 @@ def test_a_combination_without_a_surface_is_named_and_the_others_stand(
     assert "material = gent: factor 'tip': has one setting in every run" in shown.err
     assert "force at material = ogden" in shown.out
     assert "gent" not in shown.out
+
+
+def test_labels_that_never_meet_are_compared_where_they_do(tmp_path: Path) -> None:
+    """Of three combinations the last has neither first level beside it at its other label."""
+    x = np.random.default_rng(1).permutation(np.linspace(0, 1, 14))
+    rows = [
+        f"{m},{k},{v:.4f},{np.sin(3 * v) + (k == 'q') + 2 * (m == 'b'):.6f}"
+        for m, k in (("a", "p"), ("a", "q"), ("b", "q"))
+        for v in x
+    ]
+    (tmp_path / "gap.csv").write_text("\n".join(["m,k,x,y", *rows]))
+    found = public.fit_surfaces(tmp_path / "gap.csv", "y", ["x"], ["m", "k"])
+    told = [[(d.factor, d.level, round(d.mean, 2)) for d in one.differences] for one in found]
+    assert told == [[], [("k", "q", 1.0)], [("m", "b", 2.0)]]
+
+
+def test_a_table_of_few_settings_says_so_beside_labels_too(tmp_path: Path) -> None:
+    rows = [f"{m},{x},{x**2 + (m == 'b')}" for m in "ab" for x in range(3)]
+    (tmp_path / "few.csv").write_text("\n".join(["m,x,y", *rows]))
+    found = public.fit_surfaces(tmp_path / "few.csv", "y", ["x"], ["m"], practical=1.0)
+    for one in found:
+        assert one.found is not None
+        assert any("a quadratic surface judges terms" in note for note in one.found.notes)
 
 
 @pytest.mark.parametrize(

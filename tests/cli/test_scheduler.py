@@ -17,10 +17,11 @@ from study.record.record import Record
 from study.runner.batch import Progress
 from study.study_result.study_result import StudyResult
 from tests.cli.small import study
-from tests.execution.loopback import ROOT, Loopback, loopback, until
+from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.fem.surfaces import box, write
 from tests.runner.conftest import DESIGN, make_data
 from tests.runner.test_surfaces import DESIGN as SURFACE
+from tests.waiting import until
 
 pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 

@@ -21,8 +21,9 @@ from study.execution.cluster.isolation import Processes
 from study.execution.cluster.versions import differences
 from study.execution.inline import Inline
 from study.execution.task import Outcome, Task
-from tests.execution.loopback import ROOT, Loopback, loopback, until
+from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.execution.misbehaving import perform
+from tests.waiting import until
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 dask = pytest.importorskip("dask", reason="Dask is not installed (extra 'dask')")

@@ -21,6 +21,7 @@ from study.execution.queue import ReadyQueue, longest_first
 from study.execution.supervisor import Answer, Supervisor
 from study.execution.task import Document, Outcome, Results, Task
 from tests.execution.misbehaving import never_up, perform
+from tests.waiting import is_alive, until
 
 ROOT = Path(__file__).parents[2]
 
@@ -212,15 +213,8 @@ def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
     finally:
         owner.kill()
         owner.stdout.close()
-    deadline = time.monotonic() + 20
-    while any(_alive(pid) for pid in workers) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not any(_alive(pid) for pid in workers)
-
-
-def _alive(pid: int) -> bool:
-    stat = Path(f"/proc/{pid}/stat")
-    return stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    until(lambda: not any(is_alive(pid) for pid in workers), 20)
+    assert not any(is_alive(pid) for pid in workers)
 
 
 def test_the_queue_grows_no_slower_than_its_tasks() -> None:

@@ -19,6 +19,7 @@ from study.forward.command import Command
 from study.forward.exchange import NoAnswer
 from study.forward.python_function import PythonFunction
 from study.setup.setup import problem_of
+from tests.waiting import is_alive, until
 
 ROOT = Path(__file__).parents[2]
 HEIGHT, RADIUS, C10, C20 = 25.0, 14.5, 0.006, 0.0011
@@ -138,23 +139,8 @@ def test_a_program_that_takes_too_long_ends_with_all_that_it_started(tmp_path):
     assert refusal(script(text, timeout_s=3.0)).status == "timeout"
     assert time.monotonic() - began < 30
     if mark.is_file() and Path("/proc").is_dir():
-        assert within(10, lambda: has_ended(mark.read_text()))
-
-
-def has_ended(pid: str) -> bool:
-    """No such process, or one that is dead and that its parent has not collected (Z)."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return True
-
-
-def within(seconds: float, holds) -> bool:
-    """Whether it holds in time: a killed process ends only when the kernel gives it a turn."""
-    until = time.monotonic() + seconds
-    while not holds() and time.monotonic() < until:
-        time.sleep(0.01)
-    return holds()
+        until(lambda: not is_alive(mark.read_text()), 10)
+        assert not is_alive(mark.read_text())
 
 
 def test_no_shell_reads_the_words(tmp_path):

@@ -72,11 +72,9 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
 
     def compute(cases: Sequence[CaseJob]) -> list[Record]:
         computed.extend(case.case.case_id for case in cases)
-        hour = {True: 3600.0, False: 0.01}
-        return [
-            Record(c.case.case_id, "small", timings={"total": hour[c.case.case_id == slow]})
-            for c in cases
-        ]
+        names = [one.case.case_id for one in cases]
+        seconds = {name: 3600.0 if name == slow else 0.01 for name in names}
+        return [Record(name, "small", timings={"total": seconds[name]}) for name in names]
 
     complete = refine_within(600.0, 2, series, compute)
     assert [one is series[0] for one in series if one not in complete] == [True]

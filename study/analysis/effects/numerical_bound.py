@@ -119,23 +119,24 @@ class SeriesBounds:
         if self.mesh in changed:
             return 0.0
         on_one_mesh = self.mesh is not None and self.mesh in plus
-        key = (*(tuple(side.get(f, "") for f in self.factors) for side in (plus, minus)),
-               (str(on_one_mesh),))  # fmt: skip
-        if key not in self._known:
-            weights = _difference(self._weights(plus), self._weights(minus))
-            self._known[key] = self._bound(weights, on_one_mesh=on_one_mesh)
-        return self._known[key]
+        return self._remembered(plus, minus, on_one_mesh=on_one_mesh)
 
     def of_component(self, first: Levels, second: Levels) -> float | None:
         """Bound of a difference of pure components: their alternating sums of means."""
         if self.mesh in first:
             return 0.0
-        # the same for every block left out, and asked again for each
-        key = (*(tuple(side.get(f, "") for f in self.factors) for side in (first, second)),
-               ("component",))  # fmt: skip
+        return self._remembered(first, second, pure=True)
+
+    def _remembered(
+        self, plus: Levels, minus: Levels, *, on_one_mesh: bool = False, pure: bool = False
+    ) -> float | None:
+        """Bound of a difference of two sides, made once: it is asked for every block left out."""
+        sides = (tuple(side.get(f, "") for f in self.factors) for side in (plus, minus))
+        key = (*sides, (str(on_one_mesh), str(pure)))
         if key not in self._known:
-            weights = _difference(self._component(first), self._component(second))
-            self._known[key] = self._bound(weights)
+            weights = self._component if pure else self._weights
+            found = _difference(weights(plus), weights(minus))
+            self._known[key] = self._bound(found, on_one_mesh=on_one_mesh)
         return self._known[key]
 
     def _component(self, side: Levels) -> dict[tuple[str, ...], float]:

@@ -8,7 +8,7 @@ times the predicted ratio of the two.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import accumulate
 
 from study.record.record import Record
@@ -41,9 +41,14 @@ def refine_within(
         Those that have all of their meshes.
     """
     until, costs, ongoing = time.monotonic() + seconds, Costs(), list(series)
+    predicted = {
+        job.case.case_id: costs.total_seconds(fits_of([job]).values(), [job], 1)
+        for one in series
+        for job in one.jobs
+    }
     for level in range(max((len(one.jobs) for one in series), default=0)):
         left = (until - time.monotonic()) * workers
-        ongoing = _affordable(ongoing, [_price(one, level, costs) for one in ongoing], left)
+        ongoing = _affordable(ongoing, [_price(one, level, predicted) for one in ongoing], left)
         steps = [one.jobs[level] for one in ongoing]
         for one, step, found in zip(ongoing, steps, compute(steps) if steps else (), strict=True):
             one.add(step, found)
@@ -59,15 +64,11 @@ def _affordable(
     return [series[i] for i, sum_so_far in zip(order, spent, strict=True) if sum_so_far <= seconds]
 
 
-def _price(one: CaseSeries, level: int, costs: Costs) -> float:
+def _price(one: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
     """Worker seconds of a cell's next mesh, its calibrations too."""
-    predicted = _predicted(one.jobs[level], costs)
-    last = one.records.get(one.jobs[level - 1].case.case_id) if level else None
+    names = [job.case.case_id for job in one.jobs]
+    last = one.records.get(names[level - 1]) if level else None
     taken = None if last is None else last.timings.get("total")
     if taken is None:
-        return predicted
-    return taken * predicted / _predicted(one.jobs[level - 1], costs)
-
-
-def _predicted(job: CaseJob, costs: Costs) -> float:
-    return costs.total_seconds(fits_of([job]).values(), [job], 1)
+        return predicted[names[level]]
+    return taken * predicted[names[level]] / predicted[names[level - 1]]

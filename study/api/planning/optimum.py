@@ -15,7 +15,7 @@ from study import api, units
 from study.api.folders import RESULTS
 from study.api.statistics.confirmation import Permission, confirm
 from study.api.statistics.prediction import number_in_unit
-from study.api.statistics.surface.response_surface import fit_surface
+from study.api.statistics.surface.level_surfaces import fit_surface
 from study.design import overlay
 from study.design.statistics.uncertainty import usual_value
 from study.errors import Fault, InputError, RefusedError, UnitError, nearest

@@ -16,7 +16,7 @@ from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, 
 from study.reporting.content import recommendation, roles
 from study.reporting.content.sizes import change, shown_difference, size
 from study.reporting.content.surfaces import response_surface
-from study.reporting.content.verdicts import only_at_settings, setting
+from study.reporting.content.verdicts import setting, sole_setting
 from study.reporting.numbers import (
     MISSING,
     clean,
@@ -125,8 +125,7 @@ def _label(effect: Effect, data: ReportData) -> str:
 
 
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
-    one = effect.deciding_simple
-    if one is not None and only_at_settings(effect):
+    if one := sole_setting(effect):
         number = shown_difference(roles.apart(one.difference, effect), effect, facts)
         return f"{number} {setting(one, data.labels)}; {size(effect, facts)} on average"
     return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"

@@ -82,16 +82,16 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     )
 
 
-def only_at_settings(effect: Effect) -> bool:
-    """Whether a single setting of the other factors carries *matters*, not the average."""
-    return (
-        effect.verdict == MATTERS and effect.depends_on_settings and not effect.matters_on_average
-    )
+def sole_setting(effect: Effect) -> SimpleEffect | None:
+    """Return the simple effect that carries *matters* where the average does not."""
+    if effect.verdict != MATTERS or effect.matters_on_average or not effect.depends_on_settings:
+        return None
+    return effect.deciding_simple
 
 
 def told(effect: Effect) -> str:
     """Verdict as a table says it, so that the average beside it does not contradict it."""
-    return MATTERS_AT_SETTINGS if only_at_settings(effect) else effect.verdict
+    return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
 
 
 def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
@@ -180,8 +180,7 @@ def _repeatable(effect: Effect) -> str:
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
     if effect.largest is None:
         return f"{name}: matters for the {facts.title}, {numbers}"
-    one = effect.deciding_simple
-    if one is not None and only_at_settings(effect):
+    if one := sole_setting(effect):
         return (
             f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
             f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "

@@ -1,4 +1,4 @@
-"""A response over numeric factors at every combination of labels: one surface for each."""
+"""A table in, surfaces over its numeric factors out: one at every combination of labels."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from study import tabular
-from study.analysis.request import threshold
 from study.api.statistics.surface.response_surface import (
     Surface,
     announce_cost,
     check_kind,
-    fit_surface,
+    difference_of,
     fitted,
     fitted_together,
+    kind_of,
+    remarks,
     runs_of,
     told,
 )
@@ -27,6 +28,7 @@ from study.response_surface.emulator.blocked import BlockedEmulator
 from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.factors import Runs
 from study.response_surface.level_difference import LevelDifference, level_difference
+from study.response_surface.result import SurfaceAnalysis
 from study.study_result.response_surface import FittedSurface
 from study.tabular import CsvTable
 
@@ -35,6 +37,60 @@ MOST_COMBINATIONS = 64
 
 #: surfaces whose error holds everywhere in the ranges
 _EMULATORS = (Emulator, BlockedEmulator)
+
+
+def fit_surface(
+    source: str | Path,
+    response: str,
+    numeric: Sequence[str],
+    *,
+    surface: Surface = "auto",
+    block: str | None = None,
+    practical: float | str | None = None,
+    decimal: str = ".",
+    announce: Callable[[str], None] | None = None,
+) -> SurfaceAnalysis:
+    """Fit a response over numeric factors, and say what they do.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
+        and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        By itself an emulator for more than five factors, or settings that fill the box.
+    block : str, optional
+        Column of the blocks; a quadratic needs a run of each at every setting, an
+        emulator three blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean".
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        The model, what it says of every factor, and ``predict``.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column, all faults at once.
+    RefusedError
+        If the runs cannot carry what is asked.
+    """
+    alone = fit_surfaces(
+        source, response, numeric, (), surface=surface, block=block, practical=practical,
+        decimal=decimal, announce=announce,
+    )  # fmt: skip
+    # without labels there is one, and what keeps it from being fitted is raised
+    return next(one.found for one in alone if one.found is not None)
 
 
 def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -89,14 +145,12 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         If no combination can carry a surface.
     """
     check_kind(surface)
-    if not factors:
-        return (_alone(source, response, numeric, surface, block, practical, decimal, announce),)
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
     runs, kept, notes = runs_of(table, response, numeric, block)
     places, rows = _places(table, factors, kept, {*runs.names, response, block})
-    announce_cost(runs, announce)
-    limit = threshold(practical)
-    difference = None if limit is None else limit.on_scale(float(runs.response.mean()), "none")
+    if kind_of(runs, surface) == "emulator":
+        announce_cost(runs, announce)
+    difference = difference_of(practical, runs.response)
     sizes = [len({place[name] for place in places}) for name in factors]
     common = _together(runs, rows, sizes, surface) if len(rows) == np.prod(sizes) else None
     each = [
@@ -105,28 +159,8 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     ]
     if all(one.found is None for one in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
-    compared = [replace(one, differences=differences(one, each, places[0])) for one in each]
-    return (_noted(compared[0], (*table.notes, *notes)), *compared[1:])
-
-
-def _alone(  # noqa: PLR0913  # those of fit_surfaces but for the labels
-    source: str | Path,
-    response: str,
-    numeric: Sequence[str],
-    surface: Surface,
-    block: str | None,
-    practical: float | str | None,
-    decimal: str,
-    announce: Callable[[str], None] | None,
-) -> FittedSurface:
-    found = fit_surface(
-        source, response, numeric, surface=surface, block=block, practical=practical,
-        decimal=decimal, announce=announce,
-    )  # fmt: skip
-    limit = threshold(practical)
-    mean = float(found.runs.response.mean())
-    difference = None if limit is None else limit.on_scale(mean, "none")
-    return FittedSurface(response, "", found, practical=difference)
+    each = _noted(each, (*table.notes, *notes), surface)
+    return tuple(replace(one, differences=differences(one, each, places[0])) for one in each)
 
 
 def _places(
@@ -139,9 +173,10 @@ def _places(
         raise InputError(Fault("--factors", rule, "name every column once"))
     columns = {name: np.array(table.text(name))[kept] for name in factors}
     levels = [list(dict.fromkeys(column.tolist())) for column in columns.values()]
+    every = np.ones(kept.sum(), dtype=bool)
     named = (dict(zip(factors, one, strict=True)) for one in itertools.product(*levels))
     found = [
-        (place, np.logical_and.reduce([columns[name] == at for name, at in place.items()]))
+        (place, np.all([every, *(columns[name] == at for name, at in place.items())], axis=0))
         for place in named
     ]
     found = [(place, here) for place, here in found if here.any()]
@@ -175,17 +210,30 @@ def _fitted(
     practical: float | None,
     model: Emulator | BlockedEmulator | None,
 ) -> FittedSurface:
-    """Surface at one combination, or why there is none."""
+    """Surface at one combination, or why there is none: raised where there are no labels."""
     try:
         one = fitted(_some(runs, here), surface) if model is None else model
         found = told(one, practical, 0.0)
     except StudyError as error:
+        if not place:
+            raise
         return FittedSurface(runs.name, "", None, str(error), place, practical)
     return FittedSurface(runs.name, "", found, "", place, practical)
 
 
-def _noted(one: FittedSurface, notes: Sequence[str]) -> FittedSurface:
-    return one if one.found is None else replace(one, found=one.found.noted(*notes))
+def _noted(
+    each: Sequence[FittedSurface], of_table: Sequence[str], surface: str
+) -> list[FittedSurface]:
+    """Add what is to be said of every surface, and of their table once, with the first."""
+    noted, left = [], of_table
+    for one in each:
+        if one.found is None:
+            noted.append(one)
+            continue
+        said = (*left, *remarks(one.found.runs, surface, one.practical))
+        noted.append(replace(one, found=one.found.noted(*said)))
+        left = ()
+    return noted
 
 
 def differences(
@@ -210,9 +258,9 @@ def differences(
     made = []
     for name, base in first.items():
         wanted = {**one.labels, name: base}
-        other = next(found for found in each if dict(found.labels) == wanted)
-        models = [None if s.found is None else s.found.model for s in (one, other)]
-        mine, theirs = models
+        # runs at some combinations of labels may be missing
+        other = next((found for found in each if dict(found.labels) == wanted), one)
+        mine, theirs = (None if s.found is None else s.found.model for s in (one, other))
         if one is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
             continue
         limits = [s.practical for s in (one, other) if s.practical is not None]

@@ -1,15 +1,13 @@
-"""Responses over numeric factors: a table in, a surface with what it means out."""
+"""Runs of a table, and the surface that suits them, with what it means."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
-from study import tabular
 from study.analysis.request import threshold
 from study.arrays import Array, Flags
 from study.errors import Fault, InputError, RefusedError, nearest
@@ -58,70 +56,6 @@ _WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/
 _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
 
 
-def fit_surface(
-    source: str | Path,
-    response: str,
-    numeric: Sequence[str],
-    *,
-    surface: Surface = "auto",
-    block: str | None = None,
-    practical: float | str | None = None,
-    decimal: str = ".",
-    announce: Callable[[str], None] | None = None,
-) -> SurfaceAnalysis:
-    """Fit a response over numeric factors, and say what they do.
-
-    Parameters
-    ----------
-    source : str or Path
-        CSV with one row a run.
-    response : str
-        Column of the response; rows without one are left out, and that is said.
-    numeric : sequence of str
-        Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
-        and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
-    surface : {"auto", "quadratic", "emulator", "none"}
-        By itself an emulator for more than five factors, or settings that fill the box.
-    block : str, optional
-        Column of the blocks; a quadratic needs a run of each at every setting, an
-        emulator three blocks.
-    practical : float or str, optional
-        Smallest difference that matters: a number, or "5 % of mean".
-    decimal : {".", ","}
-        Decimal mark of the file.
-    announce : callable, optional
-        Told beforehand what a long fit will cost.
-
-    Returns
-    -------
-    SurfaceAnalysis
-        The model, what it says of every factor, and ``predict``.
-
-    Raises
-    ------
-    InputError
-        Naming file, row and column, all faults at once.
-    RefusedError
-        If the runs cannot carry what is asked.
-    """
-    check_kind(surface)
-    table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
-    runs, _, left_out = runs_of(table, response, numeric, block)
-    chosen = _chosen(runs) if surface == "auto" else surface
-    if chosen == "emulator":
-        announce_cost(runs, announce)
-    elif practical is not None:
-        left_out.append("a quadratic surface judges terms: --practical is asked of an emulator")
-    few = _few(runs)
-    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
-        left_out.append(
-            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
-            f"factor, {', '.join(few)} has fewer"
-        )
-    found = fit_runs(runs, chosen, _difference(practical, runs.response))
-    return found.noted(*table.notes, *left_out)
-
-
 def check_kind(surface: str) -> None:
     """Refuse what is no kind of a surface.
 
@@ -167,7 +101,7 @@ def fit_runs(
 
 def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
     """Fit runs; arguments and errors as for `fit_runs`."""
-    if (_chosen(runs) if surface == "auto" else surface) == "quadratic":
+    if kind_of(runs, surface) == "quadratic":
         return fit_quadratic(runs)
     return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
 
@@ -203,7 +137,7 @@ def fitted_together(
     tuple of Emulator or BlockedEmulator, or None
         One a combination; None where each shall have an emulator of its own, or a quadratic.
     """
-    wanted = {_chosen(one) if surface == "auto" else surface for one in every}
+    wanted = {kind_of(one, surface) for one in every}
     enough = RUNS_A_FACTOR * len(every[0].factors)
     few = min(len(one.distinct()[0]) for one in every) < enough
     if len(every) < 2 or wanted != {"emulator"} or not few:
@@ -229,13 +163,32 @@ def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
         announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
 
 
-def _difference(practical: float | str | None, response: Array) -> float | None:
+def difference_of(practical: float | str | None, response: Array) -> float | None:
+    """Read the smallest difference that matters, in the unit of a response."""
     asked = threshold(practical)
     return None if asked is None else asked.on_scale(float(response.mean()), "none")
 
 
-def _chosen(runs: Runs) -> Literal["quadratic", "emulator"]:
-    """Choose by the design: composite designs have three or five settings a factor."""
+def remarks(runs: Runs, surface: str, practical: float | None) -> list[str]:
+    """Say what a quadratic does not judge, and why runs that fill the box got one all the same."""
+    said, few = [], _few(runs)
+    if kind_of(runs, surface) == "quadratic" and practical is not None:
+        said.append("a quadratic surface judges terms: --practical is asked of an emulator")
+    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
+        said.append(
+            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
+            f"factor, {', '.join(few)} has fewer"
+        )
+    return said
+
+
+def kind_of(runs: Runs, surface: str) -> str:
+    """Return the kind that is asked for; the design chooses where that is left to it.
+
+    Composite designs have three or five settings a factor.
+    """
+    if surface != "auto":
+        return surface
     if _few(runs):
         return "quadratic"
     fills = max(runs.levels()) > GRID_LEVELS
@@ -258,7 +211,7 @@ def runs_of(
     table : CsvTable
         One row a run.
     response, numeric, block
-        As of :func:`fit_surface`.
+        As of :func:`study.fit_surface`.
 
     Raises
     ------
