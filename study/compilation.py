@@ -7,17 +7,21 @@ is a folder named after the contents of all files with kernels.
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import functools
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from threadpoolctl import ThreadpoolController
 
 from study.arrays import Elements
@@ -26,6 +30,9 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 FAST = {"contract", "reassoc", "arcp", "nsz"}
+#: the longest compilation takes 15 s, and four times that on a busy machine
+_PATIENCE_S = 120.0
+_GLANCE_S = 0.02
 _HERE = Path(__file__).resolve().parent
 _CONFIG: Any = numba.config
 
@@ -45,9 +52,53 @@ def cache_folder() -> str:
     return str(base / f"kernels-{digest.hexdigest()[:16]}")
 
 
+@contextmanager
+def only_process(work: str) -> Iterator[None]:
+    """Context in which no other process does the same work on the kernels of this folder.
+
+    Each work has a byte of one file, which the operating system locks for a process and frees
+    when that process ends. Where a folder cannot be written or locked, work is done twice.
+    """
+    handle = _lock_file()
+    place = int.from_bytes(hashlib.sha256(work.encode()).digest()[:6], "big")
+    locked = handle is not None and _lock_byte(handle, place)
+    try:
+        yield
+    finally:
+        if locked and handle is not None:
+            fcntl.lockf(handle, fcntl.LOCK_UN, 1, place)
+
+
+def _lock_byte(handle: int, place: int) -> bool:
+    """Lock a byte of a file, with patience for the longest compilation; whether that worked."""
+    until = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < until:
+        try:
+            fcntl.lockf(handle, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+        except OSError as error:
+            if error.errno not in (errno.EACCES, errno.EAGAIN):
+                return False
+            time.sleep(_GLANCE_S)
+        else:
+            return True
+    return False
+
+
+@functools.cache
+def _lock_file() -> int | None:
+    """Open the file of locks once: a process loses all its locks when it closes one handle."""
+    folder = Path(cache_folder())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError:
+        return None
+
+
 def kernel(**options: Any) -> Callable[[_Function], _Function]:
     """Decorate a function to be compiled on first use and kept on disk; options are numba's."""
-    return _kept_on_disk(functools.partial(numba.njit, **options))
+    decorate = _kept_on_disk(functools.partial(numba.njit, **options))
+    return lambda function: _compiled_once(decorate(function))
 
 
 def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
@@ -60,6 +111,28 @@ def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
             _CONFIG.CACHE_DIR = usual
 
     return decorate
+
+
+def _compiled_once(dispatcher: Any) -> Any:
+    """Let one process compile a signature of a kernel: others wait, and find it on disk.
+
+    Numba lets each process that starts on an empty cache compile all of it, and of two that
+    add to a kernel's index at once one loses its entry.
+    """
+    name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
+    compile_signature, save = dispatcher.compile, dispatcher._cache.save_overload
+
+    def compile_alone(signature: Any) -> Any:
+        # numba's own lock first: with both in turn, two threads could wait for each other
+        with global_compiler_lock, only_process(f"{name}{signature}"):
+            return compile_signature(signature)
+
+    def save_alone(signature: Any, compiled: Any) -> None:
+        with only_process(name):
+            save(signature, compiled)
+
+    dispatcher.compile, dispatcher._cache.save_overload = compile_alone, save_alone
+    return dispatcher
 
 
 #: array over the memory that a C library hands to a :func:`callback`

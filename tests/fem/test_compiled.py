@@ -27,6 +27,15 @@ def ask():
     return 1 * answer()
 print(ask(), ask.stats.cache_hits.get((), 0))
 """
+SIGNATURES = """
+import sys
+import numpy as np
+from compiled import kernel
+@kernel()
+def total(x):
+    return x.sum() + 1.0
+print(total(np.ones((1,) * int(sys.argv[1]))), sum(total.stats.cache_hits.values()))
+"""
 #: the elements' forces and stiffness in an uneven state
 DIGITS = """
 import hashlib
@@ -63,6 +72,40 @@ def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
     assert ask(tmp_path) == (41, 1)
     (tmp_path / "callee.py").write_text(CALLEE.format(answer=42))
     assert ask(tmp_path) == (42, 0)
+
+
+def together(folder: Path, dimensions: str) -> list[str]:
+    """Whether each of several processes at once found its signature on disk."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    started = [
+        subprocess.Popen(
+            [sys.executable, "total.py", dimension], cwd=folder, env=environment,
+            stdout=subprocess.PIPE, text=True,
+        )
+        for dimension in dimensions
+    ]  # fmt: skip
+    found = [process.communicate()[0].split() for process in started]
+    assert all(float(result) == 2.0 for result, _ in found)
+    return [hits for _, hits in found]
+
+
+def test_of_processes_at_once_one_compiles(tmp_path: Path) -> None:
+    """The others wait, and no process loses the entry of another in a kernel's index."""
+    shutil.copy(study.compilation.__file__, tmp_path / "compiled.py")
+    (tmp_path / "total.py").write_text(SIGNATURES)
+    assert sorted(together(tmp_path, "1123")) == ["0", "0", "0", "1"]
+    assert together(tmp_path, "123") == ["1", "1", "1"]
+
+
+def test_a_folder_that_cannot_be_locked_is_used_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(study.compilation, "cache_folder", lambda: str(tmp_path / "file"))
+    lock_file = study.compilation._lock_file.__wrapped__
+    monkeypatch.setattr(study.compilation, "_lock_file", lock_file)
+    with study.compilation.only_process("work"):
+        assert lock_file() is None
 
 
 def test_the_folder_is_named_after_the_kernels() -> None:
