@@ -52,7 +52,7 @@ def compiled() -> int:
     """Kernels of this process that were not found on disk."""
     found = 0
     for name, module in list(sys.modules.items()):
-        if name.startswith("study.forward"):
+        if name.startswith("study."):
             for thing in vars(module).values():
                 found += sum(getattr(getattr(thing, "stats", None), "cache_misses", {}).values())
     return found

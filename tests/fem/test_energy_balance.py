@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from study.curve import Curve
-from study.fem.solver.energy_balance import LoadedState, balanced, jumped, unexplained_work
+from study.fem.solver.energy_balance import (
+    JUMP_SHARE,
+    LoadedState,
+    balanced,
+    jumped,
+    unexplained_work,
+)
 from study.fem.solver.internal_force import StoredEnergy
 from study.fem.solver.options import Options
+from study.fem.solver.solution import Logbook, Solution
 from study.fem.solver.solve import solve
 from study.material.material import Material
 from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
@@ -178,3 +185,33 @@ def test_a_curve_with_a_jump_does_not_depend_on_its_load_steps() -> None:
     ]
     assert scores[0] == pytest.approx(scores[1], abs=0.02)
     assert np.abs(few / many - 1)[d > 3.0].max() < 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.verify
+def test_the_way_back_from_a_landing_stays_on_its_branch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Past the jump energy adds up from state to state; a state that loses some is not kept."""
+    soft = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
+    test = Loading("indentation", 4.0, "frictionless", "bonded", 10, Cone(30, 1, 3))
+    problem = Problem(
+        Block(60, 60, 40), test, soft, Model("3d", "linear", mesh="medium", mesh_ratio=1.3)
+    )
+
+    def solved() -> tuple[Solution, float]:
+        found = solve(problem, gradients=False, options=Options(curve_error=5e-4))
+        (jump,) = found.energy.jumps_mm
+        return found, jump
+
+    found, jump = solved()
+    places = found.curve.displacement_mm
+    past = int(np.argmax(places > jump))
+    stored = np.maximum(found.energy.stored_Nmm, 1e-2)
+    missing = np.abs(np.diff(found.energy.mismatch)) * stored.max() / stored[1:]
+    assert places[past] - jump < 0.1
+    assert missing[past - 1] > JUMP_SHARE
+    assert np.delete(missing, past - 1).max() < JUMP_SHARE
+
+    monkeypatch.setattr(Logbook, "lies_apart", lambda *_: True)
+    without, same = solved()
+    assert same == jump
+    assert jump + 0.1 < without.curve.displacement_mm[without.curve.displacement_mm > jump][0]

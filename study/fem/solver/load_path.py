@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from study.arrays import Array
+from study.fem.solver.energy_balance import LoadedState
 from study.fem.solver.limit_point import gives_way, lost_ellipticity, solve_through
 from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
 from study.fem.solver.options import Options
@@ -262,7 +263,7 @@ class LoadPath:
             result = solve_through(self.system, start, newton, lifted_from=lift)
             spent += result.iterations
             if result.converged:
-                self._write_down_both_sides(result.state)
+                self._write_down_both_sides(result)
                 self.step_mm, self.previous = 0.5 * step, None
                 self.logbook.snaps.append(here)
                 # assembled once more: slopes are those of the state that was assembled last
@@ -270,13 +271,16 @@ class LoadPath:
                 return replace(again, iterations=spent + again.iterations)
         return None
 
-    def _write_down_both_sides(self, landed: State) -> None:
+    def _write_down_both_sides(self, landing: NewtonResult) -> None:
         """Write down the last state before a limit point, and the first one past it.
 
-        Else nobody could tell where between two load steps the force has jumped.
+        Else nobody could tell where between two load steps the force has jumped. Of the way back
+        only what leads to the landing without a loss of energy is on its branch.
         """
         if self.system.sticks:
             return
+        landed = landing.state
+        arrived = self.logbook.loaded(landed, self._row(landing))
         here_mm, newton = self.state.displacement_mm, self.options.newton
         last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
         if here_mm - last_mm > self.rule.smallest_mm():
@@ -285,16 +289,24 @@ class LoadPath:
         for share in _BACK:
             back_mm = here_mm + share * (landed.displacement_mm - here_mm)
             start = replace(landed, displacement_mm=back_mm)
-            if self._write_down(solve_step(self.system, start, newton, lifted_from=lift), landed):
+            back = solve_step(self.system, start, newton, lifted_from=lift)
+            if self._write_down(back, landed, arrived):
                 return
 
-    def _write_down(self, found: NewtonResult, neighbor: State) -> bool:
-        """Write down an equilibrium if it converged near its neighbor, and say whether it did."""
+    def _write_down(
+        self, found: NewtonResult, neighbor: State, arrived: LoadedState | None = None
+    ) -> bool:
+        """Write down an equilibrium if it converged near its neighbor, and say whether it did.
+
+        Not one that would have to jump to where the specimen ``arrived``.
+        """
         J = self.system.volume_ratios(neighbor.x)
         if not (found.converged and _near(found, J)):
             return False
         row = self._row(found)
         loaded = self.logbook.loaded(found.state, row)
+        if arrived is not None and self.logbook.lies_apart(loaded, arrived):
+            return False
         self.logbook.add(found.state, found.equilibrium(), row, loaded, found.iterations)
         return True
 

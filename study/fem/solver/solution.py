@@ -207,6 +207,10 @@ class Logbook:
         at = int(np.searchsorted(self.reached, displacement_mm))
         return self.warm_steps[at - 1].state if at else None, self.warm_steps[at].state
 
+    def lies_apart(self, before: LoadedState, after: LoadedState) -> bool:
+        """Whether energy is missing, or too much, between two states."""
+        return jumped(before, after, self._whole_mm, self._share)
+
     def lies_between(self, loaded: LoadedState) -> bool:
         """Whether a state is on the way between its neighbors.
 
