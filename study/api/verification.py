@@ -31,6 +31,9 @@ from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed
 
+#: relative difference of numbers that another processor or other libraries have added up
+OTHER_ARITHMETIC = 1e-9
+
 #: relative difference of a response that was solved again: the tolerance of fit and solver
 SOLVED_AGAIN = 1e-5
 
@@ -64,6 +67,8 @@ class Verification:
         Numbers that were compared, by kind: page, tables, figures, curves.
     rounded : int
         Lines whose numbers agree within the tolerance and not to the last digit.
+    tolerance : float
+        Relative difference of numbers that was passed over.
     records : int
         Records whose sums were checked.
     solved : int
@@ -74,6 +79,7 @@ class Verification:
 
     numbers: Counter[str] = field(default_factory=Counter)
     rounded: int = 0
+    tolerance: float = 0.0
     records: int = 0
     solved: int = 0
     differences: list[Difference] = field(default_factory=list)
@@ -90,6 +96,7 @@ class Verification:
             "numbers": dict(self.numbers),
             "numbers_total": self.numbers.total(),
             "rounded": self.rounded,
+            "tolerance": self.tolerance,
             "records": self.records,
             "solved_again": self.solved,
             "differences": [vars(one) for one in self.differences],
@@ -105,7 +112,7 @@ def verify(
     seed: int = 1,
     data: str | Path | None = None,
     allow_commands: bool | str = False,
-    tolerance: float = 0.0,
+    tolerance: float | None = None,
 ) -> Verification:
     """Compute every number of a report again.
 
@@ -125,9 +132,10 @@ def verify(
         Folder of the measurements, for the cases that are solved again.
     allow_commands : bool or str
         Whether programs that the design names may run then; see :func:`study.run`.
-    tolerance : float
-        Relative difference of a number that is passed over: the arithmetic of other versions of
-        the libraries needs 1e-9.
+    tolerance : float, optional
+        Relative difference of numbers that is passed over. By default none where the report was
+        written with the libraries and on the kind of processor of this machine, else 1e-9: sums
+        of the same numbers differ in their last digits there.
 
     Returns
     -------
@@ -141,9 +149,12 @@ def verify(
     """
     page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
-    found = Verification()
+    if tolerance is None:
+        then = provenance.arithmetic_of(page.parent, page.stem)
+        tolerance = 0.0 if then == provenance.arithmetic() else OTHER_ARITHMETIC
+    found = Verification(tolerance=tolerance)
     _check_records(folder, found)
-    _compare_report(page.parent, folder, found, tolerance)
+    _compare_report(page.parent, folder, found)
     if resolve > 0:
         _solve_again(folder, found, resolve, seed, data, Allowed(allow_commands))
     return found
@@ -179,7 +190,7 @@ def _check_records(folder: Path, found: Verification) -> None:
             )
 
 
-def _compare_report(home: Path, folder: Path, found: Verification, tolerance: float) -> None:
+def _compare_report(home: Path, folder: Path, found: Verification) -> None:
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
         again = report(
@@ -196,7 +207,7 @@ def _compare_report(home: Path, folder: Path, found: Verification, tolerance: fl
                 found.differences.append(Difference(str(name), lost, made))
                 continue
             lines = _lines(home / name), _lines(fresh / name)
-            _compare(str(name), *lines, found, tolerance)
+            _compare(str(name), *lines, found)
 
 
 def _texts(folder: Path) -> Iterator[Path]:
@@ -224,16 +235,14 @@ def _kind(name: str) -> str:
     return "page" if file.endswith((".html", ".tex")) else "tables"
 
 
-def _compare(
-    name: str, old: Sequence[str], new: Sequence[str], found: Verification, tolerance: float
-) -> None:
+def _compare(name: str, old: Sequence[str], new: Sequence[str], found: Verification) -> None:
     kind = _kind(name)
     for number, (first, second) in enumerate(itertools.zip_longest(old, new, fillvalue=""), 1):
         numbers = _NUMBER.findall(second)
         found.numbers[kind] += len(numbers)
         if first == second:
             continue
-        if tolerance > 0 and _rounding(first, second, numbers, tolerance):
+        if found.tolerance > 0 and _rounding(first, second, numbers, found.tolerance):
             found.rounded += 1
             continue
         reported, recomputed = _around(first, second)

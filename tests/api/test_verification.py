@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+import platform
 import re
 import shutil
 import subprocess
@@ -77,15 +78,18 @@ def changed_digit(text: str, pattern: str) -> str:
     return text[:place] + str((int(digit) + 1) % 10) + text[place + 1 :]
 
 
+def verified_elsewhere(folder, *options, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", "study", "verify", "verified", "--json", *options],
+        cwd=folder, capture_output=True, text=True, timeout=300, check=False,
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin", **environment},
+    )  # fmt: skip
+
+
 def test_an_untouched_report_agrees_on_another_machine_too(finished, tmp_path):
     moved = tmp_path / "elsewhere"
     shutil.copytree(finished, moved)
-    done = subprocess.run(
-        [sys.executable, "-m", "study", "verify", "verified", "--json", "--resolve", "2",
-         "--data", "."],
-        cwd=moved, capture_output=True, text=True, timeout=300, check=False,
-        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
+    done = verified_elsewhere(moved, "--resolve", "2", "--data", ".")
     assert done.returncode == 0, done.stdout + done.stderr
     said = json.loads(done.stdout)
     assert said["agrees"]
@@ -95,6 +99,23 @@ def test_an_untouched_report_agrees_on_another_machine_too(finished, tmp_path):
     number = r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
     counted = sum(len(re.findall(number, one.read_text())) for one in csvs)
     assert said["numbers"]["figures"] == counted > 100
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="kernels of x86-64")
+def test_another_processor_adds_up_otherwise_and_hides_no_change(finished, tmp_path):
+    """Linear algebra for a processor of 2008 has other last digits, which is told."""
+    moved = tmp_path / "elsewhere"
+    shutil.copytree(finished, moved)
+    old = {"OPENBLAS_CORETYPE": "Nehalem"}
+    said = json.loads(verified_elsewhere(moved, **old).stdout)
+    assert (said["agrees"], said["tolerance"]) == (True, 1e-9)
+    assert said["rounded"] > 0
+    strict = verified_elsewhere(moved, "--tolerance", "0", **old)
+    assert strict.returncode == 1
+    assert len(json.loads(strict.stdout)["differences"]) == said["rounded"]
+    numbers = moved / "reports/verified/verified-data/numbers.json"
+    numbers.write_text(changed_digit(numbers.read_text(), r"\d\.\d{6}"))
+    assert len(json.loads(verified_elsewhere(moved, **old).stdout)["differences"]) == 1
 
 
 def test_a_changed_digit_anywhere_is_found(finished, tmp_path):

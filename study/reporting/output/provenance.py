@@ -2,11 +2,13 @@
 
 The same bytes of the results folder, the same formats and warnings, the same code and the same
 libraries give the same report: its name is the hash of all of them. It is believed only while the
-files of the report are those that were written.
+files of the report are those that were written. Beside it stands what adds up the statistics: on
+another processor, sums of the same numbers differ in their last digits.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
@@ -14,6 +16,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg  # noqa: F401  (its linear algebra is another one than numpy's)
+from threadpoolctl import threadpool_info
 
 import study
 from study.reporting.figure.registry import slug
@@ -27,6 +34,7 @@ NAME = "made-from.json"
 _SILENT = frozenset({".lock", "index.json"})
 
 #: libraries that compute or draw what a report shows, besides those that solve
+_STATISTICS = ("numpy", "scipy", "statsmodels", "pandas")
 _LIBRARIES = ("matplotlib", "seaborn", "pandas", "statsmodels", "jinja2", "pint")
 
 
@@ -85,8 +93,35 @@ def forget(folder: Path, name: str) -> None:
     _note(folder, name).unlink(missing_ok=True)
 
 
+@functools.cache
+def arithmetic() -> str:
+    """Name what decides the last digits of statistics: libraries, and kernels for the processor."""
+    versions = [f"{name} {_version(name)}" for name in _STATISTICS]
+    algebra = {f"{lib['internal_api']} {lib['version']} {lib['architecture']}"
+               for lib in threadpool_info() if lib["internal_api"] == "openblas"}  # fmt: skip
+    vectors: Any = np.show_config(mode="dicts")
+    found = vectors.get("SIMD Extensions", {}).get("found", [])
+    return ", ".join([*versions, *sorted(algebra), *found])
+
+
+def arithmetic_of(folder: Path, name: str) -> str:
+    """Read what :func:`arithmetic` was for a report, empty where that is not known.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the report.
+    name : str
+        The study.
+    """
+    with suppress(OSError, ValueError, LookupError, TypeError):
+        return str(json.loads(_note(folder, name).read_text(encoding="utf-8"))["arithmetic"])
+    return ""
+
+
 def _told(folder: Path, name: str, made_from: str) -> dict[str, str]:
-    return {"made_from": made_from, "files": _report(folder, name)}
+    files = _report(folder, name)
+    return {"made_from": made_from, "files": files, "arithmetic": arithmetic()}
 
 
 def _note(folder: Path, name: str) -> Path:
