@@ -12,7 +12,8 @@ class Table:
 
     ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
     ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
-    groups of rows.
+    groups of rows. ``anchors`` name rows of the page; ``follow`` is the start of the names that
+    the first number of each row leads to, counted from 1.
     """
 
     name: str
@@ -23,3 +24,5 @@ class Table:
     note: str = ""
     raw: tuple[Mapping[str, object], ...] = field(default=(), repr=False)
     grouped: bool = False
+    anchors: tuple[str, ...] = ()
+    follow: str = ""

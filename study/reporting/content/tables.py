@@ -9,6 +9,7 @@ from study.analysis.anova_table import Row
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.canonical import plain
 from study.reporting.content import sentences
+from study.reporting.content.cases.case_records import by_cell
 from study.reporting.content.sizes import numerical as u_num_of
 from study.reporting.content.sizes import practical, size, size_interval
 from study.reporting.content.table import Table
@@ -178,8 +179,7 @@ def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
         for facts in known
     }
     rows, raw = [], []
-    for levels, group in data.table.groupby(factors, sort=False):
-        labels = [str(level) for level in levels]
+    for labels, group in by_cell(data):
         values = [means[facts.name].get(":".join(labels)) for facts in known]
         done = int((group["status"] == "converged").sum())
         seconds = float(group["seconds"].mean()) if "seconds" in group else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.reporting.content import (
@@ -19,7 +19,7 @@ from study.reporting.content import (
     tables,
     verdicts,
 )
-from study.reporting.content.cases import failed_cases, fit_tables, marker_tables
+from study.reporting.content.cases import case_records, failed_cases, fit_tables, marker_tables
 from study.reporting.content.surfaces import response_surface, uncertainty
 from study.reporting.content.table import Table
 from study.reporting.content.verdicts import verdict
@@ -80,6 +80,7 @@ class Contents:
     figures: Mapping[str, Figure]
     tables: Mapping[str, Table]
     surfaces: tuple[SurfaceSection, ...] = ()
+    records: Table | None = None
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:
@@ -122,7 +123,10 @@ def prepare(data: ReportData) -> Contents:
         known |= {
             t.name: t for t in (one.sensitivity, one.coefficients, one.uncertain) if t is not None
         }
-    return Contents(data, found, sections, registry.of_study(data), known, over)
+    records = case_records.case_records(data, found)
+    if records is not None:
+        known["cells"] = replace(known["cells"], follow=case_records.CELL)
+    return Contents(data, found, sections, registry.of_study(data), known, over, records)
 
 
 def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
@@ -224,6 +228,7 @@ def render(contents: Contents) -> str:
         else failed_cases.sentences(data.failure_pattern, data.labels),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
+        sections={section.facts.title: section.anchor for section in contents.sections},
         glossary=glossary.TERMS,
         what_if=verdicts.WHAT_IF,
         two=comparison,

@@ -1,0 +1,60 @@
+"""From a mean to the records behind it: the matrix leads to the cases of a cell."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+from study.reporting.content.cases import case_records
+from study.reporting.output.page import build, prepare
+from tests.reporting.example import example
+
+
+def test_every_cell_leads_to_its_own_cases() -> None:
+    data = example()
+    contents = prepare(data)
+    assert contents.records is not None
+    cells, records = contents.tables["cells"], contents.records
+    factors = len(data.factors)
+    assert len(records.rows) == len(data.table)
+    firsts = {name: k for k, name in enumerate(records.anchors) if name}
+    for number, row in enumerate(cells.rows, 1):
+        start = firsts[f"{cells.follow}{number}"]
+        count = int(row[factors].split(" of ")[1])
+        mine = records.rows[start : start + count]
+        assert {one[:factors] for one in mine} == {row[:factors]}
+        # and no other case is of this cell
+        assert sum(one[:factors] == row[:factors] for one in records.rows) == count
+
+
+def test_cells_stand_in_the_order_of_the_design() -> None:
+    data = example()
+    shuffled = replace(data, table=data.table.sample(frac=1.0, random_state=1))
+    order = [
+        [levels.index(label) for label, levels in zip(cell, data.factors.values(), strict=True)]
+        for cell, _ in case_records.by_cell(shuffled)
+    ]
+    assert order == sorted(order)
+    plain, mixed = (case_records.case_records(d, prepare(d).found) for d in (data, shuffled))
+    assert plain is not None
+    assert mixed is not None
+    assert plain.rows == mixed.rows
+
+
+def test_links_of_the_page_have_their_goals() -> None:
+    page = build(example())
+    goals = set(re.findall(r' id="([^"]+)"', page))
+    links = set(re.findall(r'href="#([^"]+)"', page))
+    assert links <= goals
+    assert any(link.startswith(case_records.CELL) for link in links)
+
+
+def test_a_page_lists_no_more_than_it_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = example()
+    monkeypatch.setattr(case_records, "MOST", len(data.table) - 1)
+    contents = prepare(data)
+    assert contents.records is None
+    assert contents.tables["cells"].follow == ""
+    assert 'id="records"' not in build(data)
