@@ -8,12 +8,15 @@ from typing import Annotated
 
 import typer
 
-from study.cli import output
+from study.cli import completion, output
 from study.cli.studies import REPORTS, Data, Json, Reports, Set
 
 
 def tracking(
-    file: Annotated[Path, typer.Argument(help="TOML file of the tracker study.")],
+    file: Annotated[
+        Path,
+        typer.Argument(help="TOML file of the tracker study.", autocompletion=completion.designs),
+    ],
     data: Data = None,
     reports: Reports = REPORTS,
     as_json: Json = False,

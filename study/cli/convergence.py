@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from study.cli import output
+from study.cli import completion, output
 from study.cli.output import Document
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results, Set
 from study.errors import Fault, InputError
@@ -17,7 +17,10 @@ from study.errors import Fault, InputError
 
 def converge(
     file: Annotated[
-        Path | None, typer.Argument(help="Problem, design, or the results of a study.")
+        Path | None,
+        typer.Argument(
+            help="Problem, design, or the results of a study.", autocompletion=completion.studies
+        ),
     ] = None,
     values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",
     sizes: Annotated[str, typer.Option(help="Mesh sizes of these values, with commas.")] = "",

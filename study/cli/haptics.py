@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import output
+from study.cli import completion, output
 from study.cli.studies import REPORTS, RESULTS, Jobs, Json, Reports, Results, Set
 
 if TYPE_CHECKING:
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 def export(
     source: Annotated[
         Path,
-        typer.Argument(help="Problem file, calibration.json, or results of a study (--case)."),
+        typer.Argument(
+            help="Problem file, calibration.json, or results of a study (--case).",
+            autocompletion=completion.studies,
+        ),
     ],
     form: Annotated[
         str, typer.Option("--as", help="What it becomes: force-law, emulator, abaqus or febio.")
@@ -76,7 +79,13 @@ def _print_export(found: Export | MaterialExport) -> None:
 
 
 def require(
-    file: Annotated[Path, typer.Argument(help="Problem with sensors and what is asked of them.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Problem with sensors and what is asked of them.",
+            autocompletion=completion.designs,
+        ),
+    ],
     settings: Set = None,
     jobs: Jobs = None,
     reports: Reports = REPORTS,

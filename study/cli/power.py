@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
-from study.cli.studies import RESULTS, Data, Json, Results, Set
+from study.cli.studies import RESULTS, Data, Design, Json, Results, Set
 
 if TYPE_CHECKING:
     from study.api.planning.detection import Detection
 
 
 def power(
-    design: Annotated[Path, typer.Argument(help="Design file.")],
+    design: Design,
     sd: Annotated[
         float | None,
         typer.Option(help="Scatter of a difference between specimens, in the response's unit."),

@@ -11,6 +11,7 @@ import typer
 
 from study import units
 from study.cli import output
+from study.cli.completion import designs
 from study.cli.convergence import converge
 from study.cli.indentation import closed_form
 from study.cli.output import Document
@@ -25,17 +26,15 @@ if TYPE_CHECKING:
 
 
 Numerics = Annotated[
-    bool,
-    typer.Option("--numerics", help="Bound the error by meshes and load steps."),
+    bool, typer.Option("--numerics", help="Bound the error by meshes and load steps.")
 ]
 Resamples = Annotated[
-    int,
-    typer.Option("--bootstrap", help="Intervals from this many resampled fits."),
+    int, typer.Option("--bootstrap", help="Intervals from this many resampled fits.")
 ]
 
 
 def solve(
-    file: Annotated[Path, typer.Argument(help="Problem file.")],
+    file: Annotated[Path, typer.Argument(help="Problem file.", autocompletion=designs)],
     settings: Set = None,
     picture: Annotated[
         Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
@@ -101,7 +100,7 @@ def doctor(as_json: Json = False) -> None:
 
 
 def calibrate(
-    file: Annotated[Path, typer.Argument(help="Calibration file.")],
+    file: Annotated[Path, typer.Argument(help="Calibration file.", autocompletion=designs)],
     data: Data = None,
     settings: Set = None,
     convention: Annotated[

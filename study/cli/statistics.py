@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from study.cli import output
-from study.cli.studies import RESULTS, Data, Json, Results
+from study.cli import completion, output
+from study.cli.studies import RESULTS, Data, Json, Results, Study
 from study.cli.tables import analysis_tables, mixed_effects, surface_tables
 from study.cli.tables.surface_tables import names
 from study.errors import Fault, InputError
@@ -84,7 +84,13 @@ Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emu
 
 
 def analyze(
-    source: Annotated[Path, typer.Argument(help="Results of a study, or any tidy CSV.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Results of a study, or any tidy CSV.",
+            autocompletion=completion.studies_and_tables,
+        ),
+    ],
     response: Column = None,
     factors: Columns = "",
     block: Blocks = None,
@@ -242,12 +248,15 @@ Confirm = Annotated[
 Commands = Annotated[
     bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
 ]
-Study = Annotated[Path, typer.Argument(help="Results folder, design file or study name.")]
 
 
 def optimize(
     path: Annotated[
-        Path, typer.Argument(help="Results folder, design file, study name; or a tidy CSV.")
+        Path,
+        typer.Argument(
+            help="Results folder, design file, study name; or a tidy CSV.",
+            autocompletion=completion.studies_and_tables,
+        ),
     ],
     minimize: Annotated[str | None, typer.Option(help="Response that is to be small.")] = None,
     maximize: Annotated[str | None, typer.Option(help="Response that is to be large.")] = None,

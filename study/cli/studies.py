@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import next_command, output
+from study.cli import completion, next_command, output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
@@ -21,6 +21,13 @@ Data = Annotated[
 ]
 Set = Annotated[
     list[str] | None, typer.Option("-s", "--set", help="Override a key: model.mesh_size='2 mm'.")
+]
+Design = Annotated[Path, typer.Argument(help="Design file.", autocompletion=completion.designs)]
+Study = Annotated[
+    Path,
+    typer.Argument(
+        help="Results folder, design file or study name.", autocompletion=completion.studies
+    ),
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
 Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
@@ -41,7 +48,7 @@ def demo(
 
 
 def plan(
-    design: Annotated[Path, typer.Argument(help="Design file.")],
+    design: Design,
     data: Data = None,
     jobs: Jobs = None,
     settings: Set = None,
@@ -87,7 +94,7 @@ def plan(
 
 
 def run(
-    design: Annotated[Path, typer.Argument(help="Design file.")],
+    design: Design,
     data: Data = None,
     jobs: Jobs = None,
     settings: Set = None,
@@ -130,7 +137,7 @@ def run(
 
 
 def status(
-    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    path: Study,
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -154,7 +161,7 @@ def status(
 
 
 def report(
-    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    path: Study,
     formats: Annotated[
         str, typer.Option("--format", help="html, pdf, tex, csv: one or several with commas.")
     ] = "",
@@ -174,8 +181,13 @@ def report(
 
 
 def diff(
-    first: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
-    second: Annotated[Path, typer.Argument(help="The study to compare it with, named likewise.")],
+    first: Study,
+    second: Annotated[
+        Path,
+        typer.Argument(
+            help="The study to compare it with, named likewise.", autocompletion=completion.studies
+        ),
+    ],
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
@@ -191,7 +203,9 @@ def diff(
 
 
 def why(
-    case: Annotated[str, typer.Argument(help="Case id, or its beginning.")],
+    case: Annotated[
+        str, typer.Argument(help="Case id, or its beginning.", autocompletion=completion.cases)
+    ],
     study: Annotated[
         Path | None,
         typer.Option(help="Study to look in; all by default. A design file counts as it is now."),
@@ -235,7 +249,7 @@ def why(
 
 
 def predict(
-    path: Annotated[Path, typer.Argument(help="Results folder, design file or study name.")],
+    path: Study,
     at: Annotated[str, typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
     response: Annotated[str | None, typer.Option(help="One response; all by default.")] = None,
     results: Results = RESULTS,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import output
+from study.cli import completion, output
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results
 
 if TYPE_CHECKING:
@@ -16,7 +16,12 @@ if TYPE_CHECKING:
 
 
 def verify(
-    path: Annotated[Path, typer.Argument(help="Page or folder of a report, or study name.")],
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="Page or folder of a report, or study name.", autocompletion=completion.studies
+        ),
+    ],
     resolve: Annotated[
         int, typer.Option(min=0, help="Cases to be solved again from nothing, drawn at random.")
     ] = 0,
