@@ -333,6 +333,14 @@ def test_a_factor_that_the_mesh_leaves_open_names_the_setting_and_the_bound_ther
     assert "; between b and c it is \u00d7 1.030, and the numerical uncertainty there" in flat(
         verdicts.verdict(of_three, modulus())
     )
+    unknown = replace(
+        order, simple_effects=(*settings, replace(settings[1], difference=1.03, u=None))
+    )
+    assert (
+        "at plates bonded, material yeoh it is \u00d7 1.030, and the numerical uncertainty there, "
+        "which these meshes do not bound, would have to be below \u00d7 1.07."
+        in flat(verdicts.verdict(unknown, modulus()))
+    )
     alone = replace(order, simple_effects=())
     assert "and its numerical uncertainty \u00d7 1.02 would have to be below" in flat(
         verdicts.verdict(alone, modulus())

@@ -122,7 +122,7 @@ def _judged(
 def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
     """Verdict of a factor over all settings; what an open one needs, in response units."""
     why = simple.why
-    open_ones = [e for e in simple.effects if e.verdict == NOT_RESOLVED and e.u is not None]
+    open_ones = [e for e in simple.effects if e.verdict == NOT_RESOLVED]
     if simple.u_needed is not None and open_ones:
         worst = max(open_ones, key=lambda e: abs(e.difference))
         at = ", ".join(f"{name} {level}" for name, level in worst.at)

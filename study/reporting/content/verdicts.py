@@ -97,18 +97,22 @@ def told(effect: Effect) -> str:
 def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
     """Say at which setting the numerical uncertainty leaves a factor open, and what it may be."""
     one = effect.deciding_simple
-    if effect.u_needed is None or (one is not None and one.u is None):
+    if effect.u_needed is None:
         return f", and {clean(effect.why)}"
     below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
-    if one is None or (not one.at and {one.first, one.second} == set(effect.largest or ())):
+    same = one is None or (not one.at and {one.first, one.second} == set(effect.largest or ()))
+    if same and (one is None or one.u is not None):
         return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
+    if one is None:
+        return ""
     # another setting, or another pair of levels, has the larger uncertainty
     where = (
         setting(one, labels) if one.at else f"between {clean(one.first)} and {clean(one.second)}"
     )
+    known = "which these meshes do not bound" if one.u is None else bound(one.u, effect, facts)
     return (
         f"; {where} it is {shown_difference(one.difference, effect, facts)}, and the numerical "
-        f"uncertainty there, {bound(one.u or 0.0, effect, facts)}, {below}"
+        f"uncertainty there, {known}, {below}"
     )
 
 
