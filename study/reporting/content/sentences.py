@@ -268,12 +268,17 @@ def numerical(found: Sequence[Facts]) -> str:
     if not known:
         return ""
     own = [facts for facts in known if facts.u_num_by_term]
+    open_ones = any(e.u_num is None for facts in known for e in facts.effects)
+    unknown = _NO_BOUND if open_ones else ""
     if not own:
-        return _BY_COLUMN
+        return _BY_COLUMN + unknown
     if len(own) == len(known):
-        return _BY_TERM
-    return f"For the {listing([facts.title for facts in own])}, {_BY_TERM} Elsewhere {_BY_COLUMN}"
+        return _BY_TERM + unknown
+    titles = listing([facts.title for facts in own])
+    return f"For the {titles}, {_BY_TERM} Elsewhere {_BY_COLUMN}{unknown}"
 
+
+_NO_BOUND = f" {MISSING}: no bound, because of a part of the difference the meshes tell no limit."
 
 VIRTUAL = (
     "The measurements are virtual, so p describes the scatter of their generator; the verdicts "
