@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,10 @@ _LEAPS = (0.5, 0.1)
 
 #: places at which the new equilibrium is looked for, as shares of the way back from there
 _BACK = (0.02, 0.5)
+
+#: the same of the last one before, where right at the limit point nothing converges any more:
+#: shares of the way back to the last load step
+_BEFORE = (0.0, 0.02, 0.1)
 
 #: longest extrapolation over the last step: a step may grow and still be extrapolated
 _FARTHEST = 1.7
@@ -279,18 +283,26 @@ class LoadPath:
         """
         if self.system.sticks:
             return
-        landed = landing.state
+        landed, here_mm = landing.state, self.state.displacement_mm
         arrived = self.logbook.loaded(landed, self._row(landing))
-        here_mm, newton = self.state.displacement_mm, self.options.newton
-        last_mm = self.logbook.reached[-1] if self.logbook.reached else 0.0
-        if here_mm - last_mm > self.rule.smallest_mm():
-            self._write_down(solve_step(self.system, self.state, newton), self.state)
-        lift = None if self._lift() is None else landed
-        for share in _BACK:
-            back_mm = here_mm + share * (landed.displacement_mm - here_mm)
-            start = replace(landed, displacement_mm=back_mm)
-            back = solve_step(self.system, start, newton, lifted_from=lift)
-            if self._write_down(back, landed, arrived):
+        way_mm = here_mm - (self.logbook.reached[-1] if self.logbook.reached else 0.0)
+        if way_mm > self.rule.smallest_mm():
+            self._write_down_near(self.state, [here_mm - share * way_mm for share in _BEFORE])
+        places = [here_mm + share * (landed.displacement_mm - here_mm) for share in _BACK]
+        self._write_down_near(landed, places, landed if self._lift() else None, arrived)
+
+    def _write_down_near(
+        self,
+        state: State,
+        places_mm: Sequence[float],
+        lift: State | None = None,
+        arrived: LoadedState | None = None,
+    ) -> None:
+        """Write down an equilibrium near a state, at the first of some places that has one."""
+        for place_mm in places_mm:
+            start = replace(state, displacement_mm=place_mm)
+            found = solve_step(self.system, start, self.options.newton, lifted_from=lift)
+            if self._write_down(found, state, arrived):
                 return
 
     def _write_down(
