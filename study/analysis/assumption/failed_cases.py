@@ -141,14 +141,14 @@ class FailurePattern:
 
 
 def cause(status: str, message: str) -> str:
-    """Name what many cases may have failed of: what was said, with dots in place of its numbers.
+    """Name what many cases may have failed of: what was said first, with dots for its numbers.
 
     Examples
     --------
-    >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found")
+    >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found; press less deep")
     'not-converged: stopped at … mm of … mm: no step was found'
     """
-    said = _NUMBER.sub("…", message.split("\n")[0]).strip()
+    said = _NUMBER.sub("…", re.split(r"\n|; ", message)[0]).strip()
     if len(said) > LONGEST_CAUSE:  # cut between words, and say that it is cut
         said = said[:LONGEST_CAUSE].rpartition(" ")[0].rstrip(" ,;:") + " …"
     return f"{status}: {said}" if said else status
