@@ -152,8 +152,12 @@ def part(**options: Any) -> Callable[[_Function], _Function]:
 
     Shared machine code is taken from whoever brought it first, and that differs between the
     process that compiles and those that find the kernels on disk; so would the last digits.
+
+    It may take memory from its caller and none of its own: references to arrays are then not
+    counted, which took two thirds of the time of an axisymmetric assembly. Numba refuses to
+    compile a part that allocates.
     """
-    return kernel(forceinline=True, **options)
+    return kernel(forceinline=True, _nrt=False, **options)
 
 
 #: how long MKL's threads wait for more work
