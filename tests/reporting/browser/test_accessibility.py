@@ -27,6 +27,7 @@ from study.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table
+from tests.cli.test_require import PLATES
 from tests.reporting.browser.devtools import Browser, running
 from tests.tracker_accuracy.test_tracking import distance_study
 
@@ -139,6 +140,29 @@ def test_the_pages_of_surfaces_and_of_a_tracker(
     tracked = api.tracking(distance_study(tmp_path, 1), reports=tmp_path / "tracker").report
     assert tracked is not None
     for page in (surface, Path(tracked)):
+        tab.open(page, width, scheme)
+        assert violations(tab) == []
+        assert tab.ask(OVERFLOW) <= 0
+
+
+@pytest.fixture(scope="module")
+def pages_of_instruments(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Pages of a force law and of what sensors must be."""
+    folder = tmp_path_factory.mktemp("instruments")
+    (folder / "problem.toml").write_text(PROBLEM)
+    (folder / "plates.toml").write_text(PLATES)
+    api.export(folder / "problem.toml", out=folder / "law")
+    api.require(folder / "plates.toml", jobs=1, out=folder / "sensors")
+    found = sorted(folder.rglob("*.html"))
+    assert len(found) == 2
+    return found
+
+
+@pytest.mark.parametrize(("width", "scheme"), VIEWS)
+def test_the_pages_of_a_force_law_and_of_sensors(
+    tab: Browser, pages_of_instruments: list[Path], width: int, scheme: str
+) -> None:
+    for page in pages_of_instruments:
         tab.open(page, width, scheme)
         assert violations(tab) == []
         assert tab.ask(OVERFLOW) <= 0
