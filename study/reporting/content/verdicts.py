@@ -250,10 +250,16 @@ def normality(facts: Facts, alpha: float = 0.05) -> str:
         reason = (found and found.reason) or "there are no residuals to test"
         return sentence(f"Ryan-Joiner: not applicable, {reason}")
     printed = str(found.p_minitab)
+    tabled = "tabled p " + (printed if printed[0] in "<>" else f"= {printed}")
     parts = [f"RJ = {found.rj:.4f}", f"n = {found.n}"]
-    if found.p_exact is not None:
-        parts.append(f"simulated {p_phrase(found.p_exact)}")
-    parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
+    rows = len(facts.assumptions.normality_rows)
+    if rows > 1 and found.p_exact is not None:
+        # the p of the whole: that of one contrast alone beside it would contradict it
+        parts[0] = f"smallest RJ of {rows} contrasts = {found.rj:.4f}"
+        parts.append(f"simulated {p_phrase(found.p_exact)} for all of them together")
+    else:
+        parts += [f"simulated {p_phrase(found.p_exact)}"] * (found.p_exact is not None)
+        parts.append(tabled)
     decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
     level = f"{100 * alpha:g}{THIN}%"
     return f"Ryan-Joiner: normality of the residuals is {decision} at {level} ({', '.join(parts)})."
