@@ -257,7 +257,7 @@ def test_budget_counts_from_its_start() -> None:
                 },
                 "model": {"element_order": "quadratic"},
             },
-            1.0, "the order 4 of quadratic elements needs a smooth solution",
+            1.0, "the orders 2 of linear and 4 of quadratic elements need a smooth solution",
         ),
         (
             {

@@ -14,7 +14,7 @@ from study.arrays import Array, Ints
 from study.reporting.content.table import Table
 from study.reporting.figure import convergence
 from study.reporting.figure.registry import Drawn, Figure, make
-from study.reporting.numbers import MISSING, clean, name_of, quantity, significant
+from study.reporting.numbers import MISSING, clean, name_of, quantity, sentence, significant
 from study.reporting.output.answer_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _errors(cells: Sequence[Document]) -> Drawn:
 def _front(front: Document) -> Drawn:
     frame = convergence.front_points(front)
     accuracy = float(front["accuracy"])
-    return frame, lambda: convergence.draw_front(frame, accuracy), f"{front['answer']}."
+    return frame, lambda: convergence.draw_front(frame, accuracy), sentence(front["answer"])
 
 
 def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
@@ -104,9 +104,9 @@ def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
 
 def answers(cells: Sequence[Document], document: Document) -> list[str]:
     """Say in a few sentences what was found."""
-    lines = [f"{front['answer']}." for front in document.get("fronts", ())]
+    lines = [sentence(front["answer"]) for front in document.get("fronts", ())]
     for cell in cells[:1] if len(cells) == 1 else ():
-        lines.append(f"{clean(cell['verdict'])}.")
+        lines.append(sentence(clean(cell["verdict"])))
         given = cell.get("given_mesh")
         if given and given["u_num"] is not None and given["value"]:
             share = 100 * given["u_num"] / abs(given["value"])

@@ -93,12 +93,13 @@ def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
 
 def _sharp(problem: Problem, edge: str) -> str:
     """Why the order is 1 under a sharp edge, and what may hide it."""
-    smooth, depth = 2 * _DEGREE[problem.model.element_order], problem.test.depth_mm
+    depth = problem.test.depth_mm
+    orders = " and ".join(f"{2 * degree} of {name}" for name, degree in _DEGREE.items())
     why = (
         f"the {edge} of the flat punch, where the contact pressure is singular as an "
-        "inverse square root, s^(-1/2) at a distance s: energy and force converge with h^1 "
-        f"whatever the element, so an observed order near 1 is right here (the order {smooth} "
-        f"of {problem.model.element_order} elements needs a smooth solution)"
+        "inverse square root of the distance: energy and force converge with the mesh size, "
+        "whatever the element, so an observed order near 1 is right here (the orders "
+        f"{orders} elements need a smooth solution)"
     )
     size = _edge_size(problem)
     large = not problem.material.small_strain
