@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import io
 import json
 import re
@@ -52,6 +53,35 @@ def test_csv_keeps_every_digit(tmp_path: Path, data: ReportData):
     text = (tmp_path / "ecoflex-compression-data" / "table-verdicts.csv").read_text()
     first = next(iter(csv.DictReader(io.StringIO(text))))
     assert float(first["effect"]) == facts(data)[0].effects[0].range
+
+
+def test_columns_are_written_as_their_cells_are():
+    frame = pd.DataFrame({
+        "text": ["=1+1", "a,b", None], "float": [0.1, float("nan"), float("inf")],
+        "whole": [1, -2, 3], "known": [True, False, True],
+        "mixed": [1, "-x", 2.5], "kind": pd.Categorical(["u", "-v", "u"]),
+        "gaps": pd.array([1, None, 3], dtype="Int64"),
+    })  # fmt: skip
+    rows = frame.itertuples(index=False, name=None)
+    cells = [[None if cell is pd.NA else cell for cell in row] for row in rows]
+    assert write.of_frame(frame) == write.of_rows(list(frame.columns), cells)
+
+
+@pytest.mark.usefixtures("quick")
+def test_reference_cycles_are_looked_for_again_after_a_report(
+    tmp_path: Path, data: ReportData, monkeypatch: pytest.MonkeyPatch
+):
+    write.write(data, tmp_path)
+    assert gc.isenabled()
+
+    def broken(contents: page.Contents, beside: Path) -> None:
+        assert not gc.isenabled()
+        raise OSError("disk full")
+
+    monkeypatch.setattr(write, "_numbers", broken)
+    with pytest.raises(OSError, match="disk full"):
+        write.write(data, tmp_path)
+    assert gc.isenabled()
 
 
 def test_unknown_format_is_named_before_anything_is_written(tmp_path: Path, data: ReportData):

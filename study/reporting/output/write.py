@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from study.errors import Fault, InputError, StudyError, nearest
 from study.reporting.content.methods import paragraph
 from study.reporting.content.table import Table
@@ -363,10 +365,13 @@ def of_frame(frame: pd.DataFrame) -> str:
 
 def _cells(column: pd.Series[Any]) -> list[object]:
     """Cells of a column as :func:`safe_cell` makes them, numbers all at once."""
-    values, kind = column.tolist(), column.to_numpy().dtype.kind
+    kind = column.dtype.kind if isinstance(column.dtype, np.dtype) else ""
     if kind == "f":
-        return [value if math.isfinite(value) else "" for value in values]
-    return values if kind in "iub" else [safe_cell(value) for value in values]
+        return [value if math.isfinite(value) else "" for value in column.tolist()]
+    if kind in "iub" and kind:
+        return column.tolist()
+    known = column.astype(object).where(column.notna(), None)
+    return [safe_cell(value) for value in known.tolist()]
 
 
 def of_records(records: Sequence[Mapping[str, object]]) -> str:
