@@ -241,7 +241,11 @@ def write_measurements(path: Path) -> None:
 def measured(part: str, folder: Path, jobs: int, cases: int) -> dict[str, float]:
     """Do a part in this process; seconds of the processor, of workers too, and on the clock."""
     parts = idle_parts(folder, jobs) if cases else range_parts(folder, jobs)
-    # imported here, as it would be by the command line
+    # imported here, as it would be by the command line; what draws, too
+    import matplotlib.backends.backend_svg  # noqa: F401
+    import seaborn  # noqa: F401
+    import statsmodels.api  # noqa: F401
+
     import study.fem.solver.solution
     import study.reporting.output.write  # noqa: F401
 
