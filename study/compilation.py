@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, cast
 
 import numba
 from numba.core.compiler_lock import global_compiler_lock
@@ -98,7 +98,13 @@ def _lock_file() -> int | None:
 def kernel(**options: Any) -> Callable[[_Function], _Function]:
     """Decorate a function to be compiled on first use and kept on disk; options are numba's."""
     decorate = _kept_on_disk(functools.partial(numba.njit, **options))
-    return lambda function: _compiled_once(decorate(function))
+
+    def decorated(function: _Function) -> _Function:
+        dispatcher: _Function = decorate(function)
+        _compile_once(cast(_Dispatcher, dispatcher))
+        return dispatcher
+
+    return decorated
 
 
 def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
@@ -113,7 +119,21 @@ def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
     return decorate
 
 
-def _compiled_once(dispatcher: Any) -> Any:
+class _Cache(Protocol):
+    """What numba's dispatcher keeps machine code with."""
+
+    save_overload: Callable[[object, object], None]
+
+
+class _Dispatcher(Protocol):
+    """What numba makes of a function."""
+
+    py_func: Callable[..., object]
+    compile: Callable[[object], object]
+    _cache: _Cache
+
+
+def _compile_once(dispatcher: _Dispatcher) -> None:
     """Let one process compile a signature of a kernel: others wait, and find it on disk.
 
     Numba lets each process that starts on an empty cache compile all of it, and of two that
@@ -122,17 +142,16 @@ def _compiled_once(dispatcher: Any) -> Any:
     name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
     compile_signature, save = dispatcher.compile, dispatcher._cache.save_overload
 
-    def compile_alone(signature: Any) -> Any:
+    def compile_alone(signature: object) -> object:
         # numba's own lock first: with both in turn, two threads could wait for each other
         with global_compiler_lock, only_process(f"{name}{signature}"):
             return compile_signature(signature)
 
-    def save_alone(signature: Any, compiled: Any) -> None:
+    def save_alone(signature: object, compiled: object) -> None:
         with only_process(name):
             save(signature, compiled)
 
     dispatcher.compile, dispatcher._cache.save_overload = compile_alone, save_alone
-    return dispatcher
 
 
 #: array over the memory that a C library hands to a :func:`callback`

@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from study.cli import completion, output
+from study.cli import next_command, output
 from study.cli.studies import REPORTS, Data, Json, Reports, Set
 
 
 def tracking(
     file: Annotated[
         Path,
-        typer.Argument(help="TOML file of the tracker study.", autocompletion=completion.designs),
+        typer.Argument(help="TOML file of the tracker study.", autocompletion=next_command.designs),
     ],
     data: Data = None,
     reports: Reports = REPORTS,

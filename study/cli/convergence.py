@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from study.cli import completion, output
+from study.cli import next_command, output
 from study.cli.output import Document
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results, Set
 from study.errors import Fault, InputError
@@ -19,7 +19,7 @@ def converge(
     file: Annotated[
         Path | None,
         typer.Argument(
-            help="Problem, design, or the results of a study.", autocompletion=completion.studies
+            help="Problem, design, or the results of a study.", autocompletion=next_command.studies
         ),
     ] = None,
     values: Annotated[str, typer.Option(help="Values of the quantity, with commas.")] = "",

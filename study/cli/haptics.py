@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import completion, output
+from study.cli import next_command, output
 from study.cli.studies import REPORTS, RESULTS, Jobs, Json, Reports, Results, Set
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def export(
         Path,
         typer.Argument(
             help="Problem file, calibration.json, or results of a study (--case).",
-            autocompletion=completion.studies,
+            autocompletion=next_command.studies,
         ),
     ],
     form: Annotated[
@@ -83,7 +83,7 @@ def require(
         Path,
         typer.Argument(
             help="Problem with sensors and what is asked of them.",
-            autocompletion=completion.designs,
+            autocompletion=next_command.designs,
         ),
     ],
     settings: Set = None,

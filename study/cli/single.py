@@ -11,9 +11,9 @@ import typer
 
 from study import units
 from study.cli import output
-from study.cli.completion import designs
 from study.cli.convergence import converge
 from study.cli.indentation import closed_form
+from study.cli.next_command import designs
 from study.cli.output import Document
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError

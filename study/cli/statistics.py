@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from study.cli import completion, output
+from study.cli import next_command, output
 from study.cli.studies import RESULTS, Data, Json, Results, Study
 from study.cli.tables import analysis_tables, mixed_effects, surface_tables
 from study.cli.tables.surface_tables import names
@@ -83,14 +83,16 @@ Numeric = Annotated[
 Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emulator, none.")]
 
 
+Source = Annotated[
+    Path,
+    typer.Argument(
+        help="Results of a study, or any tidy CSV.", autocompletion=next_command.studies_and_tables
+    ),
+]
+
+
 def analyze(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="Results of a study, or any tidy CSV.",
-            autocompletion=completion.studies_and_tables,
-        ),
-    ],
+    source: Source,
     response: Column = None,
     factors: Columns = "",
     block: Blocks = None,
@@ -255,7 +257,7 @@ def optimize(
         Path,
         typer.Argument(
             help="Results folder, design file, study name; or a tidy CSV.",
-            autocompletion=completion.studies_and_tables,
+            autocompletion=next_command.studies_and_tables,
         ),
     ],
     minimize: Annotated[str | None, typer.Option(help="Response that is to be small.")] = None,

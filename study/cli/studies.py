@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import completion, next_command, output
+from study.cli import next_command, output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
@@ -22,11 +22,11 @@ Data = Annotated[
 Set = Annotated[
     list[str] | None, typer.Option("-s", "--set", help="Override a key: model.mesh_size='2 mm'.")
 ]
-Design = Annotated[Path, typer.Argument(help="Design file.", autocompletion=completion.designs)]
+Design = Annotated[Path, typer.Argument(help="Design file.", autocompletion=next_command.designs)]
 Study = Annotated[
     Path,
     typer.Argument(
-        help="Results folder, design file or study name.", autocompletion=completion.studies
+        help="Results folder, design file or study name.", autocompletion=next_command.studies
     ),
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
@@ -185,7 +185,8 @@ def diff(
     second: Annotated[
         Path,
         typer.Argument(
-            help="The study to compare it with, named likewise.", autocompletion=completion.studies
+            help="The study to compare it with, named likewise.",
+            autocompletion=next_command.studies,
         ),
     ],
     results: Results = RESULTS,
@@ -204,7 +205,7 @@ def diff(
 
 def why(
     case: Annotated[
-        str, typer.Argument(help="Case id, or its beginning.", autocompletion=completion.cases)
+        str, typer.Argument(help="Case id, or its beginning.", autocompletion=next_command.cases)
     ],
     study: Annotated[
         Path | None,

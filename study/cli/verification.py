@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from study.cli import completion, output
+from study.cli import next_command, output
 from study.cli.studies import REPORTS, RESULTS, Data, Json, Reports, Results
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def verify(
     path: Annotated[
         Path,
         typer.Argument(
-            help="Page or folder of a report, or study name.", autocompletion=completion.studies
+            help="Page or folder of a report, or study name.", autocompletion=next_command.studies
         ),
     ],
     resolve: Annotated[

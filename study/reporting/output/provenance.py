@@ -16,7 +16,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.linalg  # noqa: F401  (its linear algebra is another one than numpy's)
@@ -99,8 +98,7 @@ def arithmetic() -> str:
     versions = [f"{name} {_version(name)}" for name in _STATISTICS]
     algebra = {f"{lib['internal_api']} {lib['version']} {lib['architecture']}"
                for lib in threadpool_info() if lib["internal_api"] == "openblas"}  # fmt: skip
-    vectors: Any = np.show_config(mode="dicts")
-    found = vectors.get("SIMD Extensions", {}).get("found", [])
+    found = np.show_config(mode="dicts").get("SIMD Extensions", {}).get("found", [])
     return ", ".join([*versions, *sorted(algebra), *found])
 
 

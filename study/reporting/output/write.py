@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -363,7 +363,7 @@ def of_frame(frame: pd.DataFrame) -> str:
     return _text(list(frame.columns), zip(*columns, strict=True))
 
 
-def _cells(column: pd.Series[Any]) -> list[object]:
+def _cells(column: pd.Series[float]) -> Sequence[object]:
     """Cells of a column as :func:`safe_cell` makes them, numbers all at once."""
     kind = column.dtype.kind if isinstance(column.dtype, np.dtype) else ""
     if kind == "f":
