@@ -8,13 +8,12 @@ from dataclasses import replace
 import pytest
 
 from study.reporting.content.cases import case_records
-from study.reporting.output.page import build, prepare
-from tests.reporting.example import example
+from study.reporting.output.page import Contents
+from study.reporting.report import facts
+from study.study_result.report_data import ReportData
 
 
-def test_every_cell_leads_to_its_own_cases() -> None:
-    data = example()
-    contents = prepare(data)
+def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: Contents) -> None:
     assert contents.records is not None
     cells, records = contents.tables["cells"], contents.records
     factors = len(data.factors)
@@ -29,32 +28,28 @@ def test_every_cell_leads_to_its_own_cases() -> None:
         assert sum(one[:factors] == row[:factors] for one in records.rows) == count
 
 
-def test_cells_stand_in_the_order_of_the_design() -> None:
-    data = example()
+def test_cells_stand_in_the_order_of_the_design(data: ReportData) -> None:
     shuffled = replace(data, table=data.table.sample(frac=1.0, random_state=1))
     order = [
         [levels.index(label) for label, levels in zip(cell, data.factors.values(), strict=True)]
         for cell, _ in case_records.by_cell(shuffled)
     ]
     assert order == sorted(order)
-    plain, mixed = (case_records.case_records(d, prepare(d).found) for d in (data, shuffled))
+    plain, mixed = (case_records.case_records(d, facts(d)) for d in (data, shuffled))
     assert plain is not None
     assert mixed is not None
     assert plain.rows == mixed.rows
 
 
-def test_links_of_the_page_have_their_goals() -> None:
-    page = build(example())
-    goals = set(re.findall(r' id="([^"]+)"', page))
-    links = set(re.findall(r'href="#([^"]+)"', page))
+def test_links_of_the_page_have_their_goals(html: str) -> None:
+    goals = set(re.findall(r' id="([^"]+)"', html))
+    links = set(re.findall(r'href="#([^"]+)"', html))
     assert links <= goals
     assert any(link.startswith(case_records.CELL) for link in links)
 
 
-def test_a_page_lists_no_more_than_it_can_hold(monkeypatch: pytest.MonkeyPatch) -> None:
-    data = example()
+def test_a_page_lists_no_more_than_it_can_hold(
+    data: ReportData, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(case_records, "MOST", len(data.table) - 1)
-    contents = prepare(data)
-    assert contents.records is None
-    assert contents.tables["cells"].follow == ""
-    assert 'id="records"' not in build(data)
+    assert case_records.case_records(data, facts(data)) is None
