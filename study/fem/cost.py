@@ -294,13 +294,13 @@ def estimate(setup: Setup) -> Estimate:
 def _iteration(setup: Setup, dofs: float) -> float:
     """Seconds of a Newton iteration.
 
-    Between plates 0.04 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
-    1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 6 ms at
+    Between plates 0.06 s at 21k axisymmetric and 0.5 s at 28k solid unknowns, by the powers
+    1.2 and 1.95. Under an indenter, where meshes are graded and contact is looked for, 9 ms at
     2.9k axisymmetric, and 0.06 s at 5.5k, 0.15 s at 11k, 0.53 s at 27k quadratic solid unknowns.
     """
     solid, indented = setup.model.space == "3d", isinstance(setup.grading, AroundContact)
     if not solid:
-        return float(2e-4 + 1.9e-6 * dofs if indented else 7e-4 + 0.04 * (dofs / 21e3) ** 1.2)
+        return float(3e-4 + 3.1e-6 * dofs if indented else 1e-3 + 0.06 * (dofs / 21e3) ** 1.2)
     if not indented:
         return float(0.5 * (dofs / 28e3) ** 1.95)
     share = 1.0 if setup.model.element_order == "quadratic" else _LINEAR
