@@ -278,7 +278,7 @@ def numerical(found: Sequence[Facts]) -> str:
     return f"For the {titles}, {_BY_TERM} Elsewhere {_BY_COLUMN}{unknown}"
 
 
-_NO_BOUND = f" {MISSING}: no bound, because of a part of the difference the meshes tell no limit."
+_NO_BOUND = f" {MISSING}: no bound is known, as the meshes show no limit of a part of it."
 
 VIRTUAL = (
     "The measurements are virtual, so p describes the scatter of their generator; the verdicts "

@@ -100,11 +100,9 @@ def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
     if effect.u_needed is None:
         return f", and {clean(effect.why)}"
     below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
-    same = one is None or (not one.at and {one.first, one.second} == set(effect.largest or ()))
-    if same and (one is None or one.u is not None):
+    same = one and not one.at and {one.first, one.second} == set(effect.largest or ())
+    if one is None or (same and one.u is not None):
         return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
-    if one is None:
-        return ""
     # another setting, or another pair of levels, has the larger uncertainty
     where = (
         setting(one, labels) if one.at else f"between {clean(one.first)} and {clean(one.second)}"
@@ -250,16 +248,15 @@ def normality(facts: Facts, alpha: float = 0.05) -> str:
         reason = (found and found.reason) or "there are no residuals to test"
         return sentence(f"Ryan-Joiner: not applicable, {reason}")
     printed = str(found.p_minitab)
-    tabled = "tabled p " + (printed if printed[0] in "<>" else f"= {printed}")
-    parts = [f"RJ = {found.rj:.4f}", f"n = {found.n}"]
     rows = len(facts.assumptions.normality_rows)
-    if rows > 1 and found.p_exact is not None:
-        # the p of the whole: that of one contrast alone beside it would contradict it
-        parts[0] = f"smallest RJ of {rows} contrasts = {found.rj:.4f}"
-        parts.append(f"simulated {p_phrase(found.p_exact)} for all of them together")
-    else:
-        parts += [f"simulated {p_phrase(found.p_exact)}"] * (found.p_exact is not None)
-        parts.append(tabled)
+    together = rows > 1 and found.p_exact is not None
+    named = f"smallest RJ of {rows} contrasts" if together else "RJ"
+    parts = [f"{named} = {found.rj:.4f}", f"n = {found.n}"]
+    if found.p_exact is not None:
+        whole = " for all of them together" if together else ""
+        parts.append(f"simulated {p_phrase(found.p_exact)}{whole}")
+    if not together:  # that of one contrast would contradict the p of all
+        parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
     decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
     level = f"{100 * alpha:g}{THIN}%"
     return f"Ryan-Joiner: normality of the residuals is {decision} at {level} ({', '.join(parts)})."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from study.reporting.content.cases.fit_tables import fit_rank
 from study.reporting.content.table import Table
 from study.reporting.numbers import MISSING, clean, duration, name_of, quantity
 from study.reporting.report import Facts
@@ -22,13 +23,12 @@ CELL = "cell-"
 
 def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
     """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
-    order = [{level: k for k, level in enumerate(levels)} for levels in data.factors.values()]
     groups = [
         (tuple(str(level) for level in levels), _in_order(group, data.blocks))
         for levels, group in data.table.groupby(list(data.factors), sort=False)
     ]
     return sorted(
-        groups, key=lambda cell: [o.get(v, len(o)) for o, v in zip(order, cell[0], strict=True)]
+        groups, key=lambda cell: fit_rank(dict(zip(data.factors, cell[0], strict=True)), data)
     )
 
 
