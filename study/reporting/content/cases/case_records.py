@@ -65,8 +65,8 @@ def case_records(data: ReportData, found: Sequence[Facts]) -> Table | None:
         cell = tuple(clean(level) for level in levels)
         for record in group.to_dict("records"):
             block = (clean(str(record["block"])) or MISSING,) if blocked else ()
-            shown = (quantity(_number(record[f.name]), f.unit) for f in known)
-            seconds = duration(_number(record.get("seconds")))
+            shown = (quantity(record[f.name], f.unit) for f in known)
+            seconds = duration(record.get("seconds"))
             name = clean(str(record["case_id"]), 16)
             rows.append((*cell, *block, clean(str(record["status"])), *shown, seconds, name))
         anchors += [f"{CELL}{number}", *[""] * (len(group) - 1)]
@@ -81,7 +81,3 @@ _NOTE = (
     "The record of a case is cases/RECORD/record.json in the results folder of the study: inputs, "
     "constants, curve, responses, energy balance, versions."
 )
-
-
-def _number(value: object) -> float | None:
-    return float(value) if isinstance(value, int | float) and value == value else None
