@@ -54,15 +54,19 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
     RuntimeError
         If it has no answer.
     """
+    from study.fem.solver.options import Options
     from study.fem.solver.solve import solve
     from study.forward.closed_form import height_and_area
+    from study.setup.load_steps import StepSettings
     from study.setup.setup import problem_of
 
     problem = problem_of(job.config, one.constants, depth_mm)
     if job.closed_form:
         problem = _on_two_elements(problem, height_and_area(problem.specimen)[1])
     test = replace(problem.test, steps=MORE_STEPS * problem.test.steps)
-    found = solve(replace(problem, test=test), gradients=True)
+    usual = StepSettings()  # what sticks takes smaller steps than those that are asked for
+    steps = replace(usual, sticking=usual.sticking / MORE_STEPS)
+    found = solve(replace(problem, test=test), gradients=True, options=Options(steps=steps))
     if found.status != "converged":
         raise RuntimeError(f"{found.status}: {found.message}")
     return np.array([found.curve.displacement_mm, found.curve.force_N]), found.mesh_hash

@@ -200,7 +200,8 @@ def test_every_energy_reaches_four_millimetres_in_a_block(
 
 def points_of_three(middles: sp.csr_matrix) -> ContactPoints:
     nodes, ones = np.arange(3)[:, None], np.ones((3, 1))
-    return ContactPoints(Plate(1.0, -1, 1.0), nodes, ones, np.ones(3), 1e3, 1.0, middles=middles)
+    stiff = np.full(3, 1e3)
+    return ContactPoints(Plate(1.0, -1, 1.0), nodes, ones, np.ones(3), stiff, 1.0, middles=middles)
 
 
 @pytest.mark.parametrize(

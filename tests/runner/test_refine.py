@@ -7,14 +7,18 @@ from pathlib import Path
 
 import pytest
 
+from study.design.load import load
 from study.design.spec import Design
 from study.record.store import Store
 from study.runner.batch import computing, run_batch
+from study.runner.cost import Costs
 from study.runner.expansion import expand
 from study.runner.numerical import formal_order, series_uncertainty, study_refinement
 from study.runner.numerical.refinement import refine
 
 from .conftest import fake
+
+DESIGNS = Path(__file__).resolve().parents[2] / "designs"
 
 
 def test_the_bonded_cells_of_the_first_block_are_refined(
@@ -36,6 +40,16 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
     found = [len(job.case.material.calibrated_names) for job in few]
     assert found == [min(constants), max(constants)]
     assert not set(finer.input_hashes) & set(work.input_hashes)
+
+
+def test_the_price_of_all_cells_is_not_that_of_the_first(tmp_path: Path) -> None:
+    """Where the indenter sticks in every second case, a solution takes ten times as long."""
+    work = expand(load(DESIGNS / "needle-geometry.toml"), tmp_path)
+    cells, costs = study_refinement.meshed_cells(work), Costs()
+    finest = [study_refinement.refined_series(work, cell, 2, {}).jobs[-1] for cell in cells]
+    seconds = [costs.solve_seconds(job.case.config) for job in finest]
+    assert len(cells) * seconds[0] < study_refinement.ALL_CELLS_S < 0.5 * sum(seconds)
+    assert len(study_refinement.chosen(work)) == study_refinement.FEW_CELLS
 
 
 def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(

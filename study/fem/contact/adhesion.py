@@ -4,7 +4,8 @@ A bonded cone or sphere takes hold of more of the surface as it goes deeper, wit
 without release (adhesive contact: Spence 1968, Proc. R. Soc. A 305, 55). New contact is
 frictionless within its load step; when the step is done, its points are tied to the place of
 the indenter that they touch. Ties are kept as contact is, by springs whose multipliers take up
-the force. What slips before it is tied makes an error of first order in the load step.
+the force. What slips before it is tied makes an error of first order in the load step, which is
+why these steps are small: less than 0.1 % of the force of a cone is left.
 """
 
 from __future__ import annotations
@@ -82,14 +83,33 @@ def in_its_frame(x: Array, displacement_mm: float) -> Array:
     return seen
 
 
-def gripping(points: ContactPoints, dim: int, *, is_bonded: bool) -> tuple[ContactPoints, ...]:
-    """Points that meet an indenter, with a set of ties for every axis where it is bonded."""
+#: area over the square of the contact radius that every tie is at least as stiff as
+_TIED_AREA = 0.01
+
+
+def gripping(
+    points: ContactPoints, dim: int, *, is_bonded: bool, reach_mm: float
+) -> tuple[ContactPoints, ...]:
+    """Points that meet an indenter, with a set of ties for every axis where it is bonded.
+
+    The Gauss points of quadratic edges all miss one mode of the surface, in which corners and
+    mid-sides move against each other. Only symmetry forbids it, through the points next to the
+    axis, which stand for next to no area: they get the stiffness of more of it. With their own,
+    two fifths of a gap were left by every iteration.
+
+    Parameters
+    ----------
+    reach_mm : float
+        Radius of the contact.
+    """
     if not is_bonded:
         return (points,)
+    least = _TIED_AREA * reach_mm**2
+    eps = points.eps * np.maximum(1.0, least / points.weights)
     ties = (
         TiedPoints(
             surface=Tie(axis), nodes=points.nodes, shape=points.shape, weights=points.weights,
-            eps=points.eps, c=points.c, small_strain=points.small_strain,
+            eps=eps, c=points.c, small_strain=points.small_strain,
         )
         for axis in range(dim)
     )  # fmt: skip

@@ -72,7 +72,12 @@ def _under_indenter(
     press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     if pair.indenter.is_sharp_edged:
         return _under_sharp_edge(problem, space, mesh, press, pair.indenter.face_radius_mm)
-    return gripping(_on_top(problem, space, mesh, press), space.dim, is_bonded=pair.is_bonded)
+    return gripping(
+        _on_top(problem, space, mesh, press),
+        space.dim,
+        is_bonded=pair.is_bonded,
+        reach_mm=touch_radius(problem.setup),
+    )
 
 
 def _on_top(
@@ -131,6 +136,7 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
         nodes=points.nodes[kept],
         shape=points.shape[kept],
         weights=points.weights[kept],
+        eps=points.eps[kept],
         middles=None if points.middles is None else points.middles[kept][:, kept],
     )
 
@@ -176,8 +182,9 @@ def _points_of(
     scale = problem.material.mu0 / mesh.contact_size_mm
     small = problem.material.small_strain
     return ContactPoints(
-        surface, nodes, shape, weights, STIFFNESS * scale, SWITCHING * scale, small
-    )
+        surface, nodes, shape, weights, np.full(weights.shape, STIFFNESS * scale),
+        SWITCHING * scale, small,
+    )  # fmt: skip
 
 
 def _collocation(
@@ -284,7 +291,8 @@ def _under_indenter_anywhere(
     touch = touch_mm(pair.indenter, corners, mesh.height_mm)
     press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
     points = meeting(problem, space, mesh, press, ~held)
-    return gripping(points, space.dim, is_bonded=pair.is_bonded)
+    reach = touch_radius(problem.setup)
+    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
 
 
 def _onto_plane(

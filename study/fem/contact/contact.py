@@ -106,8 +106,10 @@ class ContactPoints:
         Shape functions there.
     weights : ndarray, shape (n_points,)
         Area that the point stands for, mm^2.
-    eps, c : float
-        Stiffness of the regularization and switching constant, N/mm^3.
+    eps : ndarray, shape (n_points,)
+        Stiffness of the regularization, N/mm^3.
+    c : float
+        Switching constant, N/mm^3.
     small_strain : bool
         Whether gap and normal belong to the reference state (linear elasticity).
     allowance_mm : ndarray, shape (n_points,), optional
@@ -120,7 +122,7 @@ class ContactPoints:
     nodes: Ints
     shape: Array
     weights: Array
-    eps: float
+    eps: Array
     c: float
     small_strain: bool = False
     allowance_mm: Array | float = 0.0

@@ -53,7 +53,7 @@ class ClosedPoints:
         Which of the contact's points they are.
     dofs, normals : ndarray, shape (m, d)
         Unknowns of each point, and N.
-    weights, eps : ndarray, shape (m,), float
+    weights, eps : ndarray, shape (m,) and (m, 1)
         Areas and stiffness of the springs.
     target, pressure : ndarray, shape (m, k)
         Rates of n . x, and those of the pressures, overwritten as they are found.
@@ -63,7 +63,7 @@ class ClosedPoints:
     dofs: NDArray[np.int64]
     normals: Array
     weights: Array
-    eps: float
+    eps: Array
     target: Array
     pressure: Array
 
@@ -165,7 +165,9 @@ def _closed_points(
         dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
         wanted, pressure = target[at], np.zeros((at.size, target.shape[1]))
         found.append(
-            ClosedPoints(at, dofs, normals, points.weights[at], points.eps, wanted, pressure)
+            ClosedPoints(
+                at, dofs, normals, points.weights[at], points.eps[at, None], wanted, pressure
+            )
         )
     return tuple(found)
 

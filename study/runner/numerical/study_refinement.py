@@ -39,6 +39,9 @@ ALL_CELLS_S = 60.0
 #: Cells of one discretization that are refined where all of them would take too long.
 FEW_CELLS = 2
 
+#: Cells whose mean cost is taken for that of all: indenters, depths, interfaces may be factors.
+PRICED_CELLS = 8
+
 #: Keys of a model that choose its mesh.
 _MESH_KEYS = ("mesh", "mesh_size_mm", "mesh_ratio", "mesh_seed")
 
@@ -142,13 +145,17 @@ def chosen(work: Work) -> list[CaseJob]:
     costs = Costs()
     found = []
     for jobs in groups.values():
-        if len(jobs) * costs.solve_seconds(_twice(work, jobs[0].case).config) <= ALL_CELLS_S:
-            found += jobs
-            continue
         ordered = sorted(jobs, key=lambda job: len(job.case.material.calibrated_names))
-        spread = np.linspace(0, len(ordered) - 1, min(FEW_CELLS, len(ordered)))
-        found += [ordered[round(i)] for i in spread]
+        priced = _spread(ordered, PRICED_CELLS)
+        finest = [costs.solve_seconds(_twice(work, job.case).config) for job in priced]
+        cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
+        found += jobs if cheap else _spread(ordered, FEW_CELLS)
     return found
+
+
+def _spread(jobs: Sequence[CaseJob], count: int) -> list[CaseJob]:
+    """Take a few from the first to the last."""
+    return [jobs[round(i)] for i in np.linspace(0, len(jobs) - 1, min(count, len(jobs)))]
 
 
 def every_cell(work: Work) -> list[CaseJob]:
