@@ -224,7 +224,9 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
 
     out = _found(table, request)
     if len(request.layout.block) == 1 and out.error.source == "E1":
-        out = replace(out, effects=without_each(table, *request.layout.block, out.effects, refound))
+        quick = replace(request, simulated=False)
+        again = (lambda rows: _found(rows, quick).effects, refound)
+        out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
     result = assemble(add_robustness(out))
     if not out.data.missing:
         return result

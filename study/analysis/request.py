@@ -256,6 +256,9 @@ class AnalysisRequest:
         Seed of every simulation.
     exact : bool
         Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
+    simulated : bool
+        Whether simultaneous intervals of simple effects are simulated; else they are
+        Bonferroni's, which are made at once and never narrower.
     """
 
     response: str
@@ -270,6 +273,12 @@ class AnalysisRequest:
     alpha: float = 0.05
     seed: int = 2011
     exact: bool = True
+    simulated: bool = True
+
+    @property
+    def interval_seed(self) -> int | None:
+        """Seed of simultaneous intervals; None where they are not simulated."""
+        return self.seed if self.simulated else None
 
     def __post_init__(self) -> None:
         faults = [

@@ -5,7 +5,7 @@ Blocks are left out one at a time, as in the jackknife (Efron and Tibshirani 199
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -15,6 +15,9 @@ from study.errors import StudyError
 
 if TYPE_CHECKING:
     import pandas as pd
+
+#: effects of some rows
+Analysis = Callable[["pd.DataFrame"], Sequence[Effect]]
 
 #: analyses that are made again at most
 MOST_BLOCKS = 40
@@ -28,7 +31,7 @@ def without_each(
     table: pd.DataFrame,
     block: str,
     effects: Sequence[Effect],
-    analyze: Callable[[pd.DataFrame], Sequence[Effect]],
+    analyses: Sequence[Analysis],
 ) -> tuple[Effect, ...]:
     """Name the blocks without which a claim is not made.
 
@@ -40,8 +43,9 @@ def without_each(
         Column of the blocks.
     effects : sequence of Effect
         Of all rows.
-    analyze : callable
-        Effects of other rows, by the same request.
+    analyses : sequence of callable
+        Effects of other rows, by the same request: one that is made at once and claims no more
+        than the next, which is asked only where that loses a claim; or the last alone.
 
     Returns
     -------
@@ -57,12 +61,22 @@ def without_each(
     lost: dict[str, list[str]] = {term: [] for term in claims}
     for name in names:
         try:
-            found = {e.term: e.verdict for e in analyze(table[labels != name])}
+            gone = _lost(claims, table[labels != name], analyses)
         except StudyError:
             return tuple(effects)  # the rest makes no analysis, so nothing is known
-        for term, verdict in claims.items():
-            if found.get(term) != verdict:
-                lost[term].append(name)
+        for term in gone:
+            lost[term].append(name)
     return tuple(
         replace(e, lost_without=tuple(lost[e.term])) if e.term in lost else e for e in effects
     )
+
+
+def _lost(claims: Mapping[str, str], rows: pd.DataFrame, analyses: Sequence[Analysis]) -> list[str]:
+    """Terms of which some rows do not make the claim, by the last analysis that has to be asked."""
+    gone = list(claims)
+    for analyze in analyses:
+        found = {e.term: e.verdict for e in analyze(rows)}
+        gone = [term for term in gone if found.get(term) != claims[term]]
+        if not gone:
+            break
+    return gone

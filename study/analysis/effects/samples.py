@@ -22,7 +22,7 @@ from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array, Ints
 
 
-def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> Sample:
+def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int | None) -> Sample:
     """Estimate combinations by their own variance over the blocks.
 
     Parameters
@@ -47,7 +47,7 @@ def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int) -> 
 
 
 def over_groups(
-    fit: Factored, added: Array, groups: Sequence[Ints], alpha: float, seed: int
+    fit: Factored, added: Array, groups: Sequence[Ints], alpha: float, seed: int | None
 ) -> Sample:
     """Estimate combinations by their own variance in each group of blocks (Welch 1938).
 

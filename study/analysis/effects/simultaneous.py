@@ -44,13 +44,17 @@ def bonferroni(contrasts: int, df: float | Array, alpha: float) -> float | Array
 
 
 @overload
-def block_multiplier(contrasts: Array, alpha: float, seed: int) -> float: ...
+def block_multiplier(contrasts: Array, alpha: float, seed: int | None) -> float: ...
 @overload
 def block_multiplier(
-    contrasts: Array, alpha: float, seed: int, groups: Sequence[Ints], df: Array
+    contrasts: Array, alpha: float, seed: int | None, groups: Sequence[Ints], df: Array
 ) -> Array: ...
 def block_multiplier(
-    contrasts: Array, alpha: float, seed: int, groups: Sequence[Ints] = (), df: Array | None = None
+    contrasts: Array,
+    alpha: float,
+    seed: int | None,
+    groups: Sequence[Ints] = (),
+    df: Array | None = None,
 ) -> float | Array:
     """Multiplier of the standard errors for simultaneous intervals of all contrasts.
 
@@ -60,8 +64,8 @@ def block_multiplier(
         Value of every contrast in every block; in groups, what each block adds to it.
     alpha : float
         1 - level of the intervals together.
-    seed : int
-        Of the simulation.
+    seed : int or None
+        Of the simulation; None for Bonferroni's multiplier at once.
     groups : sequence of ndarray of int, optional
         Blocks of each group, which have a covariance of their own; one group by default.
     df : ndarray, shape (m,), optional
@@ -75,7 +79,7 @@ def block_multiplier(
     m, b = contrasts.shape
     parts = list(groups) or [np.arange(b)]
     safe = bonferroni(max(m, 1), b - 1 if df is None else df, alpha)
-    if m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
+    if seed is None or m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
         return safe
     roots = [_centred(contrasts[:, part]) for part in parts]
     z = np.concatenate(roots, axis=1)

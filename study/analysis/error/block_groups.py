@@ -228,7 +228,7 @@ def _welch_effects(
     fit = factor(model_matrix(layout, out.terms), out.y[kept])
     per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
     added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
-    sample = over_groups(fit, added, groups, asked.alpha, asked.seed)
+    sample = over_groups(fit, added, groups, asked.alpha, asked.interval_seed)
     simple = every_simple_effect(out.terms, layout, fit, sample, out.scale)
     return tuple(
         size(_welch_estimate(out, fit, term, rows, added, groups), out.scale, simple)

@@ -200,7 +200,7 @@ def own(out: Outcome) -> Outcome | None:
         for t in tests
     ]
     sample = over_blocks(
-        fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.seed
+        fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.interval_seed
     )
     simple = every_simple_effect(out.terms, table.layout, fit, sample, out.scale)
     return replace(

@@ -1,0 +1,71 @@
+"""Which claims fall with one block: asked of a quick analysis first, then of the exact one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from study.analysis.anova import analyze
+from study.analysis.anova_table import Effect
+from study.analysis.effects.jackknife import without_each
+from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, Threshold
+
+TABLE = pd.DataFrame(
+    [(a, c, b) for a in "hl" for c in "xy" for b in ("s1", "s2", "s3", "s4", "s5", "s6")],
+    columns=["A", "C", "block"],
+)
+
+
+def request(practical: float) -> AnalysisRequest:
+    scale = ResponseScale(practical=Threshold(practical))
+    return AnalysisRequest("y", ("A", "C"), Blocking(block=("block",)), "full", scale=scale)
+
+
+def measured(seed: int) -> pd.DataFrame:
+    random = np.random.default_rng(seed)
+    shift = np.where(TABLE["A"] == "h", 1.0, 0.0)
+    return TABLE.assign(y=shift + random.normal(0, 0.35, len(TABLE)))
+
+
+def test_the_quick_analysis_claims_no_more() -> None:
+    """Blocks without which a claim falls are those of the exact analysis, table by table."""
+    asked, differs = request(0.4), 0
+    for seed in range(16):
+        table = measured(seed)
+        whole = analyze(table, asked)
+        for effect in whole.effects:
+            if effect.lost_without is None:
+                continue
+            left_out = [
+                {e.term: e.verdict for e in analyze(table[table["block"] != name], asked).effects}
+                for name in table["block"].unique()
+            ]
+            fallen = [found[effect.term] != effect.verdict for found in left_out]
+            lost = tuple(table["block"].unique()[fallen])
+            assert effect.lost_without == lost
+            differs += 0 < len(lost)
+    assert differs > 2
+
+
+def test_the_exact_analysis_is_asked_only_where_the_quick_one_loses_a_claim() -> None:
+    table = measured(3)
+    effects = [replace(e, verdict="matters") for e in analyze(table, request(0.4)).effects[:1]]
+    asked: list[str] = []
+
+    def analysis(name: str, verdicts: Sequence[str]) -> Callable[[pd.DataFrame], list[Effect]]:
+        given = iter(verdicts)
+
+        def of(_rows: pd.DataFrame) -> list[Effect]:
+            asked.append(name)
+            return [replace(effects[0], verdict=next(given))]
+
+        return of
+
+    quick = analysis("quick", ["matters", "cannot tell", "cannot tell", *["matters"] * 3])
+    exact = analysis("exact", ["matters", "cannot tell"])
+    (found,) = without_each(table, "block", effects, (quick, exact))
+    assert found.lost_without == ("s3",)
+    assert asked.count("exact") == 2
