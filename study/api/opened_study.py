@@ -25,6 +25,7 @@ from study.record.document import ManifestDocument
 from study.record.record import Record
 from study.record.store import Store
 from study.study_result.report_data import ResponseAnalysis
+from study.study_result.study_result import StudyResult
 
 
 def open_study(
@@ -78,6 +79,22 @@ def open_study(
         spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
         adaptive=tuple(store.read_rows("adaptive")),
     )  # fmt: skip
+
+
+def count_cases(path: str | Path | StudyResult, results: str | Path = RESULTS) -> int:
+    """Count the cases of a study before it is opened; 0 where none are known.
+
+    Parameters
+    ----------
+    path : str, Path or StudyResult
+        As of :func:`open_study`, or a study that is open already.
+    results : str or Path
+        Folder of the results, where ``path`` is a name.
+    """
+    if isinstance(path, StudyResult):
+        return path.total
+    manifest = Store(results_folder(path, results)).read_manifest()
+    return 0 if manifest is None else len(manifest["cases"])
 
 
 def unfinished_note(store: Store, later: ManifestDocument) -> str:

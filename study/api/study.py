@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
 from study.api.folders import REPORTS, RESULTS, design_root
-from study.api.opened_study import open_study
+from study.api.opened_study import count_cases, open_study
 from study.api.planning.adaptive import continued, run_adaptive
 from study.api.planning.manifest import manifest_of
 from study.api.planning.remaining_time import (
@@ -29,10 +30,12 @@ from study.design.load import from_tables, load, loads
 from study.design.spec import Design
 from study.errors import Fault, InputError, RefusedError, UnitError
 from study.execution.task import check_limit
+from study.execution.worker import Worker
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
 from study.record.manifests import is_same
 from study.record.store import Store
+from study.reporting.figure.style import load_libraries
 from study.reporting.output import provenance
 from study.reporting.output.write import checked_formats, main_file, write
 from study.runner.batch import default_jobs, run_batch
@@ -78,6 +81,10 @@ def load_design(
     if isinstance(design, Mapping):
         return loads(from_tables(design), "design", overrides)
     return load(design, overrides)
+
+
+#: cases from which on a second process draws a part of the figures
+MANY_CASES = 200
 
 
 @dataclass
@@ -325,31 +332,37 @@ def report(
     """
     if formats:
         checked_formats(formats)
-    study = Study.of(path) if isinstance(path, StudyResult) else open_study(path, results)
-    if beside is not None:
-        study = replace(study, beside=compare(study, open_study(beside, results)))
-    study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
-    if began is not None:
-        began.mark("statistics")
-    if reports is None:
-        return study
-
-    wanted = tuple(formats) or study.design.report.format
-    try:
+    clock = began or _Clock()
+    many = reports is not None and count_cases(path, results) >= MANY_CASES
+    drawing = many and default_jobs() > 1
+    with Worker(load_libraries) if drawing else nullcontext() as worker:
+        study = Study.of(path) if isinstance(path, StudyResult) else open_study(path, results)
+        if beside is not None:
+            study = replace(study, beside=compare(study, open_study(beside, results)))
+        study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
+        clock.mark("statistics")
+        if reports is None:
+            return study
+        wanted = tuple(formats) or study.design.report.format
         timings = dict(study.manifest.get("timings", {}))
         if began is not None:
-            timings["statistics"] = began.parts.get("statistics", 0.0)
-        written = _written(study, timings, Path(reports) / study.design.name, wanted)
-    except (InputError, RefusedError):
-        raise
-    except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
-        message = f"the report could not be written: {type(error).__name__}: {error}"
-        return replace(study, warnings=(*study.warnings, message))
+            timings["statistics"] = clock.parts["statistics"]
+        try:
+            written = _written(study, timings, Path(reports) / study.design.name, wanted, worker)
+        except (InputError, RefusedError):
+            raise
+        except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
+            message = f"the report could not be written: {type(error).__name__}: {error}"
+            return replace(study, warnings=(*study.warnings, message))
     return replace(study, report=written)
 
 
 def _written(
-    study: StudyResult, timings: Mapping[str, float], folder: Path, formats: Sequence[str]
+    study: StudyResult,
+    timings: Mapping[str, float],
+    folder: Path,
+    formats: Sequence[str],
+    worker: Worker | None,
 ) -> Path:
     """Write a report and name its main file; one that would be the same again stays as it is."""
     name, asked = study.design.name, checked_formats(formats)
@@ -359,7 +372,7 @@ def _written(
         return main_file(folder, name, asked)
     provenance.forget(folder, name)
     data = replace(report_data(study, timings), depths=effects_by_depth(study))
-    written = write(data, folder, asked)
+    written = write(data, folder, asked, worker)
     if study.beside is None:
         provenance.keep(folder, name, made_from)
     return written

@@ -102,6 +102,12 @@ def _look(more: Mapping[str, str]) -> Any:
     return {**_RC, **more}
 
 
+def load_libraries() -> None:
+    """Import what draws most figures, which takes a second."""
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401
+
+
 def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
     """Draw and return an inline ``<svg>`` element, the same bytes for the same data.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from study.reporting.content import (
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
+    from study.execution.worker import Worker
     from study.study_result.response_surface import FittedSurface
 
 _NO_FIGURE = "was not drawn"
@@ -90,8 +92,17 @@ class Contents:
         return (*(figure for own in drawn for figure in own.values()), *self.figures.values())
 
 
-def prepare(data: ReportData) -> Contents:
-    """Compute every sentence, table and figure of a report."""
+def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
+    """Compute every sentence, table and figure of a report.
+
+    Parameters
+    ----------
+    data : ReportData
+    worker : Worker, optional
+        Process that draws the figures of the whole study beside those of its responses.
+    """
+    of_study = partial(registry.of_study, data)
+    figures = of_study if worker is None else worker.begin(of_study)
     found = facts(data)
     known: dict[str, Table] = {
         "verdicts": tables.verdicts(found, data),
@@ -126,7 +137,7 @@ def prepare(data: ReportData) -> Contents:
     records = case_records.case_records(data, found)
     if records is not None:
         known["cells"] = replace(known["cells"], follow=case_records.CELL)
-    return Contents(data, found, sections, registry.of_study(data), known, over, records)
+    return Contents(data, found, sections, figures(), known, over, records)
 
 
 def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:

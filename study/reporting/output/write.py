@@ -29,10 +29,17 @@ from study.study_result.report_data import CurvePair, ReportData
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.execution.worker import Worker
+
 FORMATS = ("html", "csv", "tex", "pdf")
 
 
-def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)) -> Path:
+def write(
+    report_data: ReportData,
+    out_dir: str | Path,
+    formats: Sequence[str] = ("html",),
+    worker: Worker | None = None,
+) -> Path:
     """Write a report into a folder and return its main file.
 
     The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and
@@ -47,6 +54,8 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
         Created where missing.
     formats : sequence of {"html", "csv", "tex", "pdf"}
         ``csv`` writes the data alone; they are always written.
+    worker : Worker, optional
+        Process that draws a part of the figures.
 
     Raises
     ------
@@ -56,12 +65,12 @@ def write(report_data: ReportData, out_dir: str | Path, formats: Sequence[str] =
     asked = checked_formats(formats)
     folder = Path(out_dir)
     with _uncollected():
-        return _written(report_data, folder, asked)
+        return _written(prepare(report_data, worker), folder, asked)
 
 
-def _written(report_data: ReportData, folder: Path, asked: Sequence[str]) -> Path:
+def _written(contents: Contents, folder: Path, asked: Sequence[str]) -> Path:
+    report_data = contents.data
     stem = slug(report_data.name)
-    contents = prepare(report_data)
     beside = folder / f"{stem}-data"
     beside.mkdir(parents=True, exist_ok=True)
     _numbers(contents, beside)
@@ -309,18 +318,11 @@ def print_page(page: Path, out: Path) -> None:
     program = browser()
     with tempfile.TemporaryDirectory() as profile:
         command = [
-            program,
-            "--headless",
-            "--disable-gpu",
-            "--no-first-run",
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--no-pdf-header-footer",
-            "--generate-pdf-document-outline",
-            f"--user-data-dir={profile}",
-            f"--print-to-pdf={out}",
-        ]
+            program, "--headless", "--disable-gpu", "--no-first-run",
+            "--disable-background-networking", "--disable-component-update", "--disable-sync",
+            "--no-pdf-header-footer", "--generate-pdf-document-outline",
+            f"--user-data-dir={profile}", f"--print-to-pdf={out}",
+        ]  # fmt: skip
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium's sandbox refuses to run as root
         command.append(page.resolve().as_uri())
