@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.cli import output
+from study.reporting.numbers import count
 
 if TYPE_CHECKING:
     from study.api.planning.augment import Augmentation
@@ -62,16 +63,20 @@ def print_plan(found: Plan) -> None:
         print(f"{cells} cells in {len(found.blocks)} blocks: a case is a cell in a block")
     print(output.counts(found.counts))
     if found.missing and found.fits:
-        print(f"{found.fits} calibrations to be made; each is shared by all cells that can")
+        calibrations = count(found.fits, "calibration")
+        print(f"{calibrations} to be made; each is shared by all cells that can")
     if found.controls:
-        print(f"{found.controls} solutions to be made of one cylinder in both spaces, a control")
+        solutions = count(found.controls, "solution")
+        print(f"{solutions} to be made of one cylinder in both spaces, a control")
     if found.commands:
-        print(f"{found.program_calls} calls of other programs, gradients by differences included:")
+        calls = count(found.program_calls, "call")
+        print(f"{calls} of other programs, gradients by differences included:")
         print("\n".join(f"  {line}" for line in found.commands))
         print(f"  to allow exactly these: study run --allow-digest {found.digest}")
     if found.predicted_seconds is not None:
         time = output.seconds(found.predicted_seconds)
-        print(f"predicted: {time} of computing on {found.jobs} workers, {found.memory_MB:.0f} MB")
+        workers, memory = count(found.jobs, "worker"), f"{found.memory_MB:.0f} MB of memory"
+        print(f"predicted: {time} of computing on {workers}, {memory}")
     if found.most_seconds is not None:
         print(f"with all cells that may be added: {output.seconds(found.most_seconds)}")
     output.warn(found.warnings)

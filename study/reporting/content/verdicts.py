@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect, SimpleEffect
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
 from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.analysis.unreplicated import NonAdditivityResult
 from study.reporting.content.sizes import (
     bound,
     decimals,
@@ -37,6 +37,9 @@ from study.reporting.numbers import (
 )
 from study.reporting.report import Facts
 from study.study_result.report_data import ReportData
+
+if TYPE_CHECKING:
+    from study.analysis.unreplicated import NonAdditivityResult
 
 Labels = Mapping[str, str] | None
 SpreadTest = BartlettResult | LeveneResult
