@@ -24,6 +24,12 @@ _INSTEAD = (
     "with new meshes or new measured noise (E3, E2); or give the numerical uncertainty (E4)."
 )
 
+_LIKE_BLOCKS = (
+    "in each cell every level of {!r} gives the same value, so nothing tells how much results "
+    "vary from one to the next. Measurements that are copies or multiples of one another do that: "
+    "keep one of them, and read the differences between cells beside their numerical uncertainty."
+)
+
 
 @dataclass(frozen=True)
 class CopyGroups:
@@ -68,9 +74,14 @@ def refuse_fake_replicates(
     if records and "input_hash" in table.columns:
         hashes = table["input_hash"].to_numpy(dtype=object)[data.rows]
         _refuse_equal_hashes(unit, hashes)
-    notes = _refuse_copies(unit, data.y, floor, "run of a cell")
+    notes = _refuse_copies(
+        unit,
+        data.y,
+        floor,
+        "every run of a cell with two or more rows repeats the same value. " + _INSTEAD,
+    )
     if data.block is not None:
-        _refuse_copies(data.cell, data.y, floor, f"level of {data.block!r} in a cell")
+        _refuse_copies(data.cell, data.y, floor, _LIKE_BLOCKS.format(data.block))
     return notes
 
 
@@ -82,7 +93,7 @@ def _refuse_equal_hashes(unit: Ints, hashes: Iterable[object]) -> None:
         seen.add(key)
 
 
-def _refuse_copies(unit: Ints, y: Array, floor: float, what: str) -> list[str]:
+def _refuse_copies(unit: Ints, y: Array, floor: float, rule: str) -> list[str]:
     _, index, counts = np.unique(unit, return_inverse=True, return_counts=True)
     repeated = counts >= 2
     if not repeated.any():
@@ -92,10 +103,7 @@ def _refuse_copies(unit: Ints, y: Array, floor: float, what: str) -> list[str]:
     np.minimum.at(low, index, y)
     still = (high - low)[repeated] <= floor
     if still.all():
-        raise RefusedError(
-            f"fake replicates: every {what} with two or more rows repeats the same value. "
-            f"{_INSTEAD}"
-        )
+        raise RefusedError(f"fake replicates: {rule}")
     if still.any():
         return [f"{int(still.sum())} of {still.size} replicated cells have zero spread (ties)"]
     return []

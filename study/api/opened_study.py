@@ -113,6 +113,7 @@ def _analyses(
     """Analyze every response of a design; a refusal is kept as its reason."""
     found = []
     blocks = len({record.block for record in records} - {None})
+    unit = "block" if design.measurements is None else design.measurements.block or "block"
     for response in design.responses:
         limit = threshold(response.practical)
         result, refused = None, ""
@@ -123,7 +124,7 @@ def _analyses(
                 result = analyze_records(design, records, response, numerical)
                 result = with_contrasts(result, design.analysis.contrasts)
         except StudyError as error:
-            refused = str(error)
+            refused = str(error).replace("'block'", repr(unit))
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""
         found.append(
             ResponseAnalysis(

@@ -57,6 +57,7 @@ def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
     first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
     said = (
         " ".join(text for text in first if text),
+        _without_verdict(found),
         *roles.by_condition(data, found),
         _one_not_other(data, found),
         recommendation.best_cell(data, found),
@@ -77,6 +78,14 @@ def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
         f"What {number:,} of {len(items):,} reported: {clean(message, 300)}",
         f"The command study why {clean(items[0].case_id)} explains the first one.",
     )
+
+
+def _without_verdict(found: Sequence[Facts]) -> str:
+    """Say which responses could not be analyzed."""
+    titles = [facts.title for facts in found if not facts.terms]
+    if not titles:
+        return ""
+    return f"There is no verdict on the {listing(titles)}: the checks say why."
 
 
 def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
