@@ -28,7 +28,7 @@ from study.registration.rigid import (
     identity,
     on_a_line,
 )
-from study.registration.robust import biweight, inlier_scale, sandwich
+from study.registration.robust import BIWEIGHT, biweight, inlier_scale, sandwich
 
 #: Share of the nearest pairs that count while it is still far: leaves room for 30 % outliers
 #: and for a tenth of the cloud on parts that the surface has not.
@@ -47,6 +47,12 @@ FINALISTS = 2
 #: Relative change of the trimmed residual at which a start is compared, and has settled.
 COMPARED = 1e-2
 SETTLED = 1e-5
+
+#: Share of the pairs that count where nearly the whole cloud may belong to the surface.
+NEARLY_ALL = 0.95
+
+#: Points by which motions of both shares are compared.
+COMPARED_POINTS = 1600
 
 #: Points used in the end; more of them no longer change the pose by what matters.
 FINE_POINTS = 20_000
@@ -153,6 +159,7 @@ def register(
     Registration
     """
     _, motion = coarse_registration(surface, cloud, starts)
+    motion = _likelier(surface, _thinned(cloud, COMPARED_POINTS), motion)
     return _refined(surface, _thinned(cloud, FINE_POINTS), motion)
 
 
@@ -207,13 +214,18 @@ def _thinned(cloud: Array, most: int) -> Array:
 
 
 def _trimmed(
-    surface: TriangleSurface, cloud: Array, start: RigidMotion, point_steps: int, settled: float
+    surface: TriangleSurface,
+    cloud: Array,
+    start: RigidMotion,
+    point_steps: int,
+    settled: float,
+    share: float = TRIM,
 ) -> tuple[float, RigidMotion]:
     """Trimmed registration from one start: its residual, RMS in mm, and the motion.
 
     Far away a step between points goes the right way, one along normals may not.
     """
-    motion, count, last = start, max(int(TRIM * len(cloud)), 3), np.inf
+    motion, count, last = start, max(int(share * len(cloud)), 3), np.inf
     for number in range(point_steps + NORMAL_STEPS):
         moved = motion(cloud)
         found = surface.closest(moved, exact=False)
@@ -228,6 +240,30 @@ def _trimmed(
             step = _step(moved, found, _kept_weights(len(cloud), kept))
         motion = step.after(motion)
     return rms, motion
+
+
+def _likelier(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> RigidMotion:
+    """Motion near a given one under which a cloud is likelier.
+
+    The nearest three fifths of a body that is larger all around meet the surface best where it
+    is pushed to one side. Nearly all of it meet it best in the middle.
+    """
+    _, other = _trimmed(surface, cloud, motion, 0, SETTLED, NEARLY_ALL)
+    return min((motion, other), key=lambda one: _surprise(surface, one(cloud)))
+
+
+def _surprise(surface: TriangleSurface, cloud: Array) -> float:
+    """Return - log of the likelihood of distances: normal ones, or anywhere on the surface's size.
+
+    A mixture of both, each point in the one that the robust scale gives it to.
+    """
+    away = surface.closest(cloud, exact=False).distance
+    inside = away[np.abs(away) < BIWEIGHT * inlier_scale(away)]
+    if not inside.size:
+        return float(len(away) * np.log(surface.size))
+    scale = max(float(np.sqrt(np.mean(inside**2))), ROUNDING_SHARE * surface.size)
+    normal = inside.size * np.log(np.sqrt(2 * np.pi * np.e) * scale)
+    return float(normal + (len(away) - inside.size) * np.log(surface.size))
 
 
 def _point_step(moved: Array, found: Array) -> RigidMotion:
@@ -251,7 +287,7 @@ def _step(moved: Array, found: Closest, weights: Array) -> RigidMotion:
 def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Registration:
     """Registration by the biweight, from a motion near to it."""
     floor = ROUNDING_SHARE * surface.size
-    scale, converged, steps = np.inf, False, 0
+    scale, converged, steps, last = np.inf, False, 0, np.zeros(6)
     for number in range(FINE_STEPS):
         moved = motion(cloud)
         found = surface.closest(moved)
@@ -259,7 +295,7 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
             scale = _fixing_scale(moved, found, max(inlier_scale(found.distance), floor))
         weights = biweight(found.distance / scale)
         system = normal_equations(moved, found, weights)
-        step = system.step(weights)
+        last = step = _shortened(system.step(weights), last)
         steps = number + 1
         small = max(1e-4 * scale / np.sqrt(len(cloud)), 10 * floor)
         if np.linalg.norm(step) <= small:
@@ -267,6 +303,16 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
             break
         motion = system.motion(step).after(motion)
     return _described(motion, system, weights, scale, (steps, converged))
+
+
+def _shortened(step: Array, last: Array) -> Array:
+    """Return a step, shorter where it goes back on the last one.
+
+    The linear distances leave out that a body which is larger all around turns with a bend of its
+    own: steps of twice the right length then go to and fro for ever (Aitken's extrapolation).
+    """
+    back = -float(step @ last) / max(float(last @ last), 1e-300)
+    return step / (1 + back) if back > 0 else step
 
 
 def _fixing_scale(moved: Array, found: Closest, scale: float) -> float:

@@ -32,6 +32,25 @@ def test_a_clean_scan_comes_back_to_a_millionth(outliers: float) -> None:
     assert found.sliding == ()
 
 
+def test_a_body_that_is_larger_all_around_lies_in_the_middle() -> None:
+    """Nearly all points 0.3 mm outside, a few foreign: not pushed until half of them touch."""
+    rng = np.random.default_rng(11)
+    axes = np.array([30.0, 24.0, 18.0])
+    sphere = ball(1.0, 4000)
+    surface = TriangleSurface(sphere.points * axes, sphere.triangles)
+    d = scan(sphere, 1500, rng)
+    d /= np.linalg.norm(d, axis=1)[:, None]
+    normal = (d / axes) / np.linalg.norm(d / axes, axis=1)[:, None]
+    cloud = d * axes + 0.3 * normal + rng.normal(0, 0.05, d.shape)
+    cloud[:15] *= 1.2
+    seen = turned_about(np.zeros(3), np.array([0.1, 0.05, 0.2]), axes)(cloud)
+    found = register(surface, seen)
+    assert found.converged
+    away = surface.closest(found.motion(seen[15:])).distance
+    assert away.mean() == pytest.approx(0.3, abs=0.02)
+    assert away.std() < 0.08
+
+
 def coverage(scans: int, seed: int) -> np.ndarray:
     """How often each of six parameters lies in its 95 % interval: noise, 30 % outliers."""
     rng = np.random.default_rng(seed)
