@@ -11,7 +11,8 @@ taken as it is: a wrong optimum is not found here.
 A record of the closed form is compared with finite elements, which have no closed form.
 Measured curves are read again where ``--data`` names their folder; else those of the records
 are used. Left out, and counted: records without an answer, fits to resampled noise (they hold
-no curve), and directions whose constants a record does not hold. Not computed again: stiffnesses.
+no curve), records of another program (their difference from ours is what such a study asks), and
+directions whose constants a record does not hold. Not computed again: stiffnesses.
 
 Exit code 0 if all agree, 1 if one differs by more than the bar or has no answer now, 2 for
 bad input.

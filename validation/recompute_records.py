@@ -10,6 +10,7 @@ from typing import Any
 
 from study.design.study_file import simulated_at
 from study.errors import InputError
+from study.forward.external import External
 from study.record.document import CurveKey
 
 Config = Mapping[str, Any]
@@ -100,6 +101,9 @@ def _job(
         left_out[why] += 1
         return None
     config = configs.get(_name(record.levels, record.block, record.extra.get("mesh_seed")))
+    if config is not None and External.of(config) is not None:
+        left_out["of another program"] += 1
+        return None
     if config is None:
         raise InputError(f"case {record.case_id}: the stored design has no such cell")
     return Job(
