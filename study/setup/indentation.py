@@ -70,7 +70,8 @@ class Indentation:
         """Shares of the indenter's own length; those of what sticks are small and even."""
         length = test.depth_mm if test.indenter is None else _length(test)
         if test.interface == "bonded":
-            largest = min(settings.largest * height_mm, settings.sticking * length)
+            share = settings.held_face if holds_face(test) else settings.sticking
+            largest = min(settings.largest * height_mm, share * length)
             return StepRule(settings, largest, largest)
         first, largest = settings.first_touch * length, settings.largest_touch * length
         return StepRule(settings, first, largest, settings.deeper)

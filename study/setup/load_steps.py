@@ -22,6 +22,8 @@ class StepSettings:
         Largest step of an indenter that holds what it touches: where a point is held depends on
         the step in which it was met. Forces of cones were 0.2 to 0.9 % low at 0.125, in proportion
         to the step.
+    held_face : float
+        The same of a flat indenter, which holds its face from the start.
     deeper : float
         Largest step over the depth reached, where that is more: a cone looks the same at
         every depth.
@@ -33,6 +35,7 @@ class StepSettings:
     first_touch: float = 0.15
     largest_touch: float = 0.25
     sticking: float = 0.015
+    held_face: float = 0.125
     deeper: float = 0.08
     smallest: float = 0.03
     growth: float = 1.6
