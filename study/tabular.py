@@ -351,6 +351,9 @@ def _check_decimal_comma(
 
 def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
     names = [column for column in columns if column]
+    if names and all(NUMBER.fullmatch(column) for column in names):
+        mend = "the first line holds numbers: write header = false, and numbers of columns"
+        return Fault(f"{source}:1", f"there is no column {name!r}", mend)
     return Fault(f"{source}:1", f"there is no column {name!r}", nearest(name, names[:50]))
 
 

@@ -31,11 +31,14 @@ class Layout:
         Beginning of lines that hold no row; none if empty.
     delimiter : str
         One of :data:`DELIMITERS`; empty where the file shows it.
+    header : bool
+        Whether a line names the columns; without one their names are 1, 2 and so on.
     """
 
     skip_lines: int = 0
     comment: str = ""
     delimiter: str = ""
+    header: bool = True
 
     def plain(self, text: str, decimal: str) -> str:
         r"""Text with a header line and delimiters that a CSV file has.
@@ -51,19 +54,36 @@ class Layout:
         --------
         >>> Layout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
         'l,P\n1.02,0.0255'
+        >>> Layout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
+        '1,2\n1.02, 0.0255\n1.1, 0.12'
         """
         if self == Layout():
             return text
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[self.skip_lines :]
         if self.comment:
             lines = [line for line in lines if not line.lstrip().startswith(self.comment)]
-        if self.delimiter:
-            mark = ";" if decimal == "," else ","
-            lines = [mark.join(self._cells(line)) for line in lines]
+        mark, own = ";" if decimal == "," else ",", self.delimiter
+        if not self.header:
+            first = next((line for line in lines if line.strip()), "")
+            own = own or _shown_by(first, mark)
+            count = len(_cells(first, own))
+        if self.delimiter or own == "space":
+            lines = [mark.join(_cells(line, own)) for line in lines]
+        elif own:
+            mark = DELIMITERS[own] or mark
+        if not self.header:
+            lines = [mark.join(str(k + 1) for k in range(count)), *lines]
         return "\n".join(lines)
 
-    def _cells(self, line: str) -> list[str]:
-        return line.strip(" ").split(DELIMITERS[self.delimiter])
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    return line.strip(" ").split(DELIMITERS[delimiter])
+
+
+def _shown_by(line: str, mark: str) -> str:
+    """Name of the delimiter that a line of numbers shows; spaces where it shows no other."""
+    names = [name for name, sign in DELIMITERS.items() if sign in (mark, ";", "\t")]
+    return next((name for name in names if (DELIMITERS[name] or "") in line), "space")
 
 
 def read_table(
@@ -92,4 +112,6 @@ def read_table(
     raw = read_bytes(path, source)
     text = layout.plain(decoded(unzipped(raw, source), source), decimal)
     table = parse_csv(text, required=required, decimal=decimal, source=source)
-    return replace(table, sha256=hashlib.sha256(raw).hexdigest())
+    added = 0 if layout.header else 1  # a line that the file does not have
+    lines = tuple(line - added for line in table.lines)
+    return replace(table, lines=lines, sha256=hashlib.sha256(raw).hexdigest())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,9 +61,11 @@ def read_measurements(
     InputError
         With all faults of the data found, by file, line and column.
     """
-    rules = _rules(spec, height_mm, displacement_mm)
+    rules = usual = _rules(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
     notes = [*recorded.notes]
+    if spec.range is None and not rules.is_raw:
+        rules = _begun(rules, spec, recorded, gauge)
     tests: list[SingleTest] = []
     faults: list[Fault] = []
     done: list[Conditioned] = []
@@ -85,6 +89,8 @@ def read_measurements(
     if faults:
         raise InputError(capped(faults))
     notes += _summary(done, rules)
+    if rules != usual:
+        notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     displacement, time = _common_grid(done, rules)
     found = Measurements(
         tuple(tests),
@@ -100,6 +106,24 @@ def read_measurements(
     )
     _check_selections(found)
     return found
+
+
+def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gauge | None) -> Rules:
+    """Begin a range that nobody asked for where the last of the tests begins.
+
+    The unloaded origin bridges one step of the grid, no more.
+    """
+    begins = [rules.low_mm]
+    for one in recorded.tests:
+        with suppress(InputError):  # said where its rows become a curve
+            d, _ = displacement_and_force(
+                spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
+                gauge, one.where, in_order=one.time_s is not None,
+            )  # fmt: skip
+            begins.append(float(np.abs(d).min()))
+    spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
+    late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
+    return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules
 
 
 def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Array | None]:

@@ -13,7 +13,7 @@ import numpy as np
 from study.arrays import Array
 from study.errors import Fault, InputError, MissingDataError
 from study.measurement.data_root import locate, locate_pattern
-from study.measurement.plain_text import Layout, read_table
+from study.measurement.plain_text import read_table
 from study.measurement.quantities import KINEMATIC, KINETIC
 from study.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault
 from study.units import parse
@@ -93,7 +93,7 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
         found: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
     else:
         found = locate_pattern(spec.files or "", root, citation=citation)
-    columns, layout = spec.columns, Layout(spec.skip_lines, spec.comment, spec.delimiter)
+    columns, layout = spec.columns, spec.layout
     required = [columns.column(one) for one in _recorded(columns)]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]

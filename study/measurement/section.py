@@ -11,7 +11,7 @@ from pydantic import Field
 
 from study import units
 from study.errors import Fault, InputError, UnitError
-from study.measurement.plain_text import DELIMITERS
+from study.measurement.plain_text import DELIMITERS, Layout
 from study.measurement.quantities import KINEMATIC, KINETIC
 from study.setup.quantity import Force, integer, shown
 from study.setup.section import Bad, Read, Reads, keys_of, section
@@ -155,7 +155,12 @@ def groups_of(pattern: str) -> list[str]:
     return _FIELD.findall(pattern)
 
 
-Column = Annotated[str | None, Reads(name)]
+def _column(value: object) -> str:
+    """Name of a column, or its number in a file without a header."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else name(value)
+
+
+Column = Annotated[str | None, Reads(_column)]
 
 
 @section
@@ -266,6 +271,8 @@ class MeasurementSpec:
     skip_lines, comment, delimiter
         Lines before the header, mark of lines that are none, and what parts the cells of a file
         that is no plain CSV.
+    header : bool
+        Whether a line names the columns; without one columns are named by their number.
     citation : str
         Printed in the report.
     """
@@ -291,12 +298,20 @@ class MeasurementSpec:
     skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
     comment: Annotated[str, Reads(_mark)] = ""
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
+    header: Annotated[bool, Reads(flag)] = True
+
+    @property
+    def layout(self) -> Layout:
+        """How its files differ from CSV."""
+        return Layout(self.skip_lines, self.comment, self.delimiter, self.header)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; what a file of displacement and force does not say stays out."""
         found = asdict(self)
         for key in ("columns", "units"):
             found[key] = {k: v for k, v in found[key].items() if v is not None}
+        if self.header:
+            del found["header"]
         return {k: v for k, v in found.items() if k not in _LAYOUT or v}
 
     @classmethod
