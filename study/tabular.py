@@ -351,8 +351,9 @@ def _check_decimal_comma(
 
 def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
     names = [column for column in columns if column]
-    if names and all(NUMBER.fullmatch(column) for column in names):
-        mend = "the first line holds numbers: write header = false, and numbers of columns"
+    cells = [cell for column in names for cell in column.split()]
+    if cells and all(NUMBER.fullmatch(cell) for cell in cells):
+        mend = 'the first line holds numbers: write header = false, and columns = { ... = "1" }'
         return Fault(f"{source}:1", f"there is no column {name!r}", mend)
     return Fault(f"{source}:1", f"there is no column {name!r}", nearest(name, names[:50]))
 

@@ -107,6 +107,13 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
         rule = f"{energy.name} has no isochoric part that finite elements could take for itself"
         mend = 'write specimen.shape = "homogeneous", with area and length, or another energy'
         faults.add(f"{places['material']}.model", rule, mend)
+    if test.prestretch is not None:
+        if test.kind != "simple-shear":
+            rule = f"belongs to a simple shear, not to {test.kind}"
+            faults.add(f"{where}.prestretch", rule, "leave it out")
+        elif problem.material.relaxation:
+            rule = "would relax as well, and nobody knows since when"
+            faults.add(f"{where}.prestretch", rule, "leave it out, or the relaxation")
     rigid = kind.needs_homogeneous and kind.mode in ("confined", "volumetric")
     if rigid and problem.material.compressibility.incompressible:
         rule = f"{test.kind} of an incompressible material has no displacement"

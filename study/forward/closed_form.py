@@ -18,7 +18,7 @@ from study.arrays import Array
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.forward import halfspace
-from study.material.loading import LOADINGS
+from study.material.loading import LOADINGS, loading_in
 from study.material.material import Material
 from study.setup.course import course_of
 from study.setup.geometry import Enclosed, Specimen
@@ -48,6 +48,7 @@ def homogeneous(
     displacement_mm: Array,
     mode: str = "uniaxial",
     sense: float = -1.0,
+    prestretch: float | None = None,
 ) -> Curve:
     """Force of a specimen that deforms the same everywhere.
 
@@ -63,6 +64,8 @@ def homogeneous(
         Deformation, one of :data:`study.material.loading.LOADINGS`: that of the kind of test.
     sense : {-1, 1}
         Whether a displacement shortens or lengthens the specimen: that of the kind of test.
+    prestretch : float, optional
+        Of a simple shear.
 
     Returns
     -------
@@ -78,7 +81,7 @@ def homogeneous(
     height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
     _check_height(height, d, sense)
-    loading = LOADINGS[mode]
+    loading = loading_in(mode, prestretch)
     state = loading.nominal(material, loading.measure(sense * d / height))
     gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
     return Curve(d, sense * area * state.stress, force_gradient=gradient)
@@ -140,7 +143,8 @@ def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
     """
     d, kind = rows.displacement_mm, setup.kind
     if not material.relaxation:
-        elastic = homogeneous(setup.specimen, material, d, kind.mode, kind.sense)
+        stretched = setup.test.prestretch
+        elastic = homogeneous(setup.specimen, material, d, kind.mode, kind.sense, stretched)
         return replace(elastic, time_s=rows.time_s)
     if rows.time_s is not None:
         return over_time(setup, material, d, rows.time_s)
@@ -207,7 +211,8 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
-        return homogeneous(setup.specimen, unit, d, mode, setup.kind.sense).force_N
+        stretched = setup.test.prestretch
+        return homogeneous(setup.specimen, unit, d, mode, setup.kind.sense, stretched).force_N
     nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(

@@ -6,6 +6,7 @@ shear. Where K is finite the free stretch is solved (:mod:`study.material.homoge
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -66,31 +67,70 @@ def _principal(mode: Mode) -> Loading:
     return Loading(nominal, mode=mode)
 
 
-def _simple_shear(material: Material, shear: Array) -> Loaded:
-    """Shear stress; the volume is kept, so that K does not enter."""
+def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> Loaded:
+    """Shear stress; the volume is kept, so that K does not enter.
+
+    A specimen may have been stretched along the normal of its sheared faces before: F is then
+    shear e1 e2 + prestretch e2 e2 + (e1 e1 + e3 e3) / sqrt(prestretch) (Budday and others 2017).
+    """
+    if material.compressible is not None and prestretch != 1:
+        rule = "has a free stretch of its own, and a sheared specimen keeps its volume here"
+        raise InputError(Fault("test.prestretch", rule, "leave it out, or take another energy"))
     F = np.zeros((3, 3, shear.size))
-    F[[0, 1, 2], [0, 1, 2]], F[0, 1] = 1.0, shear
+    F[[0, 2], [0, 2]], F[1, 1], F[0, 1] = 1 / math.sqrt(prestretch), prestretch, shear
     with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
         gradient = first_piola_gradient(material, F)
     return Loaded(
-        _sheared(material, shear), {name: slope[0, 1] for name, slope in gradient.items()}
+        _sheared(material, shear, prestretch),
+        {name: slope[0, 1] for name, slope in gradient.items()},
     )
 
 
-def _sheared(material: Material, shear: Array) -> Array:
-    """P_12 through the principal stretches of simple shear, l and 1/l with l - 1/l = shear."""
+def _sheared(material: Material, shear: Array, prestretch: float) -> Array:
+    """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches.
+
+    Without a pre-stretch these are l and 1/l with l - 1/l = shear.
+    """
     if material.small_strain:
         return np.asarray(material.mu0 * shear)
-    longest = 0.5 * (np.abs(shear) + np.sqrt(shear**2 + 4))
-    bar = np.stack([longest, np.ones_like(longest), 1 / longest])
+    longest, across, shortest = sheared_stretches(shear, prestretch)
+    bar = np.stack([longest, across, shortest])
     constants, foam = material.constants, material.compressible
     with np.errstate(all="ignore"):
         if foam is None:
             principal = material.isochoric.principal_stress(constants, bar)
         else:
             principal = foam.kirchhoff(constants, material.compressibility, bar)
-    # tau_12 = (tau_1 - tau_3) / (l + 1/l), and P_12 = tau_12 where F^-T leaves it
-    return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + 1 / longest))
+    if prestretch == 1:  # shear / (l^2 - 1/l^2) = 1 / (l + 1/l), at rest too
+        return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + shortest))
+    return np.asarray(shear * (principal[0] - principal[2]) / (longest**2 - shortest**2))
+
+
+def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Array, Array]:
+    """Principal stretches of a simple shear, the longest and shortest in its plane.
+
+    Parameters
+    ----------
+    shear : ndarray, shape (n,)
+        Offset over the length before the test.
+    prestretch : float
+        Stretch along the normal of the sheared faces before the test.
+
+    Returns
+    -------
+    longest, across, shortest : ndarray, shape (n,)
+
+    Examples
+    --------
+    >>> [round(float(one[0]), 6) for one in sheared_stretches(np.array([1.5]))]
+    [2.0, 1.0, 0.5]
+    """
+    area = math.sqrt(prestretch)  # the product of both in the plane
+    # (l_1 +- l_3)^2 = tr b +- 2 l_1 l_3
+    trace = 1 / prestretch + prestretch**2 + shear**2
+    both, apart = np.sqrt(trace + 2 * area), np.sqrt(np.maximum(trace - 2 * area, 0.0))
+    across = np.full(shear.shape, 1 / area)
+    return 0.5 * (both + apart), across, 0.5 * (both - apart)
 
 
 def _volumetric(material: Material, stretch: Array) -> Loaded:
@@ -111,6 +151,25 @@ def _swollen(material: Material, foam: CompressibleEnergy, stretch: Array) -> Lo
     tau = foam.kirchhoff(material.constants, volume, all_sides)[0]
     slopes = foam.kirchhoff_gradient(material.constants, volume, all_sides)
     return Loaded(tau / stretch, {name: slope[0] / stretch for name, slope in slopes.items()})
+
+
+def loading_in(mode: str, prestretch: float | None = None) -> Loading:
+    """Give the loading of a specimen that may be stretched before it is sheared.
+
+    Parameters
+    ----------
+    mode : str
+        One of :data:`LOADINGS`.
+    prestretch : float, optional
+        Of a simple shear.
+    """
+    if prestretch is None:
+        return LOADINGS[mode]
+
+    def nominal(material: Material, shear: Array) -> Loaded:
+        return _simple_shear(material, shear, prestretch)
+
+    return Loading(nominal, is_shear=True)
 
 
 #: every loading by its name

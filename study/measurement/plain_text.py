@@ -55,7 +55,7 @@ class Layout:
         >>> Layout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
         'l,P\n1.02,0.0255'
         >>> Layout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
-        '1,2\n1.02, 0.0255\n1.1, 0.12'
+        '1,2\n1.02,0.0255\n1.1,0.12'
         """
         if self == Layout():
             return text
@@ -64,20 +64,19 @@ class Layout:
             lines = [line for line in lines if not line.lstrip().startswith(self.comment)]
         mark, own = ";" if decimal == "," else ",", self.delimiter
         if not self.header:
-            first = next((line for line in lines if line.strip()), "")
-            own = own or _shown_by(first, mark)
-            count = len(_cells(first, own))
-        if self.delimiter or own == "space":
-            lines = [mark.join(_cells(line, own)) for line in lines]
-        elif own:
-            mark = DELIMITERS[own] or mark
-        if not self.header:
-            lines = [mark.join(str(k + 1) for k in range(count)), *lines]
+            own = own or _shown_by(next((line for line in lines if line.strip()), ""), mark)
+        if own:
+            rows = [_cells(line, own) for line in lines]
+            if not self.header:
+                widest = max(map(len, rows), default=0)
+                rows.insert(0, [str(k + 1) for k in range(widest)])
+            lines = [mark.join(row) for row in rows]
         return "\n".join(lines)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    return line.strip(" ").split(DELIMITERS[delimiter])
+    cells = line.strip(" ").split(DELIMITERS[delimiter])
+    return [cell.strip(" ") for cell in cells]
 
 
 def _shown_by(line: str, mark: str) -> str:

@@ -155,12 +155,7 @@ def groups_of(pattern: str) -> list[str]:
     return _FIELD.findall(pattern)
 
 
-def _column(value: object) -> str:
-    """Name of a column, or its number in a file without a header."""
-    return str(value) if isinstance(value, int) and not isinstance(value, bool) else name(value)
-
-
-Column = Annotated[str | None, Reads(_column)]
+Column = Annotated[str | None, Reads(name)]
 
 
 @section

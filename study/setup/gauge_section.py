@@ -13,6 +13,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.errors import Fault
+from study.material.loading import sheared_stretches
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.test_kind import (
     Contact,
@@ -78,7 +79,8 @@ class GaugeSection:
         """Stretches of the loaded direction, for a shear those of its longest line."""
         share = self.sense * test.depth_mm / height_mm
         if self.mode == "simple-shear":
-            return np.linspace(1.0, 0.5 * (share + np.sqrt(share**2 + 4)), STRETCHES)
+            longest = sheared_stretches(np.array([share]), test.prestretch or 1.0)[0]
+            return np.linspace(1.0, longest[0], STRETCHES)
         return np.linspace(1.0, 1.0 + share, STRETCHES)
 
     def singularities(self, test: Test) -> tuple[Singularity, ...]:

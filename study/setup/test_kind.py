@@ -47,6 +47,8 @@ class Test:
         Motion of the loaded plate besides that along the axis, of a kind that has one.
     gravity : Gravity, optional
         Weight of the specimen, which acts before the test begins.
+    prestretch : float, optional
+        Stretch along the normal of the faces before they are sheared.
     """
 
     __test__ = False  # not a pytest class
@@ -62,6 +64,7 @@ class Test:
     cycles: int | None = None
     motion: FaceMotion | None = None
     gravity: Gravity | None = None
+    prestretch: float | None = None
 
     @property
     def weight_N_mm3(self) -> float:  # noqa: N802

@@ -12,7 +12,7 @@ from study.setup.gauge_section import GAUGE_SECTIONS
 from study.setup.geometry import FaceMotion, Gravity, Indenter
 from study.setup.indentation import INDENTATION
 from study.setup.plate_motion import PLATE_MOTION
-from study.setup.quantity import Duration, Length, integer, measured
+from study.setup.quantity import Duration, Length, integer, measured, number
 from study.setup.section import Reads, as_written, section
 from study.setup.test_kind import Interface, Test, TestKind
 from study.setup.text import word
@@ -57,6 +57,8 @@ class TestSection:
         Final motion of the plate above besides the displacement, of a plate motion.
     gravity : Gravity, optional
         Weight of the specimen.
+    prestretch : float, optional
+        Of a simple shear: stretch along the normal of the sheared faces before the test.
     """
 
     __test__ = False  # not a pytest class
@@ -76,6 +78,7 @@ class TestSection:
     cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
     motion: FaceMotion | None = None
     gravity: Gravity | None = None
+    prestretch: Annotated[float, Reads(number(0.2, 5.0))] | None = None
 
     @property
     def held_below(self) -> Interface:
@@ -101,4 +104,5 @@ class TestSection:
             self.cycles,
             self.motion,
             self.gravity,
+            self.prestretch,
         )

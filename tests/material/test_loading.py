@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
-from study.material.loading import LOADINGS
+from study.material.loading import LOADINGS, loading_in, sheared_stretches
 from study.material.material import Material
 from study.material.stress import first_piola
 
@@ -77,3 +77,27 @@ def test_beyond_the_end_of_chains_there_is_nothing():
     found = LOADINGS["simple-shear"].nominal(short, np.array([0.5, 1.5]))
     assert np.isfinite(found.stress[0])
     assert np.isnan(found.stress[1])
+
+
+@pytest.mark.parametrize("prestretch", [0.75, 1.0, 1.25])
+def test_a_stretched_specimen_is_sheared(prestretch):
+    """Mooney-Rivlin: I1 = 2/l + l^2 + g^2 and I2 = 2 l + 1/l^2 + g^2/l, P_12 = dW/dg."""
+    shear = np.array([-0.3, 0.0, 0.1, 0.5])
+    found = loading_in("simple-shear", prestretch).nominal(MR, shear)
+    by = {"C10": 2 * shear, "C01": 2 * shear / prestretch}
+    exact = sum(MR.constants[name] * by[name] for name in by)
+    assert found.stress == pytest.approx(exact, rel=1e-12, abs=1e-18)
+    for name in by:
+        assert found.gradient[name] == pytest.approx(by[name], rel=1e-12, abs=1e-18)
+
+
+@pytest.mark.parametrize("prestretch", [0.8, 1.2])
+def test_a_stretched_ogden_solid_is_sheared_as_its_full_stress_tensor_says(prestretch):
+    solid = Material("ogden", {"mu1": 6e-4, "alpha1": -24.0}, poisson_ratio=0.4995)
+    F = np.diag([prestretch**-0.5, prestretch, prestretch**-0.5])[:, :, None].copy()
+    F[0, 1] = 0.2
+    found = loading_in("simple-shear", prestretch).nominal(solid, np.array([0.2]))
+    assert found.stress == pytest.approx(first_piola(solid, F)[0, 1], rel=1e-10)
+    longest, across, shortest = sheared_stretches(np.array([0.2]), prestretch)
+    assert longest * across * shortest == pytest.approx(1.0)
+    assert longest == pytest.approx(np.linalg.svd(F[:, :, 0])[1][0], rel=1e-12)

@@ -14,7 +14,7 @@ from study.design.diagnostics import Faults
 from study.design.sections.measurements import measurements_from
 from study.errors import InputError
 from study.measurement.reading import read_measurements
-from study.measurement.section import MeasurementSpec, Range
+from study.measurement.section import Columns, MeasurementSpec, Range, Units
 from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
@@ -38,6 +38,18 @@ def refusal(folder: Path, text: str | bytes, spec: MeasurementSpec = PLAIN) -> s
     with pytest.raises(InputError) as caught:
         read(folder, text, spec)
     return str(caught.value)
+
+
+def test_a_range_that_nobody_asked_for_begins_with_the_last_test(tmp_path):
+    (tmp_path / "a.csv").write_text("s,d,f\nA,1,2\nA,2,4\nA,3,6\nA,4,8\nB,1.5,3\nB,3,6\nB,4,8\n")
+    spec = MeasurementSpec(
+        Columns(displacement="d", force="f"), Units(displacement="mm", force="N"), file="a.csv",
+        block="s", points=6,
+    )  # fmt: skip
+    found = read_measurements(spec, tmp_path, displacement_mm=4.0)
+    assert found.displacement_mm.tolist() == np.linspace(1.5, 4, 6).tolist()
+    assert "the range begins at 1.5 mm, where the last test begins" in found.notes
+    assert found.curve("A").curve.force_N == pytest.approx(2 * np.linspace(1.5, 4, 6), rel=1e-12)
 
 
 def test_a_straight_line_is_resampled_exactly(tmp_path):

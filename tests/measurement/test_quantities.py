@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,27 @@ def test_rows_as_measured_of_a_text_with_comments(tmp_path: Path) -> None:
     curve = read_measurements(spec, tmp_path, gauge=PULLED).curve().curve
     assert curve.displacement_mm == pytest.approx([0.0, 2.0, 6.0, 20.0], rel=1e-12)
     assert curve.force_N == pytest.approx([0.0, 0.4e-3, 1.24e-3, 2.2e-3], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1.0, 0.0\n1.1, 0.1\n1.3, 0.31\n2.0, 0.55\n", "  1.0  0\n1.1\t0.1\n\n1.3 0.31\n2 0.55",
+     "1.0;0\n1.1;0.1\n1.3;0.31\n2;0.55"],
+)  # fmt: skip
+def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
+    """Columns are named by their number, whatever parts them; lines keep theirs."""
+    (tmp_path / "ut.txt").write_text(text)
+    columns, units = Columns(stretch="1", stress="2"), Units(stretch="1", stress="kPa")
+    spec = MeasurementSpec(columns, units, file="ut.txt", points="raw", header=False)
+    assert MeasurementSpec.from_dict(spec.as_dict()) == spec
+    curve = read_measurements(spec, tmp_path, gauge=PULLED).curve().curve
+    assert curve.displacement_mm == pytest.approx([0.0, 2.0, 6.0, 20.0], rel=1e-12)
+    assert curve.force_N == pytest.approx([0.0, 0.4e-3, 1.24e-3, 2.2e-3], rel=1e-12)
+    (tmp_path / "ut.txt").write_text(text.replace("0.31", "high"))
+    with pytest.raises(InputError, match=f"ut.txt:{text.split('0.31')[0].count(chr(10)) + 1}:"):
+        read_measurements(spec, tmp_path, gauge=PULLED)
+    with pytest.raises(InputError, match="holds numbers: write header = false"):
+        read_measurements(replace(spec, header=True), tmp_path, gauge=PULLED)
 
 
 def test_a_layout_leaves_a_plain_file_alone() -> None:

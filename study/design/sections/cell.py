@@ -22,8 +22,9 @@ from study.setup.test_section import TestSection
 #: to be computed. Inside the room a cell is a value of the classes below.
 Config = dict[str, Any]
 
-#: keys of a test whose course in time matters; left out where they say nothing
-IN_TIME = ("speed_mm_per_s", "hold_s", "cycles")
+#: keys of a test that few have: its course in time, a stretch before it; left out where they say
+#: nothing
+SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class CellProblem:
     def document(self) -> Config:
         """Plain values in internal units, without what is left open."""
         written = values_of(self.test)
-        test = {k: v for k, v in written.items() if k not in IN_TIME or v is not None}
+        test = {k: v for k, v in written.items() if k not in SELDOM or v is not None}
         # what a kind of test does not have names no other
         for key in ("indenter", "motion", "gravity"):
             made = test.pop(key)

@@ -90,6 +90,8 @@ def fit_problem(tables: Tables) -> FitProblem:
         kept = {"kind": merged["test"]["kind"], "interface": "frictionless"}
         if merged["material"].get("relaxation") and merged["test"].get("speed_mm_per_s"):
             kept["speed_mm_per_s"] = merged["test"]["speed_mm_per_s"]
+        if merged["test"].get("prestretch"):
+            kept["prestretch"] = merged["test"]["prestretch"]
         merged["test"] = kept
     return FitProblem(method, merged, shared)
 
