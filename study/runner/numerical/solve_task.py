@@ -36,10 +36,13 @@ class SolveTask:
         The problem, with its element size and number of load steps.
     looser : float
         How much the solver's tolerance is multiplied by.
+    more_steps : int
+        By how much what sticks divides the steps that it takes whatever is asked for.
     """
 
     tables: Tables
     looser: float = 1.0
+    more_steps: int = 1
 
     @classmethod
     def of(
@@ -60,21 +63,26 @@ class SolveTask:
         """
         problem = {name: tables[name] for name in PROBLEM if name in tables}
         problem["test"] = {**problem["test"], "steps": steps_of(tables) * more_steps}
-        return cls(on_mesh(problem, mesh=None, mesh_size_mm=size_mm), looser)
+        return cls(on_mesh(problem, mesh=None, mesh_size_mm=size_mm), looser, more_steps)
 
     @property
     def key(self) -> str:
         """Name of the solution: a hash of the problem and of the code."""
-        return digest([self.tables, self.looser, code_version()], 32)
+        return digest([self.tables, self.looser, self.more_steps, code_version()], 32)
 
     def to_json(self) -> dict[str, object]:
         """Plain data for a worker."""
-        return {"kind": "solve", "tables": dict(self.tables), "looser": self.looser}
+        return {
+            "kind": "solve",
+            "tables": dict(self.tables),
+            "looser": self.looser,
+            "more_steps": self.more_steps,
+        }
 
     @classmethod
     def from_json(cls, document: Received) -> SolveTask:
         """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], float(document["looser"]))
+        return cls(document["tables"], float(document["looser"]), int(document["more_steps"]))
 
 
 def steps_of(tables: Tables) -> int:
@@ -163,7 +171,7 @@ def solved(task: SolveTask) -> SolveResult:
     load_compiled(problem)
     reset_peak()
     before = peak_MB()
-    found = finite_element.solve(problem, gradients=False, options=_options(task.looser))
+    found = finite_element.solve(problem, gradients=False, options=_options(task))
     return SolveResult(
         status=str(found.status),
         message=str(found.message),
@@ -177,15 +185,16 @@ def solved(task: SolveTask) -> SolveResult:
     )
 
 
-def _options(looser: float) -> Options | None:
-    """Solver settings with a looser tolerance; None for the usual ones."""
-    if looser == 1.0:
+def _options(task: SolveTask) -> Options | None:
+    """Solver settings of a looser tolerance or smaller steps; None for the usual ones."""
+    if task.looser == 1.0 and task.more_steps == 1:
         return None
     from study.fem.solver.options import Options
 
     usual = Options()
-    newton = replace(usual.newton, tolerance=usual.newton.tolerance * looser)
-    return replace(usual, newton=newton)
+    newton = replace(usual.newton, tolerance=usual.newton.tolerance * task.looser)
+    steps = replace(usual.steps, sticking=usual.steps.sticking / task.more_steps)
+    return replace(usual, newton=newton, steps=steps)
 
 
 def reset_peak() -> None:
