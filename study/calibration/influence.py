@@ -73,7 +73,8 @@ def with_serial_correlation(
     freedom = found.n + len(found.priors) - int(free.sum())
     independent = student_t(freedom) * found.standard_error
     rho = from_rows.correlation
-    serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent)
+    mixture = from_rows.mixture if free.all() else None
+    serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent, mixture)
     corrected = replace(
         found,
         covariance=covariance,

@@ -114,12 +114,39 @@ class SerialCorrelation:
         (Bayley and Hammersley 1946, J. R. Stat. Soc. Suppl. 8, 184); at most the rows.
     inflation : ndarray, shape (p,)
         Width of every 95 % interval over the one of independent points.
+    mixture : Mixture, optional
+        Errors of the estimates at every correlation that the rows allow.
     """
 
     rows: int
     correlation: float
     effective_rows: float
     inflation: Array
+    mixture: Mixture | None = None
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """Covariances of the estimates at several correlations of the rows, and how likely each is.
+
+    Parameters
+    ----------
+    weight : ndarray, shape (k,)
+        Posterior weight of each correlation; they sum to 1.
+    covariance : ndarray, shape (k, p, p)
+        In all.
+    from_rows : ndarray, shape (k, p, p)
+        The part whose size the residuals tell.
+    """
+
+    weight: Array
+    covariance: Array
+    from_rows: Array
+
+    def of(self, kept: Array) -> Mixture:
+        """Return that of some of the estimates."""
+        some = np.ix_(np.arange(len(self.weight)), kept, kept)
+        return Mixture(self.weight, self.covariance[some], self.from_rows[some])
 
 
 @dataclass(frozen=True)
@@ -136,12 +163,15 @@ class Intervals:
         rho at the largest restricted likelihood; NaN where it was not estimated.
     deviance : float
         -2 log likelihood at its maximum over constants, variance and rho, up to a constant.
+    mixture : Mixture
+        What was averaged.
     """
 
     covariance: Array
     half_width: Array
     correlation: float
     deviance: float
+    mixture: Mixture
 
 
 def intervals(
@@ -190,6 +220,7 @@ def intervals(
         half,
         float(rho[np.argmax(likely)]) if rows >= FEWEST_ROWS else math.nan,
         float(deviance.min()),
+        Mixture(weight, total, scaled),
     )
 
 

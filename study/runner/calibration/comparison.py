@@ -134,7 +134,12 @@ class Comparison:
             for label, one in self.fits.items()
             if not one.fit.identifiable
         ]
-        return (*said, *vague)
+        ended = [
+            f"{label}: alone it ended before its minimum ({one.message})"
+            for label, one in self.fits.items()
+            if not one.converged
+        ]
+        return (*said, *vague, *ended)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --by test --json``."""
@@ -221,12 +226,12 @@ def compare(
     """
     groups = _groups(config)
     fits, joint = _at_least_squares(config, groups, root, progress)
-    for label, one in fits.items():
-        if not one.converged:
-            mend = "take an energy with fewer constants, or give constants to start from"
-            raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
+    if joint is None:
+        _refuse_unconverged(fits)
     fits = _of_one_sign(groups, fits)
     compared, form = _compared(groups, root, fits, joint)
+    if form == "wald":  # else slopes at the common constants are compared, which all tests have
+        _refuse_unconverged(fits)
     systematic = {
         label: Systematic(
             mesh_error(one, root, fits[label], progress),
@@ -245,6 +250,13 @@ def compare(
         config["name"], config["material"]["model"], fits, test, systematic, difference, power,
         detectable, form,
     )  # fmt: skip
+
+
+def _refuse_unconverged(fits: Mapping[str, CalibrationResult]) -> None:
+    for label, one in fits.items():
+        if not one.converged:
+            mend = "take an energy with fewer constants, or give constants to start from"
+            raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
 
 
 def _compared(

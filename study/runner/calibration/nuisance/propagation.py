@@ -209,7 +209,8 @@ def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
     kept = [joint.names.index(name) for name in names]
     serial = joint.serial
     if serial is not None:
-        serial = replace(serial, inflation=serial.inflation[kept])
+        mixture = None if serial.mixture is None else serial.mixture.of(np.array(kept))
+        serial = replace(serial, inflation=serial.inflation[kept], mixture=mixture)
     return replace(
         joint,
         names=names,
