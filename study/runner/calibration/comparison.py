@@ -134,11 +134,8 @@ class Comparison:
             for label, one in self.fits.items()
             if not one.fit.identifiable
         ]
-        ended = [
-            f"{label}: alone it ended before its minimum ({one.message})"
-            for label, one in self.fits.items()
-            if not one.converged
-        ]
+        short = "alone it ended before its minimum"
+        ended = [f"{k}: {short} ({f.message})" for k, f in self.fits.items() if not f.converged]
         return (*said, *vague, *ended)
 
     def to_json(self) -> dict[str, object]:

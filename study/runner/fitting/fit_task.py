@@ -88,10 +88,8 @@ def fit_problem(tables: Tables) -> FitProblem:
         merged.pop("forward", None)
         # its depth, steps and base do not enter
         kept = {"kind": merged["test"]["kind"], "interface": "frictionless"}
-        if merged["material"].get("relaxation") and merged["test"].get("speed_mm_per_s"):
-            kept["speed_mm_per_s"] = merged["test"]["speed_mm_per_s"]
-        if merged["test"].get("prestretch"):
-            kept["prestretch"] = merged["test"]["prestretch"]
+        entering = ["prestretch"] + ["speed_mm_per_s"] * bool(merged["material"].get("relaxation"))
+        kept |= {key: merged["test"][key] for key in entering if merged["test"].get(key)}
         merged["test"] = kept
     return FitProblem(method, merged, shared)
 
