@@ -97,9 +97,14 @@ def sized(problem: Problem, size_mm: float) -> Problem:
 
 
 def pieces(problem: Problem) -> int:
-    """Load steps that the step rule makes of those that are asked for."""
-    test = problem.test
-    rule = problem.setup.step_rule(StepSettings(), problem.specimen.height_mm)
+    """Load steps that the step rule makes of those that are asked for.
+
+    Those of what sticks are many and short; eight count as one, so that no such problem is left
+    out for them.
+    """
+    test, usual = problem.test, StepSettings()
+    settings = replace(usual, sticking=usual.held_face)
+    rule = problem.setup.step_rule(settings, problem.specimen.height_mm)
     length = test.displacement_mm / test.steps
     depths = length * np.arange(1, test.steps + 1)
     return int(sum(math.ceil(length / rule.largest_mm(float(d)) - 1e-9) for d in depths))

@@ -125,12 +125,11 @@ def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Arr
     >>> [round(float(one[0]), 6) for one in sheared_stretches(np.array([1.5]))]
     [2.0, 1.0, 0.5]
     """
-    area = math.sqrt(prestretch)  # the product of both in the plane
+    free = 1 / math.sqrt(prestretch)
     # (l_1 +- l_3)^2 = tr b +- 2 l_1 l_3
-    trace = 1 / prestretch + prestretch**2 + shear**2
-    both, apart = np.sqrt(trace + 2 * area), np.sqrt(np.maximum(trace - 2 * area, 0.0))
-    across = np.full(shear.shape, 1 / area)
-    return 0.5 * (both + apart), across, 0.5 * (both - apart)
+    both, apart = np.hypot(shear, prestretch + free), np.hypot(shear, prestretch - free)
+    longest = 0.5 * (both + apart)
+    return longest, np.full(shear.shape, free), prestretch * free / longest
 
 
 def _volumetric(material: Material, stretch: Array) -> Loaded:
