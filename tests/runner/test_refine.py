@@ -111,3 +111,12 @@ def test_every_round_computes_what_is_due_of_all_series_together() -> None:
     refine(series, compute)
     assert rounds == [[0.5, 0.5], [0.25], [0.125]]
     assert [one.found for one in series] == [[1.0, 0.5], [1.0, 0.5, 0.25, 0.125], [1.0]]
+
+
+def test_an_order_above_the_formal_one_is_not_believed_for_the_interval() -> None:
+    # observed order 2.3 of 2: the error of the coarsest mesh by the formal one, times 1.25
+    values, sizes = [0.27074, 0.25925, 0.25352], [1.0, 1 / 1.35, 1 / 1.35**2]
+    behaviour, u = series_uncertainty.series_uncertainty(values, 1.5, sizes, 2.0)
+    limit = values[2] - (values[1] - values[2]) / (1.35**2 - 1)
+    assert behaviour == "monotone"
+    assert u == pytest.approx(1.25 * (values[0] - limit), rel=1e-9)

@@ -92,6 +92,18 @@ class ConvergenceResult:
         """JSON document."""
         return dict(plain(self))
 
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """Extrapolated values, by the observed order and by that which intervals use.
+
+        An order a little above the formal one is believed for the limit, not for the interval.
+        """
+        found = [] if self.extrapolated is None else [self.extrapolated]
+        if self.order_used is not None:
+            growth = (self.mesh_size[1] / self.mesh_size[0]) ** self.order_used - 1
+            found.append(self.value[0] + (self.value[0] - self.value[1]) / growth)
+        return tuple(found)
+
     def to_frame(self) -> pd.DataFrame:
         """Return the meshes, the finest first.
 

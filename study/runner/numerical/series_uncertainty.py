@@ -65,7 +65,7 @@ def series_uncertainty(
     found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)
     ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
     if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
-        error = abs(values[0] - found.extrapolated)
+        error = max(abs(values[0] - limit) for limit in found.limits)
         return found.behaviour, float(found.factor_of_safety * error)
     if found.behaviour == "noise-floor":
         return found.behaviour, abs(values[0] - values[-1])
