@@ -81,19 +81,17 @@ def open_study(
     )  # fmt: skip
 
 
-def count_cases(path: str | Path | StudyResult, results: str | Path = RESULTS) -> int:
+def count_cases(known: Path | StudyResult) -> int:
     """Count the cases of a study before it is opened; 0 where none are known.
 
     Parameters
     ----------
-    path : str, Path or StudyResult
-        As of :func:`open_study`, or a study that is open already.
-    results : str or Path
-        Folder of the results, where ``path`` is a name.
+    known : Path or StudyResult
+        Folder of its results, or a study that is open already.
     """
-    if isinstance(path, StudyResult):
-        return path.total
-    manifest = Store(results_folder(path, results)).read_manifest()
+    if isinstance(known, StudyResult):
+        return known.total
+    manifest = Store(known).read_manifest()
     return 0 if manifest is None else len(manifest["cases"])
 
 

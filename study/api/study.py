@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.api.comparison.compare import compare
-from study.api.folders import REPORTS, RESULTS, design_root
+from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.opened_study import count_cases, open_study
 from study.api.planning.adaptive import continued, run_adaptive
 from study.api.planning.manifest import manifest_of
@@ -333,10 +333,11 @@ def report(
     if formats:
         checked_formats(formats)
     clock = began or _Clock()
-    many = reports is not None and count_cases(path, results) >= MANY_CASES
+    known = path if isinstance(path, StudyResult) else results_folder(path, results)
+    many = reports is not None and count_cases(known) >= MANY_CASES
     drawing = many and default_jobs() > 1
     with Worker(load_libraries) if drawing else nullcontext() as worker:
-        study = Study.of(path) if isinstance(path, StudyResult) else open_study(path, results)
+        study = Study.of(known) if isinstance(known, StudyResult) else open_study(known)
         if beside is not None:
             study = replace(study, beside=compare(study, open_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))

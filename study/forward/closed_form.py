@@ -141,16 +141,20 @@ def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
     InputError
         If the material relaxes and nothing says how fast the test was.
     """
-    d, kind = rows.displacement_mm, setup.kind
+    d = rows.displacement_mm
     if not material.relaxation:
-        stretched = setup.test.prestretch
-        elastic = homogeneous(setup.specimen, material, d, kind.mode, kind.sense, stretched)
-        return replace(elastic, time_s=rows.time_s)
+        return replace(_elastic(setup, material, d), time_s=rows.time_s)
     if rows.time_s is not None:
         return over_time(setup, material, d, rows.time_s)
     if setup.test.speed_mm_per_s is None:
         raise InputError(_no_speed())
     return _ramp(setup, material, d)
+
+
+def _elastic(setup: Setup, material: Material, d: Array) -> Curve:
+    """Curve of a homogeneous test in which time does not matter."""
+    kind, stretched = setup.kind, setup.test.prestretch
+    return homogeneous(setup.specimen, material, d, kind.mode, kind.sense, stretched)
 
 
 def _ramp(setup: Setup, material: Material, d: Array) -> Curve:
@@ -205,14 +209,12 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
-    mode = setup.kind.mode
-    if mode in _VOLUMETRIC:  # the volume is all that changes
+    if setup.kind.mode in _VOLUMETRIC:  # the volume is all that changes
         volume = MaterialSection.of(config["material"]).compressibility
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
-        stretched = setup.test.prestretch
-        return homogeneous(setup.specimen, unit, d, mode, setup.kind.sense, stretched).force_N
+        return _elastic(setup, unit, d).force_N
     nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(

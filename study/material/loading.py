@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -164,11 +165,7 @@ def loading_in(mode: str, prestretch: float | None = None) -> Loading:
     """
     if prestretch is None:
         return LOADINGS[mode]
-
-    def nominal(material: Material, shear: Array) -> Loaded:
-        return _simple_shear(material, shear, prestretch)
-
-    return Loading(nominal, is_shear=True)
+    return Loading(partial(_simple_shear, prestretch=prestretch), is_shear=True)
 
 
 #: every loading by its name

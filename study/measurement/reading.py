@@ -25,7 +25,7 @@ from study.measurement.conditioning import (
 )
 from study.measurement.measured_test import Measurements, SingleTest
 from study.measurement.quantities import Gauge, displacement_and_force
-from study.measurement.recording import Recordings, capped, read_recordings
+from study.measurement.recording import Recording, Recordings, capped, read_recordings
 
 if TYPE_CHECKING:
     from study.measurement.section import MeasurementSpec
@@ -71,10 +71,7 @@ def read_measurements(
     done: list[Conditioned] = []
     for one in recorded.tests:
         try:
-            d, f = displacement_and_force(
-                spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
-                gauge, one.where, in_order=one.time_s is not None,
-            )  # fmt: skip
+            d, f = _rows(one, spec, gauge)
             if one.time_s is None:
                 result = condition(d, f, rules, one.where)
             else:
@@ -108,6 +105,14 @@ def read_measurements(
     return found
 
 
+def _rows(one: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
+    """Displacements and forces of a recording."""
+    return displacement_and_force(
+        spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
+        gauge, one.where, in_order=one.time_s is not None,
+    )  # fmt: skip
+
+
 def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gauge | None) -> Rules:
     """Begin a range that nobody asked for where the last of the tests begins.
 
@@ -116,11 +121,7 @@ def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gau
     begins = [rules.low_mm]
     for one in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            d, _ = displacement_and_force(
-                spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
-                gauge, one.where, in_order=one.time_s is not None,
-            )  # fmt: skip
-            begins.append(float(np.abs(d).min()))
+            begins.append(float(np.abs(_rows(one, spec, gauge)[0]).min()))
     spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
     late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
     return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules

@@ -7,7 +7,7 @@ Eca and Hoekstra (2014), J. Comput. Phys. 262, 104-130 (least squares for four o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -92,17 +92,18 @@ class ConvergenceResult:
         """JSON document."""
         return dict(plain(self))
 
-    @property
-    def limits(self) -> tuple[float, ...]:
-        """Extrapolated values, by the observed order and by that which intervals use.
+    def bound_of(self, value: float) -> float | None:
+        """Half-width of another mesh's value: its distance to the limit, times the factor.
 
         An order a little above the formal one is believed for the limit, not for the interval.
+        None where the meshes have no order.
         """
-        found = [] if self.extrapolated is None else [self.extrapolated]
+        if self.extrapolated is None or self.factor_of_safety is None:
+            return None
+        limits = [self.extrapolated]
         if self.order_used is not None:
-            growth = (self.mesh_size[1] / self.mesh_size[0]) ** self.order_used - 1
-            found.append(self.value[0] + (self.value[0] - self.value[1]) / growth)
-        return tuple(found)
+            limits.append(_limit_by_pair(self.mesh_size, self.value, self.order_used))
+        return self.factor_of_safety * max(abs(value - limit) for limit in limits)
 
     def to_frame(self) -> pd.DataFrame:
         """Return the meshes, the finest first.
@@ -240,7 +241,7 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
     used, limited = _limited(fit, formal, h.size)
     factor = _factor(fit, formal, limited, h.size)
     a21, a32 = (h[1] / h[0]) ** used - 1, (h[2] / h[1]) ** used - 1
-    by_pair = float(f[0] + (f[0] - f[1]) / a21)
+    by_pair = _limit_by_pair(h, f, used)
     extrapolated = by_pair if limited else fit.extrapolated
     error = max(abs(f[0] - extrapolated), abs(f[0] - by_pair))
     u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
@@ -264,6 +265,11 @@ def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dic
         "asymptotic_ratio": ratio,
         "verdict": _monotone_verdict(fit, formal, factor, limited),
     }
+
+
+def _limit_by_pair(h: Sequence[float] | Array, f: Sequence[float] | Array, order: float) -> float:
+    """Limit of the two finest meshes by an order."""
+    return float(f[0] + (f[0] - f[1]) / ((h[1] / h[0]) ** order - 1))
 
 
 def _limited(fit: OrderFit, formal: float | None, meshes: int) -> tuple[float, bool]:

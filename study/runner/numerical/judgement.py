@@ -341,8 +341,8 @@ def combined(
 def given_mesh(result: ConvergenceResult) -> GivenMesh:
     """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
     value, u = result.value[-1], None
-    if result.extrapolated is not None and result.factor_of_safety is not None:
-        u = result.factor_of_safety * max(abs(value - limit) for limit in result.limits)
+    if (bound := result.bound_of(value)) is not None:
+        u = bound
     elif result.u_num is not None:
         u = max(result.u_num, abs(value - result.value[0]))
     return GivenMesh(result.mesh_size[-1], value, u)

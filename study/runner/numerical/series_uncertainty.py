@@ -64,9 +64,8 @@ def series_uncertainty(
     nominal = [ratio**-k for k in range(len(values))]
     found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)
     ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
-    if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
-        error = max(abs(values[0] - limit) for limit in found.limits)
-        return found.behaviour, float(found.factor_of_safety * error)
+    if ordered and (bound := found.bound_of(values[0])) is not None:
+        return found.behaviour, bound
     if found.behaviour == "noise-floor":
         return found.behaviour, abs(values[0] - values[-1])
     return found.behaviour, TWO_MESH_FACTOR * (max(values) - min(values))
