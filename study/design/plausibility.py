@@ -9,6 +9,7 @@ from functools import lru_cache
 from study.design.diagnostics import Faults, is_known
 from study.design.sections.cell import CellProblem
 from study.material.compressibility import Compressibility
+from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.material.registry import ENERGIES
 from study.material.stability import stability
@@ -114,7 +115,7 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
         elif problem.material.relaxation:
             rule = "would relax as well, and nobody knows since when"
             faults.add(f"{where}.prestretch", rule, "leave it out, or the relaxation")
-    rigid = kind.needs_homogeneous and kind.mode in ("confined", "volumetric")
+    rigid = kind.needs_homogeneous and LOADINGS[kind.mode].is_volumetric
     if rigid and problem.material.compressibility.incompressible:
         rule = f"{test.kind} of an incompressible material has no displacement"
         faults.add(f"{places['material']}.incompressible", rule, "give poisson_ratio instead")

@@ -28,9 +28,6 @@ from study.setup.setup import Problem, ResolvedTables, Setup
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
 
-#: modes in which an incompressible material cannot move
-_VOLUMETRIC = ("confined", "volumetric")
-
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
     """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
@@ -209,7 +206,7 @@ def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
-    if setup.kind.mode in _VOLUMETRIC:  # the volume is all that changes
+    if LOADINGS[setup.kind.mode].is_volumetric:  # the volume is all that changes
         volume = MaterialSection.of(config["material"]).compressibility
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter

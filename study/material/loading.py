@@ -49,23 +49,26 @@ class Loading:
         Whether the measure is the amount of shear, zero at rest, and not a stretch.
     mode : Mode or None
         Principal mode, for stability; None where a principal mode does not describe it.
+    is_volumetric : bool
+        Whether the specimen resists with its volume, so that an incompressible one is rigid.
     """
 
     nominal: Callable[[Material, Array], Loaded]
     is_shear: bool = False
     mode: Mode | None = None
+    is_volumetric: bool = False
 
     def measure(self, share: Array) -> Array:
         """Stretch or shear of an elongation (or offset) over the length of the specimen."""
         return share if self.is_shear else 1.0 + share
 
 
-def _principal(mode: Mode) -> Loading:
+def _principal(mode: Mode, *, is_volumetric: bool = False) -> Loading:
     def nominal(material: Material, stretch: Array) -> Loaded:
         state = response(material, mode, stretch)
         return Loaded(state.stress, state.gradient)
 
-    return Loading(nominal, mode=mode)
+    return Loading(nominal, mode=mode, is_volumetric=is_volumetric)
 
 
 def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> Loaded:
@@ -173,7 +176,7 @@ LOADINGS: Mapping[str, Loading] = {
     "uniaxial": _principal(UNIAXIAL),
     "equibiaxial": _principal(EQUIBIAXIAL),
     "planar": _principal(PLANAR),
-    "confined": _principal(CONFINED),
+    "confined": _principal(CONFINED, is_volumetric=True),
     "simple-shear": Loading(_simple_shear, is_shear=True),
-    "volumetric": Loading(_volumetric),
+    "volumetric": Loading(_volumetric, is_volumetric=True),
 }

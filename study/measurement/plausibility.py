@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from study.material.loading import LOADINGS
 from study.measurement.measured_test import Measurements
 from study.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
 from study.setup.setup import Setup
@@ -21,8 +22,6 @@ SOFT_MPA = (1e-4, 30.0)
 #: 1 - nu^2 of what keeps its volume
 _PLANE = 0.75
 _THOUSAND = 1000.0
-#: tests whose stiffness is that of the volume
-_VOLUMETRIC = ("confined", "volumetric")
 
 #: how a note of this module can be told from others
 IMPLAUSIBLE = "no soft material"
@@ -58,7 +57,7 @@ def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> fl
         return force_N * _PLANE / _half_space(indenter, displacement_mm)
     if setup.height_mm is None or isinstance(setup.specimen, Enclosed):
         return None
-    if setup.kind.mode in _VOLUMETRIC:
+    if LOADINGS[setup.kind.mode].is_volumetric:
         return None  # a bulk modulus, which soft materials have in gigapascals
     strain = displacement_mm / setup.height_mm
     return force_N / setup.specimen.area_mm2 / strain
