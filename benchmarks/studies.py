@@ -113,13 +113,19 @@ model = "neo-hookean"
 poisson_ratio = 0.4995
 [forward]
 model = "closed-form"
+[measurements]
+file = "measured.csv"
+columns = {{ displacement = "d_mm", force = "f_N" }}
+units = {{ displacement = "mm", force = "N" }}
+block = "phantom"
+average = ["half", "repeat"]
 [calibration]
 method = "none"
 [factors]
 "material.C10" = [{constants}]
 "specimen.height" = [{heights}]
 [[response]]
-name = "peak_force"
+name = "relative_rms_force_error"
 """
 
 
@@ -141,7 +147,7 @@ steps = 4
 model = "neo-hookean"
 poisson_ratio = 0.4995
 [model]
-mesh_size = "1.5 mm"
+mesh_size = "0.4 mm"
 [calibration]
 method = "none"
 [factors]
@@ -205,10 +211,11 @@ def alone(part: str, folder: Path, jobs: int, cases: int) -> dict[str, float]:
 def write_study(folder: Path, cases: int) -> None:
     """Write the design, and the measurements that it needs."""
     if cases:
-        side = round(cases**0.5)
+        side = round((cases / SPECIMENS) ** 0.5)
         constants = ", ".join(f'"{10 + k / 10:.4g} kPa"' for k in range(side))
         heights = ", ".join(f'"{30 + k / 10:.4g} mm"' for k in range(side))
         (folder / "idle.toml").write_text(IDLE_STUDY.format(constants=constants, heights=heights))
+        write_measurements(folder / "measured.csv")
         return
     presets = [f'[presets.range."{k} %"]\nmeasurements.range = ["1 %", "{k} %"]' for k in RANGES]
     names = ", ".join(f'"{k} %"' for k in RANGES)

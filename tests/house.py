@@ -19,7 +19,7 @@ LONGEST_FILE = 400
 LONGEST_FUNCTION = 60
 LARGEST_PACKAGE = 16
 #: names of distributions that are imported under another name
-IMPORTED_AS = {"scikit-fem": "skfem"}
+IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
 #: extras of what the package itself never imports: tests, and the documentation site
 OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late

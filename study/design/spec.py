@@ -246,7 +246,7 @@ class Design:
         other = {*SCORED, *MARKED, "seconds"}
         return any(r.name not in other and not is_simulated(r.name) for r in self.responses)
 
-    @property
+    @cached_property
     def is_measured(self) -> bool:
         """Whether the predicted curves of all cells stand beside measured ones."""
         return all(cell.cell.problem.measurements is not None for cell in self.treatments)

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from study.canonical import digest
 from study.curve import Curve
 from study.design.cases import cases
+from study.design.sections.cell import Config
 from study.design.sections.content import plain
 from study.design.spec import Case, Design, Treatment
 from study.errors import Fault, InputError
@@ -52,11 +53,47 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = mesh_seeded(distinct(cases(design, blocks)), design)
-    jobs = anchored(
-        case_job(located(case, places, allowed), data, design, origin) for case, origin in planned
-    )
+    shared: dict[int, Computed] = {}
+
+    def job(case: Case, origin: Origin) -> CaseJob:
+        place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
+        if place not in shared:
+            shared[place] = Computed.of(located(case, places, allowed), design)
+        return case_job(case, data, design, origin, shared[place])
+
+    jobs = anchored(job(case, origin) for case, origin in planned)
     every = (*jobs, *resampled(jobs, design))
     return Work(design, every, units_asked(design), blocks, data, allowed)
+
+
+@dataclass(frozen=True)
+class Computed:
+    """What a case computes before anything is measured: the same in every block of its cell.
+
+    Parameters
+    ----------
+    config : dict
+        Document of the cell, with its files found.
+    problem : FitProblem
+        Its calibration.
+    forward : str
+        Where its predicted curves come from.
+    names : tuple
+        What enters the names of its cases besides their content and their measurements.
+    """
+
+    config: Config
+    problem: FitProblem
+    forward: Forward
+    names: tuple[object, ...]
+
+    @classmethod
+    def of(cls, case: Case, design: Design) -> Computed:
+        """Work out what the cases of a cell share, from one whose files were found."""
+        problem = fit_problem(case.config)
+        names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
+        asked = sorted(units_asked(design))
+        return cls(case.config, problem, forward_of(case, problem), (asked, *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -101,7 +138,13 @@ def located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> C
     return replace(case, config=with_external(found, places, allowed.function))
 
 
-def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None = None) -> CaseJob:
+def case_job(
+    case: Case,
+    data: DataCache,
+    design: Design,
+    origin: Origin | None = None,
+    computed: Computed | None = None,
+) -> CaseJob:
     """Make the job of one case.
 
     Parameters
@@ -110,18 +153,14 @@ def case_job(case: Case, data: DataCache, design: Design, origin: Origin | None 
         Says which responses its record holds.
     origin : Origin, optional
         Why it is computed besides the cells of the design.
+    computed : Computed, optional
+        What it shares with the other blocks of its cell, where that is known.
     """
-    problem = fit_problem(case.config)
-    pairs = tuple(score_pairs(case, problem, data, design))
-    content = [
-        case.case_id,
-        sorted(units_asked(design)),
-        [pair.identity for pair in pairs],
-        code_version(),
-        *provenance.fingerprints(case.config),
-        *identity(case.config),
-    ]  # fmt: skip
-    return CaseJob(case, pairs, digest(content), forward_of(case, problem), origin or Origin())
+    shared = computed or Computed.of(case, design)
+    placed = case if computed is None else replace(case, config=shared.config)
+    pairs = tuple(score_pairs(placed, shared.problem, data, design))
+    content = [case.case_id, [pair.identity for pair in pairs], *shared.names]
+    return CaseJob(placed, pairs, digest(content), shared.forward, origin or Origin())
 
 
 def forward_of(case: Case, problem: FitProblem) -> Forward:

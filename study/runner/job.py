@@ -185,8 +185,7 @@ class ScorePair:
         against = self.measured
         if against is None:
             return [self.label, self.pressed_mm]
-        data = [against.displacement_mm.tolist(), against.force_N.tolist()]
-        return [self.label, self.fit_label, self.fit_key, *data]
+        return [self.label, self.fit_label, self.fit_key, against.name]
 
 
 @dataclass(frozen=True)

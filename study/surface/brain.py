@@ -7,7 +7,6 @@ features that an indentation away from an axis of symmetry meets. It is no anato
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import brentq
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError
@@ -64,6 +63,8 @@ def brain_surface(brain: Brain) -> tuple[Array, Ints]:
 
 def _grooved(points: Array, brain: Brain) -> Array:
     """Points with the groove, so deep below the highest ones at its side as was asked for."""
+    from scipy.optimize import brentq
+
     if not brain.fissure_mm:
         return points
     above = np.clip(points[:, 2] / brain.height_mm - _WAIST, 0, None) / (1 - _WAIST)
