@@ -9,7 +9,7 @@ from study.canonical import Json, plain
 from study.design.diagnostics import Faults
 from study.design.plausibility import plausibility, plausible_sizes
 from study.design.sections.cell import Cell, CellProblem
-from study.design.spec import Combination, Design, Treatment
+from study.design.spec import Combination, Design, Factor, Level, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
@@ -51,14 +51,18 @@ def calibration_groups(design: Design) -> Groups:
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
-    """Names of the factors that enter the calibration problem of some cell.
+    """Names of the factors that enter the calibration problem of some cell."""
+    return tuple(f.name for f in design.factors if _calibrates(design, f.name))
 
-    None where nothing is fitted: the cells of a sample of ranges, each with levels of its own,
-    would be made tens of thousands of times to find that out.
+
+def _calibrates(design: Design, factor: str) -> bool:
+    """Whether a factor enters the calibration problem of some cell; none where nothing is fitted.
+
+    The cells of a sample of ranges, each with levels of its own, would be made tens of thousands
+    of times to find that out.
     """
-    if not any(one.cell.is_calibrated for one in design.treatments):
-        return ()
-    return tuple(f.name for f in design.factors if _separated(design, f.name, _calibration))
+    fitted = any(one.cell.is_calibrated for one in design.treatments)
+    return fitted and _separated(design, factor, _calibration) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
@@ -78,15 +82,21 @@ def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> boo
     A part of the full factorial may hold no two cells that differ in one factor only, so the
     other cell is made for the comparison.
     """
-    own = key(treatment.cell)
-    for other in next(f for f in design.factors if f.name == factor).labels:
-        labels = {**treatment.levels, factor: other}
-        levels = [f.levels[f.labels.index(labels[f.name])] for f in design.factors]
+    own, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
+    levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
+    for other in _compared(design.factors[place]):
         faults = Faults()
-        made = design.resolved(levels, faults)
+        made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
         if not faults and key(made) != own:
             return True
     return False
+
+
+def _compared(factor: Factor) -> Sequence[Level]:
+    """Levels that tell whether a factor matters: of a sampled range the ends and the middle."""
+    if factor.span is None or len(factor.levels) <= 3:
+        return factor.levels
+    return [factor.levels[i] for i in (0, len(factor.levels) // 2, -1)]
 
 
 def inert_cells(design: Design, factor: str) -> int:
@@ -256,7 +266,7 @@ def replication(design: Design) -> Replication | None:
 
 def _factor(design: Design, index: int) -> FactorOverview:
     factor, total = design.factors[index], len(design.treatments)
-    calibrates = _separated(design, factor.name, _calibration) > 0
+    calibrates = _calibrates(design, factor.name)
     inert = inert_cells(design, factor.name)
     note = _note(calibrates, inert, total, design.calibration.method != "none")
     return FactorOverview(factor.name, factor.labels, calibrates, inert, note)
