@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from study.api.study import load_design
 from study.design import cases, overview, spec
 from study.design.diagnostics import Faults
-from study.design.load import dump, load, loads
+from study.design.load import dump, loads
 from study.design.overview import calibration_factors, inert_cells
 from study.design.sections.cell import Cell
 from study.design.spec import Design, Level
@@ -334,7 +335,7 @@ def test_a_sampled_range_is_compared_at_its_ends(monkeypatch: pytest.MonkeyPatch
         made.append(1)
         return resolve(design, levels, faults)
 
-    design = load(DESIGNS / "needle-geometry.toml")
+    design = load_design(DESIGNS / "needle-geometry.toml")
     monkeypatch.setattr(Design, "_resolved", counted)
     described = overview.overview(design)
     assert all(not one.calibrates and one.inert_cells == 0 for one in described.factors)
