@@ -13,7 +13,7 @@ from study.api.assemble import report_data
 from study.api.comparison.compare import compare
 from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.opened_study import count_cases, open_study
-from study.api.planning.adaptive import continued, run_adaptive
+from study.api.planning.adaptive import run_adaptive
 from study.api.planning.manifest import manifest_of
 from study.api.planning.remaining_time import (
     control_seconds,
@@ -21,6 +21,7 @@ from study.api.planning.remaining_time import (
     refinement_seconds,
     with_time_left,
 )
+from study.api.planning.sequential_design import continued
 from study.api.planning.stale import WARN, check_choice, check_stale, mixed_meshes
 from study.api.statistics.depth_effects import effects_by_depth
 from study.api.study_notebook import Study
@@ -28,7 +29,7 @@ from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
 from study.design.load import from_tables, load, loads
 from study.design.spec import Design
-from study.errors import Fault, InputError, RefusedError, UnitError
+from study.errors import InputError, RefusedError
 from study.execution.task import check_limit
 from study.execution.worker import Worker
 from study.forward.external import check_allowed
@@ -42,10 +43,9 @@ from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
 from study.runner.provenance import surface_files, versions
-from study.runner.tasks import computing_on, processes
+from study.runner.tasks import computing_on, memory_of, processes
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
-from study.units import parse
 
 if TYPE_CHECKING:
     from study.execution.task import Executor
@@ -211,28 +211,6 @@ def run(
     return report(
         store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
     )
-
-
-def memory_of(text: str) -> float:
-    """Read an amount of memory in MB.
-
-    Raises
-    ------
-    InputError
-        If it is none, or not more than zero.
-
-    Examples
-    --------
-    >>> memory_of("20 GB")
-    20000.0
-    """
-    try:
-        found = parse(text, "memory")
-    except UnitError as error:
-        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
-    if found <= 0:
-        raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
-    return found
 
 
 def _compute(

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeGuard, cast
 
+from study.errors import Fault, InputError, UnitError
 from study.execution.cluster.connection import Client
 from study.execution.cluster.executor import Cluster
 from study.execution.loky import Loky
@@ -17,6 +18,7 @@ from study.runner.fitting import fit_task, residual_bootstrap
 from study.runner.numerical import solve_task
 from study.runner.provenance import versions
 from study.runner.virtual import reference
+from study.units import parse
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it
@@ -65,6 +67,28 @@ def free_memory_MB() -> float | None:  # noqa: N802
         return float(found["MemAvailable"].split()[0]) / 1024
     except (OSError, KeyError, ValueError, IndexError):
         return None
+
+
+def memory_of(text: str) -> float:
+    """Read an amount of memory in MB.
+
+    Raises
+    ------
+    InputError
+        If it is none, or not more than zero.
+
+    Examples
+    --------
+    >>> memory_of("20 GB")
+    20000.0
+    """
+    try:
+        found = parse(text, "memory")
+    except UnitError as error:
+        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
+    if found <= 0:
+        raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
+    return found
 
 
 def computing_on(

@@ -13,7 +13,6 @@ from study.errors import Fault, InputError
 from study.measurement.marker_section import MarkerSpec
 from study.measurement.plain_text import read_table
 from study.setup.geometry import Block
-from study.surface.surface import turned_up
 from study.units import unit_factor
 
 #: fewest markers that can tell seven components of a motion from their own scatter
@@ -105,6 +104,8 @@ def read_markers(spec: MarkerSpec, path: Path, specimen: Block) -> MarkerStates:
 
     def places(axes: tuple[str, str, str]) -> Array:
         numbers = np.column_stack([table.numbers(axis) for axis in axes])
+        from study.surface.surface import turned_up
+
         return turned_up(factor * numbers, spec.axis)
 
     rest = places(spec.rest)

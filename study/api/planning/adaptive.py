@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from scipy.stats import qmc
 from threadpoolctl import threadpool_limits
 
 from study.analysis.request import threshold
+from study.api.planning.sequential_design import added, with_added
 from study.api.statistics.surface.response_surface import fit_runs
 from study.api.statistics.surface.study_surface import runs_at, settings_of
 from study.arrays import Array
 from study.design.layout.adaptive import share_of
-from study.design.load import dump, loads
 from study.design.spec import Design
 from study.design.study_file import Sequential
-from study.errors import InputError, RefusedError, StudyError
+from study.errors import RefusedError, StudyError
 from study.response_surface.emulator.active_learning import (
     REFERENCES,
     Unsure,
@@ -30,7 +29,6 @@ from study.response_surface.emulator.blocked import BlockedEmulator, fit_blocks
 from study.response_surface.emulator.emulator import Emulator, fit_emulator
 from study.response_surface.emulator.gaussian_process import GaussianProcess
 from study.response_surface.factors import NumericFactor, Runs
-from study.runner.provenance import code_version
 
 if TYPE_CHECKING:
     from study.record.record import Record
@@ -64,29 +62,6 @@ class _Fitted:
     responses: Mapping[str, Emulator | BlockedEmulator]
     refused: Mapping[str, str]
     open: tuple[str, ...]
-
-
-def continued(design: Design, store: Store) -> Design:
-    """Design with the cells that an earlier run of it has added.
-
-    Parameters
-    ----------
-    design : Design
-        As it is written; one that is not adaptive is handed back.
-    store : Store
-        Of its results.
-    """
-    if design.scheme.sequential is None:
-        return design
-    manifest = store.read_unfinished() or store.read_manifest()
-    if manifest is None or manifest["versions"].get("study") != code_version():
-        return design
-    try:
-        known = loads(manifest["design"], manifest["source"])
-    except InputError:
-        return design
-    same = dump(_with_added(known, ())) == dump(_with_added(design, ()))
-    return _with_added(design, _added(known)) if same else design
 
 
 def run_adaptive(
@@ -130,7 +105,7 @@ def run_adaptive(
             store.write_json(HISTORY, history)
         if not chosen:
             return work, summary
-        work = expanded(_with_added(work.design, [*_added(work.design), *chosen]))
+        work = expanded(with_added(work.design, [*added(work.design), *chosen]))
         note(work)
         more = compute(work)
         summary = replace(
@@ -262,6 +237,8 @@ def _chosen(
     count: int,
 ) -> list[list[float]]:
     """Choose cells one after the other, each as if those before it had been run."""
+    from scipy.stats import qmc
+
     ranges = [factor for factor in design.factors if factor.span is not None]
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
@@ -316,23 +293,3 @@ def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float
         else float(next(left))
         for factor in design.factors
     ]
-
-
-def _table(design: Design) -> Mapping[str, object]:
-    written = design.config["design"]
-    return written if isinstance(written, Mapping) else {}
-
-
-def _added(design: Design) -> list[list[float]]:
-    """Cells that were added, as they stand in the design."""
-    cells = _table(design).get("added", ())
-    return [list(cell) for cell in cells] if isinstance(cells, list | tuple) else []
-
-
-def _with_added(design: Design, added: Sequence[Sequence[float]]) -> Design:
-    """Copy of a design with other cells added to its Latin hypercube."""
-    table = {key: value for key, value in _table(design).items() if key != "added"}
-    if added:
-        table["added"] = [list(cell) for cell in added]
-    text = dump(replace(design, config={**design.config, "design": table}))
-    return replace(loads(text, design.source), text=design.text)

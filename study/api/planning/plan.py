@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from study.api.comparison.design_changes import run_changes
 from study.api.folders import RESULTS, design_root, results_folder
-from study.api.planning.adaptive import continued
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
     refinement_seconds,
     seconds_left,
 )
+from study.api.planning.sequential_design import continued
 from study.design.load import load
 from study.design.overview import Overview, overview
 from study.design.spec import Design
