@@ -148,6 +148,54 @@ def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
     return _ramp(setup, material, d)
 
 
+#: distance, in shares of the whole test, over which a tangent is taken: it is then exact to 1e-9
+_TANGENT = 3e-5
+#: places of each interval at which the force is integrated (Gauss and Legendre): exact to rounding
+_PLACES = 8
+
+
+def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Curve:
+    """Force at increasing displacements, with what makes the curve right between them too.
+
+    A curve of forces alone is drawn as chords: ten of them are a fifth of a percent off.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of a homogeneous test.
+    material : Material
+        Of the specimen.
+    displacement_mm : ndarray, shape (n,)
+        Increasing, none below zero.
+
+    Returns
+    -------
+    Curve
+        With tangents and the work done since the unloaded state, where the test has no course in
+        time.
+
+    Raises
+    ------
+    InputError
+        If the material relaxes and nothing says how fast the test was.
+    """
+    d = np.asarray(displacement_mm, dtype=float)
+    h = _TANGENT * d.max(initial=0.0)
+    first, second = np.where(d > h, d - h, d + 2 * h), d + h
+    node, weight = np.polynomial.legendre.leggauss(_PLACES)
+    begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
+    inside = begin[:, None] + width[:, None] * (1 + node) / 2
+    asked, place = np.unique(
+        np.concatenate([d, first, second, inside.ravel()]), return_inverse=True
+    )
+    every = at_rows(setup, material, Curve(asked, np.empty(0)))
+    force, one, two, along = np.split(every.force_N[place], d.size * np.arange(1, 4))
+    # at the unloaded end a parabola through two places ahead, else both neighbors
+    tangent = np.where(d > h, two - one, 4 * two - one - 3 * force) / (2 * h)
+    work = np.cumsum(along.reshape(inside.shape) @ weight * width / 2)
+    return replace(every.at_points(place[: d.size]), stiffness_N_per_mm=tangent, work_Nmm=work)
+
+
 def _elastic(setup: Setup, material: Material, d: Array) -> Curve:
     """Curve of a homogeneous test in which time does not matter."""
     kind, stretched = setup.kind, setup.test.prestretch
@@ -248,6 +296,8 @@ def solution(problem: Problem) -> Solution:
     began = time.perf_counter()
     curve = _prescribed(problem)
     d, reached = curve.displacement_mm, np.isfinite(curve.force_N)
+    if curve.stiffness_N_per_mm is not None:  # known a little further than the last row
+        reached &= np.isfinite(curve.stiffness_N_per_mm)
     count = int(d.size if reached.all() else np.argmin(reached))
     kept = curve.at_points(np.arange(count))
     status, message = "converged", "closed form of a homogeneous deformation"
@@ -266,10 +316,9 @@ def _prescribed(problem: Problem) -> Curve:
     if material.relaxation and course is None:
         raise InputError(_no_speed())
     if course is None:
-        rows = Curve(np.linspace(0.0, test.depth_mm, test.steps + 1)[1:], np.empty(0))
-        return at_rows(setup, material, rows)
+        return between_rows(setup, material, np.linspace(0.0, test.depth_mm, test.steps + 1)[1:])
     if test.hold_s is None and test.cycles is None:  # a curve over displacement
-        return at_rows(setup, material, Curve(course.displacement_mm, np.empty(0)))
+        return between_rows(setup, material, course.displacement_mm)
     begun = Curve(
         np.append(0.0, course.displacement_mm), np.empty(0), time_s=np.append(0.0, course.time_s)
     )

@@ -170,8 +170,8 @@ def forward_of(case: Case, problem: FitProblem) -> Forward:
     forward = case.treatment.cell.problem.forward
     if forward is not None:
         return "closed-form" if forward.model == "closed-form" else "external"
-    analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
-    return "closed-form" if analytic else "simulation"
+    asked = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
+    return "closed-form" if asked or case.setup.has_no_elements else "simulation"
 
 
 def score_pairs(

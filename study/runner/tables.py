@@ -56,13 +56,6 @@ def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
     return made
 
 
-def is_analytic(tables: Tables) -> bool:
-    """Whether the closed form predicts: asked for and exact, or the only model there is."""
-    setup = Setup.of(tables)
-    asked = CalibrationTable.of(tables).method == "analytic"
-    return setup.has_no_elements or (asked and setup.is_homogeneous)
-
-
 def gauge_of(specimen: Tables, test: Tables) -> Gauge | None:
     """Return what turns recorded strain and stress into displacement and force.
 
