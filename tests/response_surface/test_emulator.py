@@ -356,3 +356,24 @@ def test_low_and_high_are_coded_by_the_factor() -> None:
     value, half = found.predict(at)
     assert value[0] == pytest.approx(2.0, abs=1e-3)
     assert half[0] < 1e-2
+
+
+def flat_specimen(x: Array) -> Array:
+    """Force of a neo-Hookean cylinder between frictionless plates, 4 mm of 15 to 30 mm, N."""
+    radius, height, c10 = 15 + 10 * x[:, 0], 15 + 15 * x[:, 1], 5e-3 + 10e-3 * x[:, 2]
+    stretch = 1 - 4 / height
+    return np.asarray(np.pi * radius**2 * 2 * c10 * (stretch**-2 - stretch))
+
+
+def test_extremes_lie_in_corners_and_inside_their_intervals() -> None:
+    ends = {True: np.array([[1.0, -1.0, 1.0]]), False: np.array([[-1.0, 1.0, -1.0]])}
+    inside = []
+    for seed in range(1, 7):
+        x = functions.hypercube(3, 60, seed)
+        found = fit_emulator(functions.unit_runs(x, flat_specimen(x)))
+        for coded in ends.values():
+            value, half = found.predict(coded)
+            inside.append(abs(value - flat_specimen(0.5 * (coded + 1)))[0] <= half[0])
+        # and the interval is still one that says something
+        assert half[0] < 0.02 * np.ptp(found.runs.response)
+    assert sum(inside) >= 11  # of twelve; six where the other kernel did not count
