@@ -91,7 +91,7 @@ class Runs:
     Raises
     ------
     InputError
-        If a factor never changes.
+        If there are no runs, or a factor never changes.
     """
 
     name: str
@@ -102,6 +102,9 @@ class Runs:
     u_num: Array | None = None
 
     def __post_init__(self) -> None:
+        if not self.response.size:
+            rule = "no run has an answer, so no surface is fitted"
+            raise InputError(Fault(self.name, rule, "study status says what failed"))
         constant = [
             f for f, column in zip(self.factors, self.coded.T, strict=True) if _same(column)
         ]

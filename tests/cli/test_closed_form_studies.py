@@ -101,6 +101,29 @@ def by_hand(known: Callable[[float], float], depth_mm: float) -> dict[str, float
     }
 
 
+#: strips of a rubber that locks long before the end of the test
+LOCKED = """
+schema = 1
+[study]
+name = "formula"
+{specimen}
+[material]
+model = "gent"
+mu = "100 kPa"
+Jm = 0.5
+incompressible = true
+[factors]
+material.mu = {{ low = "50 kPa", high = "150 kPa" }}
+specimen.area = {{ low = "50 mm^2", high = "150 mm^2" }}
+[design]
+kind = "latin-hypercube"
+runs = 12
+[[response]]
+name = "peak_force"
+practical = "10 % of mean"
+"""
+
+
 def contents(folder: Path) -> Iterator[dict[str, object]]:
     for path in sorted((folder / "results/formula/cases").glob("*/record.json")):
         yield json.loads(path.read_text())["content"]
@@ -160,3 +183,16 @@ def test_what_was_measured_is_predicted_at_its_own_rows(
         for name, value in exact.items():
             assert told[name] == pytest.approx(value, rel=1e-5), name
         assert told["relative_rms_force_error"] < 1e-6
+
+
+def test_a_sample_of_ranges_without_any_answer_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
+    Path("formula.toml").write_text(LOCKED.format(specimen=placed))
+    answer = study("run", "formula.toml", "--jobs", 1)
+    assert answer.code == 1
+    assert "12 failed" in answer.out
+    page = (tmp_path / "reports/formula/formula.html").read_text()
+    assert "no run has an answer, so no surface is fitted" in page
