@@ -17,7 +17,7 @@ from study.errors import nearest
 from study.setup.quantity import number, shown
 from study.setup.section import Bad
 from study.setup.text import MAX_NAME, choice, name, quoted
-from study.units import parse
+from study.units import parse, split
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
@@ -352,3 +352,12 @@ def _plain(text: str) -> str:
 def _range_level(key: str, text: str, unit: str) -> Level:
     written = f"{text} {unit}" if unit else float(text)
     return Level(f"{text} {unit}".strip(), {key: written})
+
+
+def settings_of(factor: Factor) -> dict[str, float]:
+    """Read the setting of every label of a range, in the unit of its span."""
+    settings = {level.label: level.settings[factor.name] for level in factor.levels}
+    return {
+        label: split(value)[0] if isinstance(value, str) else float(str(value))
+        for label, value in settings.items()
+    }

@@ -103,8 +103,8 @@ class Runs:
 
     def __post_init__(self) -> None:
         if not self.response.size:
-            rule = "no run has an answer, so no surface is fitted"
-            raise InputError(Fault(self.name, rule, "study status says what failed"))
+            rule = "none has an answer, so no surface is fitted"
+            raise InputError(Fault("runs", rule, "study status says what failed"))
         constant = [
             f for f, column in zip(self.factors, self.coded.T, strict=True) if _same(column)
         ]

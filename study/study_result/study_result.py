@@ -8,12 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.assumption.failed_cases import CaseFate, FailurePattern, cause, failure_pattern
+from study.analysis.assumption.failed_cases import FailurePattern, failure_pattern
 from study.canonical import plain
 from study.design.spec import Design
 from study.record.record import Record
 from study.record.table import is_repeat, table
 from study.study_result.comparison import document
+from study.study_result.failed_cases import fates
 from study.study_result.report_data import ResponseAnalysis
 from study.study_result.response_surface import FittedSurface
 
@@ -90,18 +91,9 @@ class StudyResult:
     @cached_property
     def failure_pattern(self) -> FailurePattern:
         """What the failed cases share."""
-        fates = [
-            CaseFate(
-                one.levels,
-                one.block or "",
-                not one.converged,
-                "" if one.converged else cause(one.status, one.message),
-            )
-            for one in self.records
-        ]
         spec = self.design.measurements
         block = spec.block if spec is not None and spec.block else "block"
-        return failure_pattern(fates, block, self.design.seed)
+        return failure_pattern(fates(self.design, self.records), block, self.design.seed)
 
     @property
     def cases(self) -> dict[str, int]:

@@ -194,5 +194,28 @@ def test_a_sample_of_ranges_without_any_answer_is_reported(
     answer = study("run", "formula.toml", "--jobs", 1)
     assert answer.code == 1
     assert "12 failed" in answer.out
+    assert "no run with" not in answer.err
     page = (tmp_path / "reports/formula/formula.html").read_text()
-    assert "no run has an answer, so no surface is fitted" in page
+    assert "none has an answer, so no surface is fitted" in page
+
+
+def test_where_a_range_fails_is_named_and_nothing_is_predicted_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Gent's strip has a state while l^2 + 2/l - 3 < Jm; at 2.5 times its length from 4.05 on."""
+    monkeypatch.chdir(tmp_path)
+    text = LOCKED.format(specimen=STRETCHED.replace("{depth}", 'displacement = "30 mm"'))
+    wide = text.replace("specimen.area = {", "material.Jm = {").replace('"50 mm^2"', "0.5")
+    design = wide.replace('"150 mm^2"', "8").replace("runs = 12", "runs = 40")
+    Path("formula.toml").write_text(design)
+    answer = study("run", "formula.toml", "--jobs", 1)
+    assert answer.code == 1
+    said = " ".join(answer.out.split())
+    assert "Where cases fail: Jm 0.5 to 2.375: 10 of 10; Jm 2.375 to 4.25: 9 of 10" in said
+    assert "Failing depends on Jm (p < 0.001)" in said
+    least = float(answer.err.partition("no run with material.Jm below ")[2].split()[0])
+    limit = 2.5**2 + 2 / 2.5 - 3
+    assert limit < least < limit + 0.4
+    for line in answer.out.splitlines():
+        if "predicted:" in line:
+            assert float(line.rpartition("material.Jm = ")[2]) >= least - 1e-3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import study as public
-from study.api.statistics.surface.study_surface import settings_of
+from study.design.factors import settings_of
 from study.record.record import Record
 from study.study_result.study_result import StudyResult
 

@@ -13,8 +13,9 @@ from threadpoolctl import threadpool_limits
 from study.analysis.request import threshold
 from study.api.planning.sequential_design import added, with_added
 from study.api.statistics.surface.response_surface import fit_runs
-from study.api.statistics.surface.study_surface import runs_at, settings_of
+from study.api.statistics.surface.study_surface import runs_at
 from study.arrays import Array
+from study.design.factors import settings_of
 from study.design.layout.adaptive import share_of
 from study.design.spec import Design
 from study.design.study_file import Sequential

@@ -13,8 +13,8 @@ from study import api, tabular, units
 from study.api.folders import RESULTS
 from study.api.statistics.confirmation import Permission, confirm, joined
 from study.api.statistics.prediction import number_in_unit
-from study.api.statistics.surface.study_surface import settings_of
 from study.calibration.serial_correlation import effective_rows
+from study.design.factors import settings_of
 from study.errors import Fault, InputError, RefusedError, nearest
 from study.record.store import Store
 from study.record.table import is_repeat

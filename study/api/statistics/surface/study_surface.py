@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study import units
 from study.analysis.request import threshold
 from study.api.statistics.surface.level_surfaces import differences
 from study.api.statistics.surface.response_surface import fitted, fitted_together, told
+from study.arrays import Array
 from study.design import overlay
+from study.design.factors import settings_of
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
@@ -24,7 +25,7 @@ from study.study_result.response_surface import FittedSurface
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import NumericalUncertainty
-    from study.design.spec import Design, Factor, Response
+    from study.design.spec import Design, Response
     from study.record.record import Record
     from study.response_surface.emulator.blocked import BlockedEmulator
     from study.response_surface.emulator.emulator import Emulator
@@ -70,7 +71,7 @@ def surfaces(
     found: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
-        asked = _Asked(design, response, half_width)
+        asked = _Asked(design, response, half_width, *_answered(design, response.name, own))
         together = _together(asked, places, own)
         each = [_fitted(asked, labels, own, together.get(place))
                 for place, labels in enumerate(places)]  # fmt: skip
@@ -81,11 +82,16 @@ def surfaces(
 
 @dataclass(frozen=True)
 class _Asked:
-    """A response of a design, and the largest numerical half-width of its runs."""
+    """A response of a design, and the largest numerical half-width of its runs.
+
+    Its factors have the ranges over which runs have answers, and ``ends`` says which are cut.
+    """
 
     design: Design
     response: Response
     half_width: float | None
+    factors: tuple[NumericFactor, ...]
+    ends: tuple[str, ...]
 
     def good(
         self, labels: Mapping[str, str], records: Sequence[Record]
@@ -97,7 +103,7 @@ class _Asked:
 
     def runs(self, records: Sequence[Record]) -> Runs:
         """Code the settings of runs."""
-        return _runs(self.design, self.response.name, records, self.half_width)
+        return _runs(self.design, self.response.name, records, self.half_width, self.factors)
 
 
 def _together(
@@ -127,15 +133,6 @@ def _together(
     return {} if found is None else dict(enumerate(found))
 
 
-def settings_of(factor: Factor) -> dict[str, float]:
-    """Read the setting of every label of a range, in the unit of its span."""
-    settings = {level.label: level.settings[factor.name] for level in factor.levels}
-    return {
-        label: units.split(value)[0] if isinstance(value, str) else float(str(value))
-        for label, value in settings.items()
-    }
-
-
 def runs_at(
     design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
 ) -> Runs:
@@ -150,7 +147,7 @@ def runs_at(
     """
     here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
     good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
-    return _runs(design, response, good, None)
+    return _runs(design, response, good, None, _factors(design))
 
 
 def _half_width(
@@ -183,7 +180,7 @@ def _fitted(
         if limit is not None:
             practical = limit.on_scale(float(runs.response.mean()), "none")
         one = fitted(runs, design.analysis.surface) if model is None else model
-        found = told(one, practical, bound or 0.0).noted(*_left_out(lost))
+        found = told(one, practical, bound or 0.0).noted(*_left_out(lost), *asked.ends)
         uncertain, refused = _propagated(design, found)
         found = found.noted(refused) if refused else found
     except StudyError as error:
@@ -218,18 +215,62 @@ def _left_out(failed: int) -> tuple[str, ...]:
     return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
 
 
+def _factors(design: Design) -> tuple[NumericFactor, ...]:
+    """Ranges of a design."""
+    ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
+    return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
+
+
+def _coded(design: Design, factors: Sequence[NumericFactor], records: Sequence[Record]) -> Array:
+    """Coded settings of some runs, shape (n, k)."""
+    columns = []
+    ranged = [factor for factor in design.factors if factor.span is not None]
+    for factor, numeric in zip(ranged, factors, strict=True):
+        known = settings_of(factor)
+        settings = [known[record.levels[factor.name]] for record in records]
+        columns.append(numeric.coded(np.array(settings, dtype=np.float64)))
+    return np.column_stack(columns)
+
+
+def _answered(
+    design: Design, response: str, records: Sequence[Record]
+) -> tuple[tuple[NumericFactor, ...], tuple[str, ...]]:
+    """Ranges of a design without the ends where no run has an answer, and sentences about these.
+
+    A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
+    """
+    factors, coded = _factors(design), _coded(design, _factors(design), records)
+    good = np.array([record.value(response) is not None for record in records], dtype=bool)
+    if good.all() or not good.any():
+        return factors, ()
+    found, ends = [], []
+    for one, every, own in zip(factors, coded.T, coded[good].T, strict=True):
+        low, high = one.low, one.high
+        # what is one share of the sample from an end is as near as runs are to each other
+        near = 2.0 / len(records)
+        if every.min() < own.min() and own.min() > near - 1.0:
+            low = one.setting(float(own.min()))
+            ends.append(_end(one.name, "below", low))
+        if every.max() > own.max() and own.max() < 1.0 - near:
+            high = one.setting(float(own.max()))
+            ends.append(_end(one.name, "above", high))
+        found.append(replace(one, low=low, high=high) if low < high else one)
+    return tuple(found), tuple(ends)
+
+
+def _end(name: str, side: str, value: float) -> str:
+    return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
+
+
 def _runs(
-    design: Design, response: str, records: Sequence[Record], half_width: float | None
+    design: Design,
+    response: str,
+    records: Sequence[Record],
+    half_width: float | None,
+    factors: tuple[NumericFactor, ...],
 ) -> Runs:
     """Coded settings and responses; a numerical half-width is two standard uncertainties."""
-    ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
-    factors = tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
-    columns = []
-    for (factor, _), numeric in zip(ranged, factors, strict=True):
-        known = settings_of(factor)
-        settings = np.array([known[record.levels[factor.name]] for record in records])
-        columns.append(numeric.coded(settings))
     values = np.array([record.value(response) for record in records], dtype=np.float64)
     blocks = tuple(str(record.block) for record in records if record.block is not None)
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
-    return Runs(response, factors, np.column_stack(columns), values, blocks, u)
+    return Runs(response, factors, _coded(design, factors, records), values, blocks, u)
