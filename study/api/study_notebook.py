@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.errors import Fault, InputError, nearest
 from study.reporting.figure.effects import shown_effect_sizes
+from study.reporting.notebook import Shown
 from study.reporting.report import facts
 from study.study_result.study_result import StudyResult
 
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
     from study.reporting.figure.style import Drawing
 
 
-@dataclass(frozen=True)
-class Study(StudyResult):
+@dataclass(frozen=True, repr=False)
+class Study(Shown, StudyResult):
     """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
 
     @classmethod
@@ -64,15 +66,10 @@ class Study(StudyResult):
             raise InputError(Fault("response", rule, nearest(name, found)))
         return shown_effect_sizes(found[name], data.labels)
 
-    def _repr_html_(self) -> str:
-        """Cases and verdicts as the last line of a cell shows them."""
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Cases and verdicts."""
         import pandas as pd
 
         shape = {"response", "factor", "verdict", "effect", "p"}
         rows = [{k: v for k, v in row.items() if k in shape} for row in self.verdicts]
-        cases = pd.DataFrame([self.cases], index=[self.design.name])
-        return (
-            cases.to_html()
-            + "\n"
-            + pd.DataFrame(rows).to_html(index=False, na_rep="", float_format=lambda x: f"{x:.4g}")
-        )
+        return pd.DataFrame([{"study": self.design.name, **self.cases}]), pd.DataFrame(rows)

@@ -219,12 +219,13 @@ def _closed_form(
 
 def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
-    each = [
-        response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
-        for prediction, direction in zip(predictions, task.scored, strict=True)
-    ]
-    if any("program" in prediction.solver for prediction in predictions):
-        return {}  # its load steps are not ours to halve
+    if External.of(task.tables) is not None:
+        each = [response.splined_uncertainty(one.curve, task.frame.units) for one in predictions]
+    else:
+        each = [
+            response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
+            for prediction, direction in zip(predictions, task.scored, strict=True)
+        ]
     return {name: float(np.mean([u[name] for u in each])) for name in each[0]}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -140,6 +141,17 @@ def test_a_study_is_shown_and_its_folders_are_texts(home: Path) -> None:
     again = study.report("small", results="out", reports="pages")
     assert again.to_frame().equals(frame)
     assert study.analyze("out/small", results="out").to_frame() is not None
+
+
+def test_a_prompt_shows_tables_and_no_arrays(home: Path) -> None:
+    """A solution printed 150 kB of its mesh."""
+    solved = study.solve("problem.toml")
+    run = study.run("small.toml", data="data", results="out", reports=None, jobs=1)
+    series = study.converge(tomllib.loads(Path("problem.toml").read_text()), results="out")
+    for one, word in ((solved, "converged"), (run, "relative_rms_force_error"), (series, "peak")):
+        assert word in repr(one)
+        assert "array(" not in repr(one)
+        assert len(repr(one).splitlines()) < 30
 
 
 def test_a_series_is_shown(home: Path) -> None:

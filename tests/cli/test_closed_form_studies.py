@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from study import run
 from tests.cli.small import study
 
 LENGTH_MM, AREA_MM2 = 20.0, 100.0
@@ -219,3 +221,29 @@ def test_where_a_range_fails_is_named_and_nothing_is_predicted_there(
     for line in answer.out.splitlines():
         if "predicted:" in line:
             assert float(line.rpartition("material.Jm = ")[2]) >= least - 1e-3
+
+
+def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A function tells forces alone: tangents failed, and the work was that of five chords."""
+    monkeypatch.chdir(tmp_path)
+    placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"\nsteps = 8')
+    placed += '[forward]\nmodel = "python"\n'
+    Path("formula.toml").write_text(DESIGN.format(specimen=placed, rest=GIVEN))
+
+    def model(problem: dict[str, Any]) -> list[float]:
+        c10 = 2 * problem["material"]["constants_MPa"]["C10"]
+        ls = [1 + d / 20.0 for d in problem["displacement_mm"]]
+        return [100.0 * 2 * (x - x**-2) * (c10 + 0.05 / x) for x in ls]
+
+    found = run("formula.toml", forward=model, version="1", jobs=1)
+    assert found.cases["done"] == 2
+    for record in found.records:
+        c10 = 2e-3 * float(record.levels["material.C10"].split()[0])
+        for name, exact in by_hand(force(1.0, c10, 0.05), 30.0).items():
+            known = record.responses[name]
+            assert known["value"] == pytest.approx(exact, rel=5e-3), name
+            assert abs(known["value"] - exact) <= known["u_steps"] + 1e-12 * exact
+    assert len(repr(found)) < 4000
+    assert "formula" in repr(found)

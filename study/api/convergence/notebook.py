@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from study.reporting.figure.convergence import draw_values, value_points
 from study.reporting.figure.style import shown
+from study.reporting.notebook import Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
     from study.reporting.figure.style import Drawing
 
 
-class SeriesDocument(dict[str, object]):
+class SeriesDocument(Shown, dict[str, object]):
     """Document of ``study converge``, a dictionary that can be shown."""
+
+    digits: ClassVar[int] = 6
 
     @property
     def _cells(self) -> Sequence[Document]:
@@ -44,8 +47,7 @@ class SeriesDocument(dict[str, object]):
         frame = self.to_frame()
         return shown(lambda: draw_values(frame), "convergence", "value against mesh size")
 
-    def _repr_html_(self) -> str:
-        """Meshes and values as the last line of a cell shows them."""
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Meshes and values."""
         names = ["cell", "mesh_size", "value", "unit", "observed_order", "extrapolated", "u_num"]
-        table = self.to_frame()[names]
-        return table.to_html(index=False, na_rep="", float_format=lambda x: f"{x:.6g}")
+        return (self.to_frame()[names],)

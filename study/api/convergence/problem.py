@@ -14,7 +14,7 @@ from study.api.convergence.page import write_page
 from study.api.convergence.result import ProblemConvergence
 from study.api.folders import RESULTS, data_root, design_root
 from study.api.opened_study import open_study
-from study.design.load import file_kind, load, load_problem
+from study.design.load import file_kind, from_tables, load, load_problem, loads_problem
 from study.errors import Fault, InputError
 from study.runner import provenance
 from study.runner.numerical import curve_quantities
@@ -35,7 +35,7 @@ Progress = Callable[[str], None]
 
 
 def converge(
-    source: str | Path | None = None,
+    source: str | Path | Tables | None = None,
     *,
     values: Sequence[float] = (),
     sizes: Sequence[float] = (),
@@ -55,9 +55,10 @@ def converge(
 
     Parameters
     ----------
-    source : str or Path, optional
-        Problem file, design (every cell is refined; cases that its study has solved are
-        reused), or results folder (its stored series are judged).
+    source : str, Path or mapping, optional
+        Problem file or its tables as :func:`study.solve` takes them, design (every cell is refined;
+        cases that its study has solved are reused), or results folder (its stored series are
+        judged).
     values, sizes : sequence of float
         Values and mesh sizes, where no source is given.
     formal_order : float, optional
@@ -99,6 +100,13 @@ def converge(
         return grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
     if len(values) or len(sizes):
         raise InputError(Fault("converge", "takes a file or numbers, not both"))
+    if isinstance(source, Mapping):
+        tables = loads_problem(from_tables(source), "problem", overrides)
+        one = problem(
+            tables, (), formal_order, tolerance, results=results, reports=reports, progress=say,
+            memory_MB=memory_MB,
+        )  # fmt: skip
+        return SeriesDocument(one.to_json())
     if not Path(source).is_file():
         return SeriesDocument(stored(source, results))
     if file_kind(source) != "design":

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from study.api.single.fit_figure import panels_of
 from study.fem.solver.solution import Solution
 from study.reporting.figure.curves.fit import draw_fit
 from study.reporting.figure.curves.single import draw_curve
 from study.reporting.figure.style import shown
+from study.reporting.notebook import Shown
 from study.runner.calibration.result import CalibrationResult
 
 if TYPE_CHECKING:
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
     from study.reporting.figure.style import Drawing
 
 
-@dataclass(frozen=True)
-class SolvedProblem(Solution):
+@dataclass(frozen=True, repr=False)
+class SolvedProblem(Shown, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
+
+    digits: ClassVar[int] = 6
 
     @classmethod
     def of(cls, found: Solution) -> SolvedProblem:
@@ -62,23 +66,22 @@ class SolvedProblem(Solution):
             raise ValueError(f"there is nothing to draw: {self.message}")
         return shown(lambda: draw_curve(self.curve), "solution", "force against displacement")
 
-    def _repr_html_(self) -> str:
-        """Curve, and how it ended, as the last line of a cell shows them."""
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """How it ended, and its curve."""
         import pandas as pd
 
         facts = pd.DataFrame(
             [[self.status, self.dofs, self.elements, self.solver, self.seconds.get("total")]],
             columns=["status", "unknowns", "elements", "solver", "seconds"],
         )
-        tables = (facts, self.to_frame()[["displacement_mm", "force_N"]])
-        return "\n".join(
-            one.to_html(index=False, float_format=lambda x: f"{x:.6g}") for one in tables
-        )
+        return facts, self.to_frame()[["displacement_mm", "force_N"]]
 
 
-@dataclass(frozen=True)
-class Calibrated(CalibrationResult):
+@dataclass(frozen=True, repr=False)
+class Calibrated(Shown, CalibrationResult):
     """What :func:`study.calibrate` returns: a :class:`CalibrationResult` that can be shown."""
+
+    digits: ClassVar[int] = 5
 
     @classmethod
     def of(cls, found: CalibrationResult) -> Calibrated:
@@ -115,6 +118,6 @@ class Calibrated(CalibrationResult):
         title = f"{self.name}: {self.model}, {self.status}"
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
-    def _repr_html_(self) -> str:
-        """Constants with their intervals, as the last line of a cell shows them."""
-        return self.to_frame().to_html(index=False, na_rep="", float_format=lambda x: f"{x:.5g}")
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Constants with their intervals."""
+        return (self.to_frame(),)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from study.analysis.result import AnalysisResult
 from study.api.statistics.table_report import Source, report_data, write_page
 from study.reporting.figure.effects import shown_effect_sizes
+from study.reporting.notebook import Shown
 from study.reporting.report import facts
 
 if TYPE_CHECKING:
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
     from study.reporting.figure.style import Drawing
 
 
-@dataclass(frozen=True)
-class Analysis(AnalysisResult):
+@dataclass(frozen=True, repr=False)
+class Analysis(Shown, AnalysisResult):
     """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
 
     @classmethod
@@ -38,12 +39,12 @@ class Analysis(AnalysisResult):
         """
         return self.anova.to_frame()
 
-    def _repr_html_(self) -> str:
-        """Table of variance and verdicts as the last line of a cell shows them."""
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Table of variance and verdicts."""
         import pandas as pd
 
         if not self.anova.rows:
-            return pd.DataFrame({"note": list(self.notes)}).to_html(index=False)
+            return (pd.DataFrame({"note": list(self.notes)}),)
         shown = self.to_frame()[["term", "df", "ss", "ms", "f", "p"]]
         sizes = pd.DataFrame(
             [
@@ -52,11 +53,7 @@ class Analysis(AnalysisResult):
                 for e in self.effects
             ]
         )  # fmt: skip
-        tables = (
-            table.to_html(index=False, na_rep="", float_format=lambda x: f"{x:.4g}")
-            for table in (shown, sizes)
-        )
-        return "\n".join(tables)
+        return shown, sizes
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters.

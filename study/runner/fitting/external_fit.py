@@ -124,4 +124,4 @@ def external_curve(
     mesh = found.mesh
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}
-    return replace(found, mesh=mesh)
+    return replace(found, curve=found.curve.with_tangents(), mesh=mesh)
