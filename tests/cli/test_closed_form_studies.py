@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import runpy
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -247,3 +248,19 @@ def test_forces_of_a_function_are_known_between_the_displacements_it_was_asked_f
             assert abs(known["value"] - exact) <= known["u_steps"] + 1e-12 * exact
     assert len(repr(found)) < 4000
     assert "formula" in repr(found)
+
+
+def test_a_strip_becomes_a_force_law(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    placed = STRETCHED.replace("{depth}", 'displacement = "30 mm"')
+    text = DESIGN.format(specimen=placed, rest=GIVEN).partition("[factors]")[0]
+    Path("strip.toml").write_text(text.replace('[study]\nname = "formula"\n', ""))
+    answer = study("export", "strip.toml", "--json")
+    assert answer.code == 0, answer.err
+    law = runpy.run_path("reports/strip_force_law.py")
+    known = force(1.0, 0.1, 0.05)
+    for d in np.linspace(0, 30, 31).tolist():
+        assert law["force"](d) == pytest.approx(known(d), abs=2e-3 * known(30.0))
+    held = study("export", "strip.toml", "--set", 'test.speed="1 mm/s"', "--set", 'test.hold="1 s"')
+    assert held.code == 2
+    assert "leave hold and cycles out" in held.err
