@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 #: levels of a factor beyond which a plan lists the ends only
 MANY = 6
+#: rows of a matrix that are looked at on a terminal; of a longer one the first stand for the rest
+ROWS = 100
+FIRST_ROWS = 20
 
 
 def _print_scheme(scheme: Scheme) -> None:
@@ -36,7 +39,11 @@ def _print_overview(told: Overview) -> None:
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
         for row in told.matrix
     ]
-    output.table(rows, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
+    more = len(told.matrix) - FIRST_ROWS if len(told.matrix) > ROWS else 0
+    shown = rows[: 1 + FIRST_ROWS] if more else rows
+    output.table(shown, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
+    if more:
+        print(f"and {more:,} more cells: --json lists all of them")
     if told.distinct < len(told.matrix):
         print("cells with the same number of a computation must agree: they are controls")
     for one, why in told.excluded:
