@@ -23,7 +23,7 @@ _THREAD_VARIABLES = (
 
 def interpreter(code: str, chosen: dict[str, str]) -> str:
     """Python that a code runs in: ``--python``, the environment, or the usual one."""
-    variable = f"BENCH_PYTHON_{code.upper()}"
+    variable = f"BENCH_PYTHON_{code.upper().replace('-', '_')}"
     return chosen.get(code) or os.environ.get(variable) or NAMES[code].python or sys.executable
 
 

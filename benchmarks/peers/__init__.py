@@ -36,5 +36,12 @@ NAMES = {
         "/usr/bin/python3",
         parallel=True,
     ),
+    "dolfinx-expert": Peer(
+        "dolfinx_expert",
+        "DOLFINx with kept factors",
+        "Debian or Ubuntu: apt-get install python3-dolfinx-real libopenblas0-pthread",
+        "/usr/bin/python3",
+        parallel=True,
+    ),
     "calculix": Peer("calculix", "CalculiX", "Debian or Ubuntu: apt-get install calculix-ccx"),
 }

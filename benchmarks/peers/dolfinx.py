@@ -163,12 +163,17 @@ class Newton:
 
 def solve(task: Task) -> Answer:
     """Step by step."""
-    newton, iterations, force = Newton(task), 0, 0.0
+    how = f"MUMPS, {COMM.size} process" + ("es" if COMM.size > 1 else "")
+    return answered(Newton(task), how)
+
+
+def answered(newton: Newton, how: str) -> Answer:
+    """Take every step, and collect what is told of it."""
+    task, iterations, force = newton.task, 0, 0.0
     for number in range(1, task.steps + 1):
         spent, force = newton.step(number)
         iterations += spent
     unknowns = newton.space.dofmap.index_map.size_global - COMM.allreduce(newton.held.size)
-    how = f"MUMPS, {COMM.size} process" + ("es" if COMM.size > 1 else "")
     return Answer(-task.scale * force, iterations, int(unknowns), how)
 
 
