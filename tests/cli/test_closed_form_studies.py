@@ -264,3 +264,17 @@ def test_a_strip_becomes_a_force_law(tmp_path: Path, monkeypatch: pytest.MonkeyP
     held = study("export", "strip.toml", "--set", 'test.speed="1 mm/s"', "--set", 'test.hold="1 s"')
     assert held.code == 2
     assert "leave hold and cycles out" in held.err
+
+
+def test_virtual_measurements_need_to_know_how_far_a_test_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = DESIGN.format(specimen=STRETCHED, rest=FITTED.format(0.0, 3.0, 30.0))
+    Path("formula.toml").write_text(text.replace("{depth}", ""))
+    refused = study("virtual", ".", "--from", "formula.toml")
+    assert refused.code == 2
+    assert 'write displacement = "10 mm"' in refused.err
+    Path("formula.toml").write_text(text.replace("{depth}", 'displacement = "30 mm"'))
+    assert study("virtual", ".", "--from", "formula.toml").code == 0
+    assert Path("strip.csv").is_file()

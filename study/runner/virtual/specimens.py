@@ -175,6 +175,7 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
             spec = config.get("measurements")
             if spec is None:
                 continue
+            _depth(config)
             name = str(spec.file or spec.files)
             if name in found:  # every treatment reads its own range from the same file
                 deepest = max(config, found[name][1], key=_depth)
@@ -193,7 +194,11 @@ def _coarseness(model: Tables) -> tuple[float, int]:
 
 
 def _depth(config: Tables) -> float:
-    return float(config["test"]["displacement_mm"])
+    depth = config["test"]["displacement_mm"]
+    if depth is None:
+        rule = "is missing: measurements that are yet to be made cannot say how far a test goes"
+        raise InputError(Fault("test.displacement", rule, 'write displacement = "10 mm"'))
+    return float(depth)
 
 
 def generate(
