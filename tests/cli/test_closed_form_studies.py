@@ -272,7 +272,7 @@ def test_virtual_measurements_need_to_know_how_far_a_test_goes(
     monkeypatch.chdir(tmp_path)
     text = DESIGN.format(specimen=STRETCHED, rest=FITTED.format(0.0, 3.0, 30.0))
     ranges = next(line for line in text.splitlines() if line.startswith("measurements.range"))
-    text = text.replace('points = "raw"\n', "").replace(ranges, "measurements.points = [20, 40]")
+    text = text.replace(ranges, 'material.model = ["mooney-rivlin", "neo-hookean"]')
     Path("formula.toml").write_text(text.replace("{depth}", ""))
     refused = study("virtual", ".", "--from", "formula.toml")
     assert refused.code == 2
