@@ -226,6 +226,19 @@ class ResponseScale:
         return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
 
 
+#: smallest error probability: quantiles of studentized ranges are integrals, which do not end
+#: far below
+SMALLEST_ALPHA = 1e-9
+
+
+def alpha_faults(alpha: float) -> list[Fault]:
+    """List what is wrong with an error probability: nothing where it is one."""
+    if SMALLEST_ALPHA <= alpha < 1:
+        return []
+    rule = f"must be between {SMALLEST_ALPHA:g} and 1, got {alpha!r}"
+    return [Fault("alpha", rule, "usual are 0.05 and 0.01")]
+
+
 @dataclass(frozen=True)
 class AnalysisRequest:
     """One question to a table; :func:`study.analysis.anova.analyze` answers it.
@@ -287,8 +300,7 @@ class AnalysisRequest:
             *self.layout.faults(),
             *self.scale.faults(),
         ]
-        if not 0 < self.alpha < 1:
-            faults.append(Fault("alpha", f"must be between 0 and 1, got {self.alpha!r}"))
+        faults += alpha_faults(self.alpha)
         if self.error == "own" and not self.layout.block:
             mend = "name the replicated unit with --block"
             rule = "'own' tests against interactions with the blocks, but no block is named"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -109,7 +110,7 @@ def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:
     if given.suffix == ".toml" and given.is_file():
         candidates = [Path(results) / load(given).name]
     for folder in candidates:
-        if (folder / "study.json").is_file():
+        if os.path.isfile(folder / "study.json"):  # of what may not be read nothing is known
             return folder
     looked = ", ".join(dict.fromkeys(map(str, candidates)))
     raise InputError(

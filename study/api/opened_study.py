@@ -51,7 +51,7 @@ def open_study(
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = store.read_manifest()
-    if manifest is None:
+    if manifest is None or not {"cases", "design", "source", "notes"} <= set(manifest):
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
     design = loads(manifest["design"], manifest["source"])
     records = tuple(store.records(manifest["cases"]))
@@ -92,7 +92,7 @@ def count_cases(known: Path | StudyResult) -> int:
     if isinstance(known, StudyResult):
         return known.total
     manifest = Store(known).read_manifest()
-    return 0 if manifest is None else len(manifest["cases"])
+    return 0 if manifest is None else len(manifest.get("cases", ()))
 
 
 def unfinished_note(store: Store, later: ManifestDocument) -> str:

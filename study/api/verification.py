@@ -206,7 +206,11 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
                 made = "missing" if not (fresh / name).is_file() else "there"
                 found.differences.append(Difference(str(name), lost, made))
                 continue
-            lines = _lines(home / name), _lines(fresh / name)
+            try:
+                lines = _lines(home / name), _lines(fresh / name)
+            except OSError as error:
+                found.differences.append(Difference(str(name), f"{error.strerror}", "there"))
+                continue
             _compare(str(name), *lines, found)
 
 

@@ -105,7 +105,7 @@ def size_faults(setup: Setup) -> Iterator[Fault]:
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
     if isinstance(setup.specimen, Enclosed):
-        return inside(setup)
+        return max(inside(setup), 1.0)
     model = setup.model
     grading = setup.grading
     if isinstance(grading, AroundContact):
@@ -325,7 +325,8 @@ def unknowns(setup: Setup, mesh: Mesh) -> int:
     # a held plane has about twice as many nodes in each direction as vertices
     held = constraints(setup, _Vertices(mesh.points), mesh).dofs.size
     held *= 2 ** (dim - 1) if quadratic else 1
-    return int(dim * nodes + (pressures if mixed else 0) - held)
+    # of a few elements more may be held, by this count, than there is
+    return max(int(dim * nodes + (pressures if mixed else 0) - held), 1)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Self
@@ -153,7 +154,11 @@ class SealedFolder:
 
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:
-            if path.stat().st_size > limit:
+            known = path.stat()
+            if not stat.S_ISREG(known.st_mode):  # reading a device or a pipe may never end
+                self._set_aside(path, f"{path}: is no file")
+                return None
+            if known.st_size > limit:
                 self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
                 return None
             return path.read_bytes()

@@ -11,6 +11,7 @@ its record (as git does, "Racy Git", Documentation/technical/racy-git.txt).
 from __future__ import annotations
 
 import os
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,9 @@ CURRENT = "record.json"
 #: so that all writing together grows no faster than the number of records
 FEWEST = 500
 SHARE = 4
+
+#: an entry takes 200 bytes, and a study has at most 100,000 cases
+MAX_INDEX_BYTES = 10**9
 
 
 @dataclass(frozen=True)
@@ -163,6 +167,9 @@ class RecordIndex:
     def _load(self) -> None:
         """Read the file; one that is missing, damaged or foreign is as none."""
         try:
+            known = os.stat(self._path)
+            if not stat.S_ISREG(known.st_mode) or known.st_size > MAX_INDEX_BYTES:
+                return
             with open(self._path, "rb") as stream:
                 written = os.fstat(stream.fileno()).st_mtime_ns
                 content = unseal(stream.read(), str(self._path))

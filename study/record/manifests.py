@@ -87,11 +87,46 @@ class ManifestFolder(SealedFolder):
 
     def _manifest(self, name: str) -> ManifestDocument | None:
         found = self.read_json(name)
-        return cast(ManifestDocument, found) if isinstance(found, dict) else None
+        if found is None:
+            return None
+        if not _is_manifest(found):
+            self._say(f"{self.path / name}.json: is no manifest of a study; it is not used")
+            return None
+        return cast(ManifestDocument, found)
 
     def _numbers(self) -> list[int]:
         names = (path.stem.partition("run-")[2] for path in (self.path / "runs").glob("run-*.json"))
         return sorted(int(name) for name in names if name.isdigit())
+
+
+#: mappings and lists of a manifest with the types of what they hold
+_MAPPINGS: Mapping[str, type | tuple[type, ...]] = {
+    "cases": str,
+    "files": str,
+    "versions": (str, type(None)),
+    "timings": (int, float),
+}
+_LISTS: Mapping[str, type] = {"blocks": str, "notes": str}
+
+
+def _is_manifest(found: object) -> bool:
+    """Whether a sealed content has the shape of a manifest; parts that are missing may be."""
+    if not isinstance(found, dict):
+        return False
+    texts = ("name", "design", "text", "source")
+    return (
+        all(isinstance(found.get(key, ""), str) for key in texts)
+        and isinstance(found.get("truths", {}), dict)
+        and all(_holds(found.get(key, {}), dict, kind) for key, kind in _MAPPINGS.items())
+        and all(_holds(found.get(key, []), list, kind) for key, kind in _LISTS.items())
+    )
+
+
+def _holds(part: object, outer: type, kind: type | tuple[type, ...]) -> bool:
+    if not isinstance(part, outer):
+        return False
+    values = part.values() if isinstance(part, dict) else cast("list[object]", part)
+    return all(isinstance(value, kind) for value in values)
 
 
 def is_same(first: ManifestDocument | None, second: ManifestDocument) -> bool:

@@ -130,7 +130,8 @@ class Record:
     def value(self, name: str) -> float | None:
         """Look up the value of a response, whatever the status; None where there is none."""
         found = self.responses.get(name)
-        return None if found is None or found["value"] is None else float(found["value"])
+        value = None if found is None else found["value"]
+        return None if value is None else float(value)
 
     @property
     def fits(self) -> tuple[FitDocument, ...]:
@@ -246,7 +247,7 @@ def _check_parts(content: Mapping[str, Mapping[str, object]], source: str) -> No
     if not all(isinstance(v, number) for v in content["timings"].values()):
         raise StoreError(f"{source}: timings must be numbers")
     for name, found in content["responses"].items():
-        if not isinstance(found, dict) or not isinstance(found.get("value"), number):
+        if not isinstance(found, dict) or not isinstance(found.get("value", ""), number):
             raise StoreError(f"{source}: response {name!r} has no number or null as its value")
 
 

@@ -166,3 +166,16 @@ def test_a_covariate_that_is_none_is_refused(column: str, rule: str) -> None:
     table.loc[2, "gap"] = np.nan
     with pytest.raises(InputError, match=rule):
         study.mixed_model(table, "y", ["a"], block="block", covariates=[column])
+
+
+@pytest.mark.parametrize("alpha", [float("nan"), 0.0, 1.0, 1e-300])
+def test_an_impossible_error_probability_is_refused(alpha: float) -> None:
+    table = pd.DataFrame({"a": ["x", "y"] * 4, "b": list("ppqqrrss"), "y": np.arange(8.0)})
+    with pytest.raises(InputError, match="alpha: must be between"):
+        study.mixed_model(table, "y", ["a"], block="b", alpha=alpha)
+
+
+def test_a_response_that_never_changes_is_refused_in_words() -> None:
+    table = pd.DataFrame({"a": ["x", "y"] * 4, "b": list("ppqqrrss"), "y": 1e9})
+    with pytest.raises(InputError, match="response: is the same in every row"):
+        study.mixed_model(table, "y", ["a"], block="b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from pathlib import Path
 from typing import Any, cast
 
@@ -152,3 +153,33 @@ def test_what_a_newer_version_wrote_is_refused_and_left_alone(tmp_path: Path, vi
         compute(tmp_path, "old", OLD)
     assert path.read_text() == text
     assert not list(tmp_path.rglob("*.corrupt-*"))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"cases": ["a"]},
+        {"design": 3},
+        {"notes": [1.5]},
+        {"versions": {"numpy": [1]}},
+        {"name": None},
+    ],
+)
+def test_a_sealed_file_of_another_shape_is_no_manifest(
+    tmp_path: Path, change: dict[str, object]
+) -> None:
+    """Its checksum is right, so that only its shape tells that no study wrote it."""
+    said: list[str] = []
+    store = Store(tmp_path, warn=said.append)
+    store.write_json("study", {"name": "a", "cases": {}, **change})
+    assert store.read_manifest() is None
+    assert "is no manifest of a study" in said[0]
+
+
+def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:
+    """A pipe has no end, and a device may have none."""
+    said: list[str] = []
+    os.mkfifo(tmp_path / "study.json")
+    store = Store(tmp_path, warn=said.append)
+    assert store.read_manifest() is None
+    assert "is no file" in said[0]

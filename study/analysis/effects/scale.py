@@ -10,6 +10,14 @@ from study.analysis.effects.estimates import TermEstimate
 from study.analysis.effects.numerical_bound import NumericalBound
 
 
+def _exp(value: float) -> float:
+    """Exponential; infinite where a double is too small for it."""
+    try:
+        return math.exp(value)
+    except OverflowError:
+        return math.inf
+
+
 @dataclass(frozen=True)
 class Scale:
     """What turns an estimate into a verdict, on the working scale.
@@ -43,7 +51,7 @@ class Scale:
     @property
     def back(self) -> Callable[[float], float]:
         """From the working scale to that of the report."""
-        return math.exp if self.transform == "log" else float
+        return _exp if self.transform == "log" else float
 
     def between(self, estimate: TermEstimate, first: int, second: int) -> float | None:
         """Bound of the difference of two levels (or combinations) of a term, by their index."""

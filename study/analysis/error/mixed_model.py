@@ -29,6 +29,7 @@ from study.analysis.linear_model.design_matrix import (
     terms_of,
 )
 from study.analysis.linear_model.sums_of_squares import Factored, factor, one_thread, term_sums
+from study.analysis.request import alpha_faults
 from study.arrays import Array
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import names_of
@@ -157,6 +158,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         For fewer than three blocks, terms that the rows cannot tell, too many rows, or a
         covariate that is no number in some row.
     """
+    if faults := alpha_faults(alpha):
+        raise InputError(faults)
     if factors:
         data = prepare(table, response, list(factors), names_of(block))
     else:  # the mean is the only fixed effect
@@ -170,8 +173,24 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     indicators = tuple(np.eye(int(code.max()) + 1)[code] for _, code in parts)
     shift = float(data.y.mean())
     likelihood = Likelihood(data.y - shift, fixed.q, indicators)
-    sd, deviance = likelihood.fit(restricted=True)
     names = [*(name for name, _ in parts), "within"]
+    try:
+        return _fitted(likelihood, fixed, names, covariates, alpha)
+    except (np.linalg.LinAlgError, ValueError) as error:  # singular, or a profile without values
+        rule = "these rows do not tell the scatter over blocks from that within them"
+        mend = "use --error own or --error pooled, or leave --random out"
+        raise InputError(Fault("mixed model", rule, mend)) from error
+
+
+def _fitted(
+    likelihood: Likelihood,
+    fixed: Factored,
+    names: Sequence[str],
+    covariates: Sequence[str],
+    alpha: float,
+) -> MixedModel:
+    """Model of the most likely components."""
+    sd, deviance = likelihood.fit(restricted=True)
     tests = tuple(
         MixedTerm(term_name(s.term), s.df, *_f_test(likelihood, sd, s.basis))
         for s in term_sums(fixed, "III")
@@ -179,7 +198,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     )
     slopes = tuple(_slope(likelihood, sd, fixed, name, alpha) for name in covariates)
     components = _components(likelihood, names, sd, alpha)
-    return MixedModel(components, tests, deviance, data.y.size, slopes)
+    return MixedModel(components, tests, deviance, likelihood.y.size, slopes)
 
 
 def _with_covariates(
@@ -239,6 +258,8 @@ def _check(data: Data, block: str, rank: int, columns: int, random: Sequence[str
     if data.y.size > MOST_ROWS:
         rule = f"{data.y.size:,} rows, at most {MOST_ROWS:,}"
         faults.append(Fault("mixed model", rule, "average repeats within a block first"))
+    if not np.ptp(data.y):
+        faults.append(Fault("response", "is the same in every row", "there is nothing to explain"))
     if rank < columns:
         rule = "the rows cannot tell all terms apart"
         faults.append(Fault("model", rule, "leave interactions out: --model 1"))

@@ -219,7 +219,7 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = store.read_manifest()
-    if manifest is None:
+    if manifest is None or not {"cases", "name"} <= set(manifest):
         raise InputError(f"{folder}: its manifest is damaged; run the design again")
     found, later = store.survey(manifest["cases"]), store.read_unfinished()
     running = store.running()

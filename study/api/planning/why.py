@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,7 +146,7 @@ def _found(case: str, folders: Sequence[Path], results: str | Path) -> tuple[Sto
     names: list[str] = []
     for folder in folders:
         store = Store(folder)
-        ids = [path.name for path in sorted((folder / "cases").glob("*")) if path.is_dir()]
+        ids = [path.name for path in sorted((folder / "cases").glob("*")) if os.path.isdir(path)]
         names += ids
         found += [(store, name) for name in ids if name.startswith(case)]
     if not found or not case:

@@ -93,7 +93,8 @@ def expected_unknowns(setup: Setup) -> float:
     field = _field(setup, found)
     per_cell = _UNKNOWNS[setup.model.element_order]
     if isinstance(setup.grading, AroundContact):
-        cubes = _cubes(found, field)
+        # a surface may turn so much of itself towards the contact that nothing is left of the sum
+        cubes = max(_cubes(found, field), 1.0)
         beside = _GROWING_BESIDE * float(cubes ** (2 / 3))
         return per_cell * (_GROWING_PER_CUBE * cubes + beside)
     plates = _bonded(setup, found)

@@ -139,7 +139,7 @@ def _content(root: Path, paths: Iterable[Path]) -> str:
     sha = hashlib.sha256()
     for path in sorted(paths):
         if path.is_file():
-            sha.update(f"{path.relative_to(root)}{os.sep}".encode())
+            sha.update(os.fsencode(f"{path.relative_to(root)}{os.sep}"))
             sha.update(hashlib.sha256(path.read_bytes()).digest())
     return sha.hexdigest()
 

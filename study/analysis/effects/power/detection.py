@@ -95,6 +95,10 @@ def planned(
     return found
 
 
+#: differences over the scatter that no number of runs has to find: beyond, powers overflow
+_LARGEST = 1e100
+
+
 def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: float) -> float:
     """Smallest largest difference that is found with the wanted power."""
     from scipy.optimize import brentq
@@ -107,6 +111,8 @@ def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: flo
     high = 1.0
     while gap(high) < 0:
         high *= 2
+        if high > _LARGEST:
+            return math.inf
     found: float = brentq(gap, 0.0, high)
     return found * sd
 

@@ -23,6 +23,8 @@ CELL = "cell-"
 
 def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
     """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
+    if data.table.empty:  # nothing is computed yet, or what was is lost
+        return []
     groups = [
         (tuple(str(level) for level in levels), _in_order(group, data.blocks))
         for levels, group in data.table.groupby(list(data.factors), sort=False)
