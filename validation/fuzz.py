@@ -53,7 +53,7 @@ CODES = {0, 1, 2, 3}
 #: examples of one process, so that what many leave behind is not memory of the next
 TOGETHER = 400
 #: bytes that a process may map: who asks for more fails here, not the machine
-MAPPED = 12 * 1024**3
+MAPPED = 6 * 1024**3
 #: of capset: its version, and the rights of root to read and write what nobody may
 CAPABILITIES, OVERRIDE = 0x20080522, 0b110
 #: a bug that was caught and printed is one all the same
