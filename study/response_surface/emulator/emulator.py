@@ -130,7 +130,7 @@ class Emulator:
 
         What the other kernel predicts counts as well. In a corner of the box, where extremes lie
         and no run is near, deviations of one kernel covered 25 to 88 % of the largest and smallest
-        values of six functions; with this they cover 75 to 100 %.
+        values of five functions; with this they cover 75 to 100 %.
         """
         x = self.points(0.5 * (coded + 1.0))
         own = self.process.mean(x)
