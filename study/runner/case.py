@@ -226,7 +226,9 @@ def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[
             response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
             for prediction, direction in zip(predictions, task.scored, strict=True)
         ]
-    return {name: float(np.mean([u[name] for u in each])) for name in each[0]}
+    # of one direction fewer points may have been measured, too few to leave half of them out
+    known = [name for name in each[0] if all(name in u for u in each)]
+    return {name: float(np.mean([u[name] for u in each])) for name in known}
 
 
 def _solver(predictions: Sequence[Predicted]) -> SolverDocument:
