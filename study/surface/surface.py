@@ -19,7 +19,7 @@ from study.arrays import Array, Ints
 from study.errors import Fault, InputError, UnitError
 from study.setup.geometry import Brain, Enclosed, Specimen, Surface
 from study.surface.brain import brain_surface
-from study.surface.integrity import inspect, volume
+from study.surface.integrity import area, inspect, volume
 from study.units import parse
 
 SUFFIXES = (".stl", ".ply", ".obj")
@@ -95,6 +95,11 @@ class Body:
     def volume_mm3(self) -> float:
         """Volume enclosed."""
         return volume(self.points, self.triangles)
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of all triangles."""
+        return area(self.points, self.triangles)
 
     @property
     def half_width_mm(self) -> float:
@@ -193,8 +198,15 @@ def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, 
     """Stand a surface on z = 0, its loading axis at x = y = 0."""
     low, high = turned.min(axis=0), turned.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    beside = []
     for k, given in enumerate((surface.press_x_mm, surface.press_y_mm)):
         origin[k] = origin[k] if given is None else given
+        if not low[k] <= origin[k] <= high[k]:
+            rule = f"{given:g} mm is beside the specimen, which reaches from {low[k]:.8g} to "
+            mend = "it counts in the coordinates of the file, once axis points up"
+            beside.append(Fault(f"specimen.press_{'xy'[k]}", f"{rule}{high[k]:.8g} mm", mend))
+    if beside:
+        raise InputError(beside)
     height = float(high[2] - low[2])
     tolerance = surface.plate_tolerance_mm
     within = PLATE_TOLERANCE * height if tolerance is None else tolerance

@@ -55,4 +55,12 @@ def test_the_height_on_an_axis_is_that_of_an_ellipsoid() -> None:
     # upper half: 0.65 of the height above the waist at 7 mm; at (3, 0) of a 10 mm half axis
     found = body(replace(ball, press_x_mm=3.0, press_y_mm=0.0)).axis_height_mm
     assert found == pytest.approx(7 + 13 * np.sqrt(1 - 0.09), abs=0.02)
-    assert body(replace(ball, press_x_mm=30.0)).axis_height_mm == 0.0
+    # a corner of the bounding box
+    assert body(replace(ball, press_x_mm=9.5, press_y_mm=9.5)).axis_height_mm == 0.0
+
+
+def test_a_place_beside_the_body_is_refused_with_the_range() -> None:
+    said = r"(?s)press_x: 41 mm .*from -40 to 40 mm.*press_y: -30.5 mm .*from -30 to 30 mm"
+    with pytest.raises(InputError, match=said):
+        body(replace(BRAIN, press_x_mm=41.0, press_y_mm=-30.5))
+    assert body(replace(BRAIN, press_x_mm=-40.0)).half_width_mm == 0.0  # on its edge

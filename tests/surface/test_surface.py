@@ -12,7 +12,7 @@ from study.errors import InputError
 from study.fem.contact.collocation import touch_mm
 from study.fem.contact.constraints import pins, rigid_motions
 from study.setup.geometry import Cone, Sphere, Surface
-from study.surface.integrity import first_intersection
+from study.surface.integrity import first_intersection, volume
 from study.surface.surface import body
 from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
 
@@ -76,6 +76,36 @@ def test_unit_and_place_do_not_matter(tmp_path: Path) -> None:
     pressed = body(Surface(file, unit="in", press_x_mm=3 * 25.4 + 1, press_y_mm=-2 * 25.4))
     assert pressed.half_width_mm == pytest.approx(4)  # 4 to the right, 4 to the back
     assert pressed.points[:, 0].min() == pytest.approx(-6)
+
+
+@pytest.mark.parametrize("far", [1e3, 1e7, -1e9])
+def test_a_sound_body_far_from_the_origin_of_its_file_faces_outward(
+    tmp_path: Path, far: float
+) -> None:
+    points, triangles = box(10, 8, 6)
+    place = np.array([far, -far, 0.5 * far])
+    found = body(Surface(write(tmp_path / "far.obj", (points + place, triangles))))
+    assert found.notes == ()
+    assert found.volume_mm3 == pytest.approx(480, rel=1e-6)  # coordinates hold 16 digits
+    assert volume(points + place, triangles[:, ::-1]) == pytest.approx(-480, rel=1e-6)
+    assert found.area_mm2 == pytest.approx(2 * (80 + 60 + 48), rel=1e-6)
+
+
+def test_a_place_beside_a_surface_is_refused_with_the_range(tmp_path: Path) -> None:
+    points, triangles = box(10, 8, 6)
+    file = write(tmp_path / "box.obj", (points + [100, 20, 0], triangles))
+    with pytest.raises(InputError) as caught:
+        body(Surface(file, press_x_mm=1e9, press_y_mm=15.0))
+    said = str(caught.value)
+    assert "press_x: 1e+09 mm is beside the specimen, which reaches from 95 to 105 mm" in said
+    assert "press_y: 15 mm is beside the specimen, which reaches from 16 to 24 mm" in said
+    # turned, x of the specimen is y of the file, and y is z
+    with pytest.raises(InputError, match="press_x: 100 mm .* from 16 to 24 mm"):
+        body(Surface(file, axis="x", press_x_mm=100.0, press_y_mm=3.0))
+    assert body(Surface(file, axis="x", press_x_mm=20.0, press_y_mm=3.0)).notes == ()
+    # upside down y changes its sign
+    with pytest.raises(InputError, match="press_y: 20 mm .* from -24 to -16 mm"):
+        body(Surface(file, axis="-z", press_y_mm=20.0))
 
 
 def test_an_implausible_size_is_said(tmp_path: Path) -> None:
