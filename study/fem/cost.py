@@ -1,32 +1,30 @@
 """Unknowns and memory of a problem from its sizes alone, before anything is meshed.
 
 A mesh size with a wrong unit would fill the machine while it is meshed. Here the density of
-elements is integrated, so that a mesh of any number of cells is judged in milliseconds.
+elements is integrated, so that a mesh of any number of cells is judged in milliseconds. Only a
+mesh that is made at once is made to count its unknowns.
 """
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.arrays import Array
 from study.errors import Fault
 from study.fem.contact.constraints import constraints
-from study.fem.mesh.graded import UNDER_CONE, sizes_of
+from study.fem.expected_cells import expected_cells
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.mesher import build_mesh, mesh_size
-from study.fem.mesh.rings import BULGE, CORE, around, has_room, inward
-from study.fem.mesh.size_field import SizeField
 from study.fem.mesh.solid import expected_unknowns as inside
-from study.fem.mesh.structured import CORNER_FRACTION, GROWTH, equivalent_radius
-from study.setup.geometry import Block, Enclosed, Indenter, Specimen
+from study.setup.geometry import Enclosed, Specimen
 from study.setup.load_steps import StepSettings
-from study.setup.setup import Setup
-from study.setup.test_kind import AroundContact, IndenterContact, TowardsPlates
+from study.setup.setup import Model, Setup
+from study.setup.test_kind import AroundContact, IndenterContact, Test
 from study.surface.surface import height_of
 
 #: part of the machine's memory that one solution may take
@@ -34,10 +32,6 @@ _SHARE = 0.8
 
 #: memory of a process before it has a mesh: numba, gmsh, scikit-fem, MKL
 _LIBRARIES_MB = 190.0
-
-#: cells of gmsh in a square or a cube of one size
-_PER_SQUARE = 2.4
-_PER_CUBE = 5.3
 
 #: unknowns per cell of a large mesh: (shape, order) by dimension; the second without pressures
 _UNKNOWNS = {
@@ -47,8 +41,8 @@ _UNKNOWNS = {
     (3, "tensor", "quadratic"): (28.0, 24.0), (3, "tensor", "linear"): (4.0, 3.0),
 }  # fmt: skip
 
-#: places at which sizes are looked at, on each side of a feature
-_SAMPLES = 80
+#: largest mesh size that is tried, over the one that does not fit
+_LARGEST = 1e12
 
 
 def memory_MB(unknowns: float, *, solid: bool) -> float:  # noqa: N802
@@ -90,12 +84,17 @@ def size_faults(setup: Setup) -> Iterator[Fault]:
     if not rule:
         return
     size = mesh_size(setup)
-    low, high = size, height_of(setup.specimen)
+
+    def fits(middle: float) -> bool:
+        sized = replace(setup, model=replace(setup.model, mesh_size_mm=middle))
+        return not too_large(expected_unknowns(sized), there, solid=solid)
+
+    low, high = size, max(size, height_of(setup.specimen))
+    while not fits(high) and high < _LARGEST * size:  # of a thin specimen larger than its height
+        high *= 2
     while high / low > 1.02:
         middle = (low * high) ** 0.5
-        finer = replace(setup, model=replace(setup.model, mesh_size_mm=middle))
-        fits = not too_large(expected_unknowns(finer), there, solid=solid)
-        low, high = (low, middle) if fits else (middle, high)
+        low, high = (low, middle) if fits(middle) else (middle, high)
     mend = f'write mesh_size = "{1.05 * high:.2g} mm" or more'
     if isinstance(setup.specimen, Enclosed):
         mend += ", or check specimen.unit"
@@ -105,129 +104,11 @@ def size_faults(setup: Setup) -> Iterator[Fault]:
 def expected_unknowns(setup: Setup) -> float:
     """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
     if isinstance(setup.specimen, Enclosed):
-        return max(inside(setup), 1.0)
-    model = setup.model
-    grading = setup.grading
-    if isinstance(grading, AroundContact):
-        cells = _under_indenter(setup, grading.indenter)
-    else:
-        cells = _between_plates(setup, grading)
+        return inside(setup)
+    model, cells = setup.model, expected_cells(setup)
     dim = 2 if model.space == "axisymmetric" else 3
     pair = _UNKNOWNS[(dim, model.element_shape, model.element_order)]
     return cells * pair[0 if model.formulation == "mixed" else 1]
-
-
-def _between_plates(setup: Setup, grading: TowardsPlates) -> float:
-    """Cells of a structured mesh: see :func:`study.fem.mesh.mesher.compressed_mesh`."""
-    specimen, h, bonded = setup.specimen, mesh_size(setup), (grading.top, grading.base)
-    half = height_of(specimen) / 2
-    high = sum(_line(half, h, graded=plate) for plate in bonded)
-    if setup.has_middle_plane:
-        high /= 2  # the half above the middle plane
-    simplex, rim = setup.model.element_shape == "simplex", any(bonded)
-    radius = equivalent_radius(specimen)
-    if setup.model.space == "axisymmetric":
-        return high * _line(radius, h, graded=rim) * (2 if simplex else 1)
-    if isinstance(specimen, Block):
-        plane = _line(specimen.width_mm / 2, h, graded=rim)
-        plane *= _line(specimen.depth_mm / 2, h, graded=rim) * (4 if setup.is_whole else 1)
-        return high * plane * (6 if simplex else 1)
-    if not simplex:
-        return high * _disc(_line(radius / 2, h, graded=False), _line(radius, h, graded=rim))
-    # ring k of triangles carries segments of the size h, see quarter_disc
-    inner = np.pi * radius**2 / (2 * h**2)
-    extra = _line(radius, h, graded=rim) - radius / h
-    return high * 3 * (inner + np.pi * radius / h * extra)
-
-
-def _line(length: float, h: float, *, graded: bool) -> float:
-    """Count the steps of :func:`study.fem.mesh.structured.graded_line`."""
-    if not graded:
-        return max(1.0, length / h)
-    coarse = min((1 - CORNER_FRACTION) * h / GROWTH, length)
-    return float(np.log1p(GROWTH * coarse / (CORNER_FRACTION * h)) / GROWTH + (length - coarse) / h)
-
-
-def _disc(inner: float, line: float) -> float:
-    """Quadrilaterals of a quarter disc: a square of half the radius, two blocks around it."""
-    return inner**2 + 2 * inner * max(line - inner, 1.0)
-
-
-def _under_indenter(setup: Setup, indenter: Indenter) -> float:
-    """Cells of a graded mesh: see :func:`study.fem.mesh.graded.indentation_mesh`."""
-    specimen, field = setup.specimen, sizes_of(setup)
-    radius, flat = equivalent_radius(specimen), setup.model.space == "axisymmetric"
-    if setup.model.element_shape == "tensor":
-        return _grid(setup, indenter, field, radius)
-    rho = _places(radius, field.ring_mm, field)
-    z = height_of(specimen) - _places(height_of(specimen), 0.0, field)
-    h = field.at(*(a.ravel() for a in np.meshgrid(rho, z))).reshape(z.size, rho.size)
-    density = np.asarray(1 / h**2 if flat else np.pi / 2 * rho / h**3)
-    total = abs(float(np.trapezoid(np.trapezoid(density, rho, axis=1), z)))
-    return (_PER_SQUARE if flat else _PER_CUBE) * total
-
-
-def _grid(setup: Setup, indenter: Indenter, field: SizeField, radius: float) -> float:
-    """Quadrilaterals or hexahedra between lines."""
-    specimen = setup.specimen
-    wide, tall = UNDER_CONE[setup.model.element_order] if indenter.is_pointed else (1, 1)
-    top = np.array([field.top_mm])
-
-    def along_top(length: float) -> float:
-        return _steps(length, field.ring_mm, field, lambda rho: wide * field.at(rho, top))
-
-    def along_axis(depth: Array) -> Array:
-        return tall * field.at(np.full(depth.shape, field.ring_mm), field.top_mm - depth)
-
-    high = _steps(height_of(specimen), 0.0, field, along_axis)
-    solid = setup.model.space == "3d"
-    if solid and indenter.has_face and has_room(specimen, field.ring_mm):
-        return high * _rings(specimen, field)
-    if setup.model.space == "axisymmetric":
-        return high * along_top(radius)
-    if isinstance(specimen, Block):
-        return high * along_top(specimen.width_mm / 2) * along_top(specimen.depth_mm / 2)
-    return high * _disc(along_top(radius / 2), along_top(radius))
-
-
-def _rings(specimen: Specimen, field: SizeField) -> float:
-    """Quadrilaterals of :func:`study.fem.mesh.rings.punched` over a cross-section."""
-    n, ring = around(field), field.ring_mm
-    half = equivalent_radius(specimen)
-    if isinstance(specimen, Block):  # the mean of where rays meet a square
-        half = 0.56 * min(specimen.width_mm, specimen.depth_mm)
-    core = 0.5 * (1 + BULGE) * CORE * ring
-
-    def steps(own: SizeField, start: float, end: float) -> float:
-        places = np.unique(np.clip(_places(end, ring, own), start, end))
-        return float(np.trapezoid(1 / own.at(places, own.top_mm), places))
-
-    around_it = steps(inward(field), core, ring) + steps(field, ring, max(half, ring))
-    beyond = 0.0
-    if isinstance(specimen, Block):
-        ends = sorted((specimen.width_mm / 2, specimen.depth_mm / 2))
-        beyond = steps(field, *ends)
-    return n**2 + 2 * n * around_it + n * beyond
-
-
-def _steps(length: float, at: float, field: SizeField, size: Callable[[Array], Array]) -> float:
-    """Count the steps of a line whose spacing follows ``size``."""
-    places = _places(length, at, field)
-    return max(2.0, float(np.trapezoid(1 / size(places), places)))
-
-
-def _places(length: float, at: float, field: SizeField) -> Array:
-    """Places from 0 to ``length``, closer around ``at``."""
-    away = np.geomspace(0.1 * min(field.finest_mm, length), length, _SAMPLES)
-    kept = [at + away, at - away, np.array([0.0, at, length])]
-    kept += [edge + away * sign for edge in _edges(field, at) for sign in (1, -1)]
-    every = np.unique(np.concatenate(kept))
-    return np.asarray(every[(every >= 0) & (every <= length)])
-
-
-def _edges(field: SizeField, at: float) -> tuple[float, ...]:
-    """Distances where a zone of one size ends."""
-    return (at + field.feature_mm, field.contact_mm)
 
 
 #: Newton iterations of a load step, and of one of the many small ones of what sticks
@@ -243,8 +124,15 @@ _LINEAR = 0.5
 #: tip and the cone of designs/brain-phantom.toml)
 _ENCLOSED = 2.6
 
-#: larger meshes are not made to count their unknowns
-_COUNTED = 1e6
+#: seconds in which a mesh must be made and counted by a plan that looks at many
+_PATIENCE_S = 0.5
+
+#: seconds of that by who makes it: for any mesh, and for each unknown
+_BY_LINES = (2e-3, 1e-6)
+_BY_GMSH = {"axisymmetric": (5e-3, 4e-6), "3d": (4e-2, 2.5e-5)}
+
+#: counts that are kept
+_COUNTS = 256
 
 #: edges and faces of a cell by its number of corners, as pairs and fours of its corners
 _EDGES = {
@@ -269,26 +157,56 @@ class Estimate:
         Wall time on one thread, kernels compiled.
     memory_MB : float
         Peak memory of the factorization and the element arrays.
+    counting_s : float
+        What counting the unknowns on their mesh was expected to take; 0 where it was not made.
     """
 
     dofs: int
     seconds: float
     memory_MB: float
+    counting_s: float = 0.0
 
 
-def estimate(setup: Setup) -> Estimate:
+def estimate(setup: Setup, *, patience_s: float = _PATIENCE_S) -> Estimate:
     """Predict the cost of a problem from its unknowns and the measured cost of an iteration.
 
     The seconds are those of one of two workers that are both busy.
+
+    Parameters
+    ----------
+    setup : Setup
+        What is solved.
+    patience_s : float
+        In which a mesh must be made to count its unknowns; else they are those expected.
     """
     dofs = expected_unknowns(setup)
-    # tetrahedra around an indenter take seconds to make, and are known well enough without
-    known = isinstance(setup.specimen, Enclosed) and isinstance(setup.grading, AroundContact)
-    if dofs < _COUNTED and not known:
-        dofs = unknowns(setup, build_mesh(setup))
+    counting_s = _counting_seconds(setup, dofs)
+    if counting_s <= min(patience_s, _PATIENCE_S):
+        test, model = replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
+        dofs = _count(setup.specimen, test, model)
+    else:
+        counting_s = 0.0
     seconds = _load_steps(setup, height_of(setup.specimen)) * _iteration(setup, dofs)
     memory = memory_MB(dofs, solid=setup.model.space == "3d")
-    return Estimate(int(dofs), float(seconds), memory)
+    return Estimate(int(dofs), float(seconds), memory, counting_s)
+
+
+def _counting_seconds(setup: Setup, dofs: float) -> float:
+    """Seconds that it takes to make a mesh and count its unknowns, whatever the machine does.
+
+    That of a surface takes as long as its file asks for, and is known well enough without.
+    """
+    if isinstance(setup.specimen, Enclosed):
+        return float("inf")
+    by_gmsh = isinstance(setup.grading, AroundContact) and setup.model.element_shape == "simplex"
+    any_mesh, each = _BY_GMSH[setup.model.space] if by_gmsh else _BY_LINES
+    return any_mesh + each * dofs
+
+
+@functools.lru_cache(maxsize=_COUNTS)
+def _count(specimen: Specimen, test: Test, model: Model) -> int:
+    setup = Setup(specimen, test, model)
+    return unknowns(setup, build_mesh(setup))
 
 
 def _iteration(setup: Setup, dofs: float) -> float:

@@ -17,6 +17,9 @@ from study.setup.setup import known_height_mm, problem_of
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
 
+#: seconds in which meshes are made to count their unknowns, for one table of costs
+_PATIENCE_S = 2.0
+
 #: forward solutions of a fit in units of a cold one; the later ones start from the one before
 _SOLVES_LINEAR = 1.5
 _SOLVES_FIRST = 2.0
@@ -32,10 +35,13 @@ _FROM_ANCHOR_INDENTED = 0.6
 class Costs:
     """Cost of computations; each distinct forward problem is estimated once.
 
-    The first case of a cell that is asked for bears the cost of the cell's cold solution.
+    The first case of a cell that is asked for bears the cost of the cell's cold solution. Meshes
+    are made to count their unknowns while that takes a moment in all, in the order asked for; by
+    no clock, so that what is refined is the same on every machine.
     """
 
     def __init__(self) -> None:
+        self._patience_s = _PATIENCE_S
         self._known: dict[str, tuple[float, float]] = {}
         self._anchored: set[str] = set()
 
@@ -102,7 +108,8 @@ class Costs:
     def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:
         key = same_model(config)
         if key not in self._known:
-            self._known[key] = _estimated(config, depth_mm)
+            seconds, memory, spent = _estimated(config, depth_mm, self._patience_s)
+            self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
         return self._known[key]
 
 
@@ -145,7 +152,10 @@ def same_model(config: Tables) -> str:
     return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
 
 
-def _estimated(config: Tables, depth_mm: float | None) -> tuple[float, float]:
+def _estimated(
+    config: Tables, depth_mm: float | None, patience_s: float
+) -> tuple[float, float, float]:
+    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
     from study.fem.cost import estimate
 
     section = {**config["material"], "constants": None, "model": "neo-hookean"}
@@ -154,10 +164,10 @@ def _estimated(config: Tables, depth_mm: float | None) -> tuple[float, float]:
         depth_mm = depth_mm or 0.2 * height
     try:
         problem = problem_of({**config, "material": section}, {"C10": 0.005}, depth_mm)
-        found = estimate(problem.setup)
-        return float(found.seconds), float(found.memory_MB)
+        found = estimate(problem.setup, patience_s=patience_s)
+        return float(found.seconds), float(found.memory_MB), found.counting_s
     except (InputError, ValueError, RuntimeError):
-        return 1.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
+        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
 
 
 #: share of the work after which what was done is believed more than a prediction

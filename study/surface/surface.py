@@ -203,7 +203,7 @@ def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, 
         origin[k] = origin[k] if given is None else given
         if not low[k] <= origin[k] <= high[k]:
             rule = f"{given:g} mm is beside the specimen, which reaches from {low[k]:.8g} to "
-            mend = "it counts in the coordinates of the file, once axis points up"
+            mend = "choose press_x and press_y inside its outline"
             beside.append(Fault(f"specimen.press_{'xy'[k]}", f"{rule}{high[k]:.8g} mm", mend))
     if beside:
         raise InputError(beside)

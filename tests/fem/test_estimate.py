@@ -6,19 +6,25 @@ import resource
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from study.errors import InputError
 from study.fem import cost
 from study.fem.checks import check
 from study.fem.cost import estimate, expected_unknowns, memory_MB, unknowns
+from study.fem.mesh import solid
 from study.fem.mesh.mesher import build_mesh
+from study.fem.mesh.size_field import SizeField
 from study.fem.solver.system import System
-from study.setup.geometry import Block, Brain, Cone, Cylinder, Flat, Gravity, Sphere
-from study.setup.setup import Model, Problem
+from study.setup.geometry import Block, Brain, Cone, Cylinder, Flat, Gravity, Sphere, Surface
+from study.setup.setup import Model, Problem, Setup
 from study.setup.test_kind import Test
+from study.surface.surface import body
 from tests.fem.problems import GEL
+from tests.fem.surfaces import Shape, box, sphere, write
 
 COMPRESSED = (Cylinder(25, 30), Test("compression", 3, "bonded", "bonded", 5))
 INDENTED = (Block(60, 60, 40), Test("indentation", 2, "frictionless", "bonded", 5, Cone(30, 1, 3)))
@@ -105,6 +111,99 @@ def test_a_mesh_that_does_not_fit_is_refused_before_it_is_made(
     check(replace(problem, model=replace(problem.model, mesh_size_mm=offered)))
     # a plan asks for the cost of what it does not check
     assert estimate(tiny.setup).memory_MB > 16e3
+
+
+def surface(folder: Path, shape: Shape, **given: float) -> Surface:
+    return Surface(write(folder / "body.obj", shape), **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("bonded", [False, True])
+def test_a_plate_thinner_than_its_elements_has_those_of_its_faces(tmp_path, bonded):
+    thin = surface(tmp_path, box(60, 60, 0.3))
+    face = "bonded" if bonded else "frictionless"
+    test = Test("compression", 0.03, face, face, 1)
+    setup = Problem(thin, test, GEL, Model("3d", mesh_size_mm=4.0)).setup
+    # its volume is 17 elements of this size
+    assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_a_thin_disc_under_an_indenter_has_the_elements_of_its_faces(space):
+    test = Test("indentation", 0.01, "frictionless", "bonded", 1, Sphere(2))
+    setup = Problem(Cylinder(60, 0.1), test, GEL, Model(space, mesh_size_mm=3.0)).setup
+    assert 1 / 3 < expected_unknowns(setup) / unknowns(setup, build_mesh(setup)) < 3
+
+
+def test_a_hopeless_thin_plate_is_refused_with_a_size_above_its_height(tmp_path, monkeypatch):
+    monkeypatch.setattr(cost, "machine_MB", lambda: 16e3)
+    # two faces of 25e6 mm^2 carry 2 * 25e6 / 9 squares of 3 mm, four tetrahedra each: 20 million
+    plate = surface(tmp_path, box(5000, 5000, 1e-3))
+    test = Test("compression", 1e-4, "frictionless", "frictionless", 1)
+    problem = Problem(plate, test, GEL, Model("3d", mesh_size_mm=3.0))
+    assert expected_unknowns(problem.setup) == pytest.approx(5 * 4 * 2 * 25e6 / 9, rel=0.01)
+    with pytest.raises(InputError, match="3 mm gives about 1.1e\\+08 unknowns") as refused:
+        check(problem)
+    offered = float(str(refused.value).split('mesh_size = "')[1].split(" mm")[0])
+    check(replace(problem, model=replace(problem.model, mesh_size_mm=offered)))
+
+
+def test_the_elements_of_many_triangles_are_those_of_their_volume(tmp_path):
+    # one size everywhere: by Gauss' theorem the sum is the volume over its cube
+    ball = body(surface(tmp_path, sphere(5, 6)))
+    assert len(ball.triangles) == 32768
+    cubes = solid._cubes(ball, SizeField.uniform(0.5))
+    assert cubes == pytest.approx(ball.volume_mm3 / 0.125, rel=2e-3)
+
+
+def test_an_axis_that_misses_a_body_leaves_elements_no_larger_than_the_largest(tmp_path):
+    length = 6588.0
+    corners = length * np.vstack([np.zeros(3), np.eye(3)])
+    ends = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    beside = {"press_x_mm": 0.4836 * length, "press_y_mm": 0.5218 * length}  # of the slope
+    tip = surface(tmp_path, (corners, ends), clamp_below_mm=1.0, **beside)
+    test = Test("indentation", 10, "frictionless", "bonded", 1, Sphere(2))
+    setup = Problem(tip, test, GEL, Model("3d")).setup
+    largest = solid._field(setup, body(tip)).largest_mm
+    least = length**3 / 6 / largest**3
+    assert expected_unknowns(setup) >= 5 * (3.4 * least + 10.9 * least ** (2 / 3)) * 0.99
+
+
+def made(monkeypatch) -> list[Setup]:
+    """Setups whose meshes are made from now on."""
+    meshed = []
+    monkeypatch.setattr(cost, "build_mesh", lambda setup: meshed.append(setup) or build_mesh(setup))
+    cost._count.cache_clear()
+    return meshed
+
+
+def test_large_meshes_and_those_of_surfaces_are_not_made_to_be_counted(tmp_path, monkeypatch):
+    meshed = made(monkeypatch)
+    lump = surface(tmp_path, box(24, 24, 34))
+    test = Test("compression", 3, "bonded", "bonded", 5)
+    problems = [
+        Problem(lump, test, GEL, Model("3d", mesh_size_mm=3.0)),
+        Problem(*INDENTED, GEL, Model("axisymmetric", mesh_size_mm=0.02)),
+        Problem(*INDENTED, GEL, Model("3d", mesh_size_mm=0.2)),
+        Problem(*COMPRESSED, GEL, Model("3d", mesh_size_mm=0.5)),
+    ]
+    for problem in problems:
+        assert estimate(problem.setup).dofs == int(expected_unknowns(problem.setup))
+        assert estimate(problem.setup).counting_s == 0
+    assert not meshed
+    # 76844 unknowns of gmsh 4.13
+    assert estimate(problems[0].setup).dofs == pytest.approx(76844, rel=0.2)
+
+
+def test_a_mesh_is_counted_once_and_only_with_patience(monkeypatch):
+    meshed = made(monkeypatch)
+    setup = Problem(*INDENTED, GEL, Model("axisymmetric", mesh_size_mm=0.3)).setup
+    assert estimate(setup, patience_s=1e-3).dofs == int(expected_unknowns(setup))
+    assert not meshed
+    first, second = estimate(setup), estimate(setup)
+    assert first == second
+    assert first.dofs == unknowns(setup, build_mesh(setup))
+    assert first.counting_s > 1e-3
+    assert len(meshed) == 1
 
 
 def test_no_ordinary_mesh_is_refused(monkeypatch):

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from study.arrays import Array
+from study.arrays import Array, Ints
 from study.compilation import callback, carray, part
 from study.fem.mesh.size_field import CFunction
 from study.fem.mesh.structured import CORNER_FRACTION, GROWTH
+from study.surface.integrity import area
 from study.surface.surface import Body
 
 #: steps of the table in an element, and the most of them along an edge of the bounding box
@@ -128,10 +129,15 @@ def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> fl
     height = found.height_mm
     z = np.unique(np.concatenate([np.abs(p - _away(height)) for p in (0.0, height)]))
     high = float(np.trapezoid(1 / _spacing(_from_plates(z, plates), size_mm), z))
-    reach = 2 * found.volume_mm3 / _side_area(found)
+    reach = 2 * found.volume_mm3 / area(found.points, _side(found))
     s = _away(reach)
     wide = float(np.trapezoid(2 / reach * (1 - s / reach) / _spacing(s, size_mm), s))
     return found.volume_mm3 / height * wide * high / size_mm / _told(found, size_mm) ** 3
+
+
+def size_at_plates(found: Body, size_mm: float) -> float:
+    """Size that gmsh is told at a bonded plate, far from its rim."""
+    return float(_told(found, size_mm) * size_mm * np.cbrt(CORNER_FRACTION))
 
 
 def _told(found: Body, size_mm: float) -> float:
@@ -154,22 +160,16 @@ def _from_plates(z: Array, plates: tuple[float, ...]) -> Array:
     return np.asarray(np.min([np.abs(z - plate) for plate in plates], axis=0))
 
 
-def _side(found: Body) -> Array:
-    """Corners of the triangles that lie in no plate, shape (m, 3, 3)."""
-    return found.points[found.triangles[~(found.top | found.base)]]
-
-
-def _side_area(found: Body) -> float:
-    corners = _side(found)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(normals, axis=1).sum() / 2)
+def _side(found: Body) -> Ints:
+    """Triangles that lie in no plate, shape (m, 3)."""
+    return np.asarray(found.triangles[~(found.top | found.base)])
 
 
 def _from_sides(found: Body, places: Array, step: float, reach: float) -> Array:
     """Distance from the free surface, up to about half a step; infinite beyond ``reach``."""
     from scipy.spatial import cKDTree
 
-    points = _sampled(_side(found), step)
+    points = _sampled(found.points[_side(found)], step)
     _, kept = np.unique(np.round(points / (0.5 * step)).astype(int), axis=0, return_index=True)
     nearest = cKDTree(points[kept]).query  # of a tree of points: no text is evaluated by it
     return np.asarray(nearest(places, distance_upper_bound=reach)[0])
