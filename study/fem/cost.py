@@ -21,7 +21,8 @@ from study.fem.expected_cells import expected_cells
 from study.fem.mesh.mesh import Mesh
 from study.fem.mesh.mesher import build_mesh, mesh_size
 from study.fem.mesh.solid import expected_unknowns as inside
-from study.setup.geometry import Enclosed, Specimen
+from study.fem.mesh.structured import equivalent_radius
+from study.setup.geometry import Block, Cylinder, Enclosed, Homogeneous, Specimen
 from study.setup.load_steps import StepSettings
 from study.setup.setup import Model, Setup
 from study.setup.test_kind import AroundContact, IndenterContact, Test
@@ -131,6 +132,9 @@ _PATIENCE_S = 0.5
 _BY_LINES = (2e-3, 1e-6)
 _BY_GMSH = {"axisymmetric": (5e-3, 4e-6), "3d": (4e-2, 2.5e-5)}
 
+#: slenderness from which gmsh takes longer for each of them: 18 us at 2000, in a plane
+_SLENDER = 50.0
+
 #: counts that are kept
 _COUNTS = 256
 
@@ -196,11 +200,21 @@ def _counting_seconds(setup: Setup, dofs: float) -> float:
 
     That of a surface takes as long as its file asks for, and is known well enough without.
     """
-    if isinstance(setup.specimen, Enclosed):
+    specimen = setup.specimen
+    if isinstance(specimen, Enclosed):
         return float("inf")
     by_gmsh = isinstance(setup.grading, AroundContact) and setup.model.element_shape == "simplex"
-    any_mesh, each = _BY_GMSH[setup.model.space] if by_gmsh else _BY_LINES
+    any_mesh, each = _BY_LINES
+    if by_gmsh:
+        any_mesh, each = _BY_GMSH[setup.model.space]
+        each *= max(1.0, _slenderness(specimen) / _SLENDER)
     return any_mesh + each * dofs
+
+
+def _slenderness(specimen: Cylinder | Block | Homogeneous) -> float:
+    """Longest over shortest dimension of a cylinder or block, about."""
+    height, half = specimen.height_mm, specimen.half_width_mm
+    return max(height, equivalent_radius(specimen) ** 2 / half) / min(height, half)
 
 
 @functools.lru_cache(maxsize=_COUNTS)

@@ -358,7 +358,7 @@ def _parsed(path: Path, where: str) -> tuple[Array, Ints]:
             points = np.array(mesh.points, dtype=float).reshape(-1, 3)
             blocks = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in mesh.cells]
     except Exception as error:  # meshio's parsers raise whatever they stumble over
-        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        reason = str(error).split("\n")[0][:120] or "it breaks the rules of its format"
         raise InputError(Fault(where, f"is malformed: {reason}", mend)) from error
     other = sorted({kind for kind, _ in blocks if kind not in ("triangle", "line", "vertex")})
     if other:

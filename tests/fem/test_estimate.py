@@ -185,6 +185,8 @@ def test_large_meshes_and_those_of_surfaces_are_not_made_to_be_counted(tmp_path,
         Problem(*INDENTED, GEL, Model("axisymmetric", mesh_size_mm=0.02)),
         Problem(*INDENTED, GEL, Model("3d", mesh_size_mm=0.2)),
         Problem(*COMPRESSED, GEL, Model("3d", mesh_size_mm=0.5)),
+        # 48,000 unknowns on a bar of 50 m: 0.9 s
+        Problem(Cylinder(25, 50_000), INDENTED[1], GEL, Model(mesh="coarse")),
     ]
     for problem in problems:
         assert estimate(problem.setup).dofs == int(expected_unknowns(problem.setup))

@@ -230,6 +230,11 @@ def test_degenerate_triangles(tmp_path: Path) -> None:
             b"ply\nformat ascii 1.0\nelement vertex 999999999999\nend_header\n",
             "promises more",
         ),
+        (
+            "lists.ply",
+            b"ply\nformat ascii 1.0\nelement vertex 1\nelement face 1\nproperty list uchar\nend_header\n",
+            "is malformed: it breaks the rules of its format",
+        ),
         ("range.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a point that is not there"),
         ("quads.obj", b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n", "no triangles"),
         ("points.obj", b"v 0 0 0\nv 1 0 0\n", "no triangles"),
