@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from study.api.planning.manifest import manifest_of
 from study.api.planning.plan import plan, status
 from study.api.study import load_design, report, run
 from study.execution.loky import Loky
@@ -288,9 +289,7 @@ def idle_parts(folder: Path, jobs: int) -> dict[str, Callable[[], object]]:
         work = expand(load_design(design), folder)
         store = Store(results / "idle")
         with store.lock():
-            store.write_manifest({
-                "name": "idle", "cases": work.input_hashes, "finished": True,
-            })  # fmt: skip
+            store.write_manifest({**manifest_of(work), "finished": True})
             run_batch(work, store, jobs=jobs, executor=Loky(do_nothing, jobs))
 
     return {

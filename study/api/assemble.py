@@ -73,7 +73,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         convergence=_convergence(study),
         validation=tuple(study.validation),
         controls=(*_controls(design, study.plain), *checks_of_spaces(study.spaces)),
-        virtual=bool(manifest["virtual"]),
+        virtual=manifest["virtual"],
         seed=design.seed,
         alpha=design.analysis.alpha,
         timings=dict(timings),
@@ -99,7 +99,7 @@ def _scheme(study: StudyResult) -> str:
     if not study.adaptive:
         return summary
     last = study.adaptive[-1]
-    known = [f"{name_of(name)} {q2:.3f}" for name, q2 in last["q2"].items()]
+    known = [f"{name_of(name)} {q2:.3f}" for name, q2 in last["q2"].items() if q2 is not None]
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     told = f" (Q2: {listing(known)})" if known else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{told}"
@@ -343,7 +343,7 @@ def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     return Check(
         "constants are stable",
         "caution",
-        f"{finding}; for example {bad[0]['stability']}",
+        f"{finding}; for example {bad[0].get('stability', 'the first')}",
         "do not use the unstable ones beyond the test they were fitted to",
     )
 

@@ -12,6 +12,8 @@ from study.design.spec import Design
 from study.errors import Fault, InputError
 from study.measurement.data_root import locate, locate_pattern
 from study.measurement.section import MeasurementSpec
+from study.record.document import ManifestDocument
+from study.record.store import Store
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
@@ -95,6 +97,20 @@ def calibration_root(config: Config, source: str | Path, data: str | Path | None
     return data_root(
         source, data, [test["measurements"] for test in config["tests"] if test["measurements"]]
     )
+
+
+def finished_manifest(store: Store) -> ManifestDocument:
+    """Manifest of the run that is read from.
+
+    Raises
+    ------
+    InputError
+        If it is damaged.
+    """
+    found = store.read_manifest()
+    if found is None:
+        raise InputError(f"{store.path}: its manifest is damaged; run the design again")
+    return found
 
 
 def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.request import threshold
-from study.api.folders import RESULTS, results_folder
+from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.api.statistics.confirmation import joined
 from study.api.statistics.contrast import with_contrasts
 from study.api.statistics.family import adjusted
@@ -19,11 +19,13 @@ from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
 from study.design.overview import implausible
 from study.design.spec import Design
-from study.errors import InputError, StudyError
+from study.errors import StudyError
 from study.measurement.conditioning import is_caution
-from study.record.document import ManifestDocument
+from study.record.document import AdaptiveStep, ManifestDocument, SpaceRow, ValidationRow
+from study.record.document_checks import fault_of_comparisons
 from study.record.record import Record
 from study.record.store import Store
+from study.runner.expansion import cases_by_id, relabeled
 from study.study_result.report_data import ResponseAnalysis
 from study.study_result.study_result import StudyResult
 
@@ -50,11 +52,14 @@ def open_study(
     folder = results_folder(path, results)
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
-    manifest = store.read_manifest()
-    if manifest is None or not {"cases", "design", "source", "notes"} <= set(manifest):
-        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    manifest = finished_manifest(store)
     design = loads(manifest["design"], manifest["source"])
-    records = tuple(store.records(manifest["cases"]))
+    known = cases_by_id(design, manifest["blocks"])
+    found = store.records(manifest["cases"])
+    records = relabeled(found, design, known)
+    if len(records) < len(found):
+        count = len(found) - len(records)
+        warnings.append(f"{count} records are of no cell of the design: run the design again")
     numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
     later = store.read_unfinished() if tell_unfinished else None
@@ -73,11 +78,13 @@ def open_study(
         warnings.append(f"{len(more.records)} confirming runs joined those of the surfaces")
     warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
     warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
+    comparisons = store.read_rows("validation", ValidationRow, fault_of_comparisons)
+    spaces, steps = store.read_rows("spaces", SpaceRow), store.read_rows("adaptive", AdaptiveStep)
     return Study(
         design, folder, records, len(manifest["cases"]), analyses, numerical, manifest,
-        tuple(dict.fromkeys(warnings)), validation=tuple(store.read_rows("validation")),
-        spaces=tuple(store.read_rows("spaces")), surfaces=fitted,
-        adaptive=tuple(store.read_rows("adaptive")),
+        tuple(dict.fromkeys(warnings)),
+        validation=tuple(comparisons),
+        spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
     )  # fmt: skip
 
 
@@ -92,7 +99,7 @@ def count_cases(known: Path | StudyResult) -> int:
     if isinstance(known, StudyResult):
         return known.total
     manifest = Store(known).read_manifest()
-    return 0 if manifest is None else len(manifest.get("cases", ()))
+    return 0 if manifest is None else len(manifest["cases"])
 
 
 def unfinished_note(store: Store, later: ManifestDocument) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import gzip
 import itertools
 import math
+import os
 import re
 import tempfile
 from collections import Counter
@@ -19,7 +20,13 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.folders import REPORTS, RESULTS, design_root, results_folder
+from study.api.folders import (
+    REPORTS,
+    RESULTS,
+    design_root,
+    finished_manifest,
+    results_folder,
+)
 from study.api.opened_study import open_study
 from study.api.study import report
 from study.design.load import loads
@@ -162,10 +169,10 @@ def verify(
 
 def _page(path: Path, reports: Path) -> Path:
     """Page of a report, named by itself, by its folder, or by the study."""
-    if path.is_file():
+    if os.path.isfile(path):  # of what may not be read nothing is known
         return path.resolve()
     for folder in (path, reports / path.name):
-        pages = sorted(folder.glob("*.html")) if folder.is_dir() else []
+        pages = sorted(folder.glob("*.html")) if os.path.isdir(folder) else []
         if len(pages) == 1:
             return pages[0].resolve()
     mend = "name a folder such as reports/NAME, or write the report: study report NAME"
@@ -176,9 +183,7 @@ def _check_records(folder: Path, found: Verification) -> None:
     """Compare every record with its own sum, and with the case that it was written for."""
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
-    manifest = store.read_manifest()
-    if manifest is None:
-        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    manifest = finished_manifest(store)
     for case_id, input_hash in manifest["cases"].items():
         found.records += 1
         record = store.read(case_id)
@@ -201,9 +206,9 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
         fresh = again.report.parent
         names = {p.relative_to(top) for top in (home, fresh) for p in _texts(top)}
         for name in sorted(names):
-            if not (home / name).is_file() or not (fresh / name).is_file():
-                lost = "missing" if not (home / name).is_file() else "there"
-                made = "missing" if not (fresh / name).is_file() else "there"
+            there = os.path.isfile(home / name), os.path.isfile(fresh / name)
+            if not all(there):
+                lost, made = ("there" if known else "missing" for known in there)
                 found.differences.append(Difference(str(name), lost, made))
                 continue
             try:
@@ -215,7 +220,7 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
 
 
 def _texts(folder: Path) -> Iterator[Path]:
-    found = (p for p in folder.rglob("*") if p.suffix in _TEXTS and p.is_file())
+    found = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
     return (p for p in found if p.name != provenance.NAME)
 
 
@@ -286,9 +291,7 @@ def _solve_again(
 ) -> None:
     """Solve a sample of the cases in an empty store and compare their responses."""
     store = Store(folder)
-    manifest = store.read_manifest()
-    if manifest is None:
-        return
+    manifest = finished_manifest(store)
     design = loads(manifest["design"], manifest["source"])
     work = expand(design, design_root(design, data), allowed)
     kept = store.by_case(manifest["cases"])

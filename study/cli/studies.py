@@ -242,7 +242,8 @@ def why(
     rows += [[n, output.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
     output.table(rows)
     for specimen, fit in (record.fit or {}).items():
-        print(f"calibration on {specimen}: {fit['message']}; {fit.get('reason') or 'identifiable'}")
+        ended = fit.get("message", "how it ended is not known")
+        print(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
         if "stability" in fit:  # a fit to resampled residuals is not judged
             print(f"  {fit['stability']}")
     if "traceback" in record.extra:

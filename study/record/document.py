@@ -1,15 +1,23 @@
 """Keys and values of the JSON documents that are kept on disk.
 
 A document is a plain dictionary, as JSON gives it back; these classes say what stands in it, so
-that a reader's mistake is found before it runs. Forces are in N, lengths in mm, constants of a
-fit in MPa and those of a record in kPa (exponents plain).
+that a reader's mistake is found before it runs, and a damaged file when it is read
+(:mod:`study.record.document_checks`). A number that may be NaN or infinite is None there. Forces
+are in N, lengths in mm, constants of a fit in MPa and those of a record in kPa (exponents plain).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, NotRequired, Required, TypedDict
+from typing import Annotated, NamedTuple, NotRequired, Required, TypedDict
 
 from study.errors import StoreError
+
+#: what a number or a list must keep besides its type
+Positive = Annotated[int, ("ge", 1)]
+NotNegative = Annotated[float, ("ge", 0.0)]
+Pair = Annotated[list[float | None], ("min_length", 2), ("max_length", 2)]
+Interval = Annotated[list[float], ("min_length", 2), ("max_length", 2)]
+Numbers = Annotated[list[float], ("min_length", 1)]
 
 
 class Quantity(TypedDict):
@@ -22,14 +30,14 @@ class Quantity(TypedDict):
 class ResponseDocument(Quantity):
     """A response; ``u_steps`` is what half the load steps would change in it."""
 
-    u_steps: NotRequired[float]
+    u_steps: NotRequired[NotNegative | None]
 
 
 class ParameterDocument(Quantity):
     """A constant with its standard error and 95 % interval, where a single fit gives them."""
 
     standard_error: NotRequired[float | None]
-    ci95: NotRequired[list[float] | None]
+    ci95: NotRequired[Interval | None]
 
 
 class MeshDocument(TypedDict, total=False):
@@ -77,10 +85,10 @@ class PlateFitDocument(TypedDict):
     plate: str
     fitted: str
     markers: int
-    error_mm: float
-    error_by_axis_mm: list[float]
-    error_by_layer_mm: dict[str, float]
-    motion: dict[str, list[float]]
+    error_mm: float | None
+    error_by_axis_mm: list[float | None]
+    error_by_layer_mm: dict[str, float | None]
+    motion: dict[str, Pair]
 
 
 class MarkerDocument(TypedDict):
@@ -110,13 +118,13 @@ class FitDocument(TypedDict, total=False):
     names: list[str]
     values: dict[str, float]
     standard_error: dict[str, float | None]
-    ci95: dict[str, list[float | None] | None]
+    ci95: dict[str, Pair | None]
     correlation: list[list[float | None]] | None
     condition: float | None
-    rss: float | None
+    rss: NotNegative | None
     r_squared: float | None
     aicc: float | None
-    n: int
+    n: Positive
     identifiable: bool
     reason: str
     stable: bool
@@ -136,7 +144,7 @@ class ScoreDocument(TypedDict):
     score: str
     fit: str
     role: str
-    scatter_N: list[float] | None
+    scatter_N: list[float | None] | None
     responses: dict[str, Quantity]
 
 
@@ -161,6 +169,152 @@ class ManifestDocument(TypedDict, total=False):
     versions: dict[str, str]
     timings: dict[str, float]
     finished: bool
+
+
+class ExtraDocument(TypedDict, total=False):
+    """What a record holds besides its fields, as far as anybody reads it back.
+
+    ``mesh_seed`` to ``input`` say why it was computed besides the cells of the design.
+    """
+
+    directions: list[ScoreDocument]
+    markers: list[MarkerDocument]
+    retries: list[RetryDocument]
+    mesh_seed: int
+    noise_seed: int
+    purpose: str
+    of: str
+    level: int
+    input: str
+    fields: str
+    traceback: str
+    not_finite: dict[str, str]
+
+
+class RetryDocument(TypedDict):
+    """One more attempt at a case: what failed, what was changed, and by how much."""
+
+    cause: str
+    message: str
+    change: str
+    what: str
+
+
+class RecordDocument(TypedDict):
+    """A record; its curves are read by :class:`study.curve.Curve`, which checks their numbers."""
+
+    case_id: str
+    study: str
+    levels: dict[str, str]
+    block: str | None
+    status: str
+    message: str
+    responses: dict[str, ResponseDocument]
+    parameters: dict[str, ParameterDocument]
+    fit: dict[str, FitDocument] | None
+    curves: dict[str, dict[str, object]]
+    timings: dict[str, float | None]
+    mesh: MeshDocument
+    solver: SolverDocument
+    versions: dict[str, str]
+    input_hash: str
+    extra: ExtraDocument
+
+
+class StoredFitDocument(FitDocument, total=False):
+    """A fit as cases share it: how it ended, and its last solution where that is a prediction."""
+
+    status: Required[str]
+    start_seconds: float
+    curve: dict[str, object]
+    mesh: MeshDocument
+    solver: SolverDocument
+
+
+class SolutionDocument(TypedDict, total=False):
+    """A solution of a refinement series; of one without an answer status and message alone."""
+
+    status: Required[str]
+    message: str
+    curve: dict[str, object]
+    elements: int
+    dofs: int
+    mesh_hash: str
+    seconds: float
+    memory_MB: float
+    base_MB: float
+
+
+class NumericalRow(TypedDict):
+    """Numerical uncertainty of one response in one refined cell."""
+
+    levels: dict[str, str]
+    response: str
+    value: float | None
+    u_num: float | None
+    unit: str
+    behaviour: str
+    note: str
+    mesh_size: NotRequired[list[Annotated[float, ("gt", 0.0)]]]
+    series: NotRequired[list[float]]
+    formal_order: NotRequired[float | None]
+    formal_reason: NotRequired[str]
+
+
+class NumericalCells(TypedDict):
+    """What ``study converge`` found, and the cases that it is of."""
+
+    of: str
+    rows: list[NumericalRow]
+
+
+class SpaceRow(TypedDict):
+    """One cylinder in both spaces; None where one of them could not be solved."""
+
+    levels: dict[str, str]
+    unknowns: Annotated[list[int], ("min_length", 2), ("max_length", 2)]
+    depth_mm: float
+    at_end: float | None
+    largest: float | None
+    message: str
+
+
+class ValidationRow(TypedDict):
+    """One case beside its measurement: E and each part of its uncertainty along the curve."""
+
+    case_id: str
+    levels: dict[str, str]
+    block: str | None
+    label: str
+    role: str
+    displacement_mm: Numbers
+    simulated_N: Numbers
+    measured_N: Numbers
+    error_N: Numbers
+    u_num_N: Numbers
+    u_input_N: Numbers
+    u_data_N: Numbers
+    u_val_N: Numbers
+    unknown: NotRequired[list[str]]
+    outside: float
+    verdict: str
+
+
+class AdaptiveStep(TypedDict):
+    """What was known with so many cells: Q2 by response, what was not known, why it ended."""
+
+    cells: int
+    q2: dict[str, float | None]
+    open: list[str]
+    stopped: str
+
+
+class ConfirmedRow(TypedDict):
+    """A run at a setting that a surface named: its record, and design and code that it is of."""
+
+    case: str
+    input: str
+    of: str
 
 
 class CurveKey(NamedTuple):

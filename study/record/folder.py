@@ -5,17 +5,25 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeVar, cast
 
 from study.errors import NewerSchemaError, StoreError
 from study.record import lock
-from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.record.atomic_files import (
+    MAX_JSON_BYTES,
+    FileSystem,
+    NotRegularError,
+    is_leftover,
+    read_regular,
+    write_atomic,
+)
+from study.record.document_checks import fault_of
 from study.record.record import plain, seal, unseal
 
-MAX_JSON_BYTES = 200_000_000
+Kept = TypeVar("Kept")
+
 ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
 
 
@@ -120,12 +128,37 @@ class SealedFolder:
         if data is None:
             return None
         try:
-            return unseal(data, str(path))
+            content = unseal(data, str(path))
+            if content is None:
+                raise StoreError(f"{path}: holds nothing")
         except NewerSchemaError:
             raise
         except StoreError as error:
             self._set_aside(path, str(error))
             return None
+        return content
+
+    def read_document(
+        self, name: str, kind: type[Kept], fault: Callable[[Kept], str] = lambda content: ""
+    ) -> Kept | None:
+        """Content stored under a name, as its class says; None as for :meth:`read_json`.
+
+        Parameters
+        ----------
+        kind : type
+            Class of :mod:`study.record.document`, or a list of one.
+        fault : callable, optional
+            Says what is wrong with a content of the right keys and types; empty if nothing is.
+        """
+        content = self.read_json(name)
+        if content is None:
+            return None
+        why = fault_of(content, kind) or fault(cast(Kept, content))
+        if not why:
+            return cast(Kept, content)
+        path = self._json(name)
+        self._set_aside(path, f"{path}: is not what a study writes there, {why}")
+        return None
 
     def _begin(self) -> None:
         """Do what the owner of the folder does first."""
@@ -154,18 +187,10 @@ class SealedFolder:
 
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:
-            known = path.stat()
-            if not stat.S_ISREG(known.st_mode):  # reading a device or a pipe may never end
-                self._set_aside(path, f"{path}: is no file")
-                return None
-            if known.st_size > limit:
-                self._set_aside(path, f"{path}: is larger than {limit} bytes, which no record is")
-                return None
-            return path.read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
+            return read_regular(path, limit)
+        except NotRegularError as error:
+            self._set_aside(path, str(error))
             return None
-        except OSError as error:
-            raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
 
     def _make(self, folder: Path) -> None:
         try:

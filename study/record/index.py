@@ -11,11 +11,11 @@ its record (as git does, "Racy Git", Documentation/technical/racy-git.txt).
 from __future__ import annotations
 
 import os
-import stat
 from dataclasses import dataclass
 from pathlib import Path
 
 from study.errors import StoreError
+from study.record.atomic_files import read_regular
 from study.record.libraries import name_of
 from study.record.record import CONVERGED, Record, seal, unseal
 
@@ -29,9 +29,6 @@ CURRENT = "record.json"
 #: so that all writing together grows no faster than the number of records
 FEWEST = 500
 SHARE = 4
-
-#: an entry takes 200 bytes, and a study has at most 100,000 cases
-MAX_INDEX_BYTES = 10**9
 
 
 @dataclass(frozen=True)
@@ -166,22 +163,19 @@ class RecordIndex:
 
     def _load(self) -> None:
         """Read the file; one that is missing, damaged or foreign is as none."""
+        stamp = FileStamp.of(self._path)  # taken first: an older index is believed less
         try:
-            known = os.stat(self._path)
-            if not stat.S_ISREG(known.st_mode) or known.st_size > MAX_INDEX_BYTES:
-                return
-            with open(self._path, "rb") as stream:
-                written = os.fstat(stream.fileno()).st_mtime_ns
-                content = unseal(stream.read(), str(self._path))
-        except (OSError, StoreError):
+            data = read_regular(self._path)
+            content = {} if data is None else unseal(data, str(self._path))
+        except StoreError:
             return
-        if not isinstance(content, dict):
+        if stamp is None or not isinstance(content, dict):
             return
         try:
             self._known = {str(name): _entry(row) for name, row in content.items()}
         except (TypeError, ValueError):
             return
-        self._written_ns = written
+        self._written_ns = stamp.modified_ns
 
 
 def _entry(row: object) -> Entry:

@@ -12,6 +12,7 @@ import fcntl
 import json
 import os
 import socket
+import stat
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -41,7 +42,7 @@ def exclusive(folder: Path) -> Iterator[None]:
     """
     path = folder / LOCK_NAME
     try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        handle = _opened(folder, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
     try:
@@ -60,6 +61,21 @@ def exclusive(folder: Path) -> Iterator[None]:
         os.close(handle)  # releases the lock
 
 
+def _opened(folder: Path, flags: int) -> int:
+    """Open the lock file, and nothing else in its place: to open a pipe may take forever.
+
+    Raises
+    ------
+    OSError
+        If there is none, it is no file, or it may not be opened.
+    """
+    handle = os.open(folder / LOCK_NAME, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError("it is no file; remove it")
+    return handle
+
+
 def _take(handle: int) -> None:
     """Take the lock; one who only looks whether it is held has it for some microseconds."""
     for _ in range(_GLANCES):
@@ -73,16 +89,22 @@ def _take(handle: int) -> None:
 def holder(folder: Path) -> dict[str, object]:
     """Read what the lock file says of its owner; empty if unreadable or never locked."""
     try:
-        found = json.loads((folder / LOCK_NAME).read_bytes()[:4096])
+        handle = _opened(folder, os.O_RDONLY)
+    except OSError:
+        return {}
+    try:
+        found = json.loads(os.read(handle, 4096))
     except (OSError, ValueError, RecursionError):
         return {}
+    finally:
+        os.close(handle)
     return found if isinstance(found, dict) else {}
 
 
 def is_locked(folder: Path) -> bool:
     """Whether a runner is at work in the folder just now."""
     try:
-        handle = os.open(folder / LOCK_NAME, os.O_RDONLY)
+        handle = _opened(folder, os.O_RDONLY)
     except OSError:
         return False
     try:
@@ -100,7 +122,7 @@ def sign(folder: Path, progress: Mapping[str, object]) -> None:
     """Add ``progress`` to what the owner of the lock says of itself."""
     owner = {name: value for name, value in holder(folder).items() if name in _OWNER}
     try:
-        handle = os.open(folder / LOCK_NAME, os.O_WRONLY | os.O_NOFOLLOW)
+        handle = _opened(folder, os.O_WRONLY)
     except OSError:
         return  # nobody depends on it
     try:

@@ -11,11 +11,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeVar
 
 from study.record.document import ManifestDocument
 from study.record.folder import SealedFolder
+
+Row = TypeVar("Row")
 
 _STUDY = "study"
 _UNFINISHED = "unfinished"
@@ -80,53 +82,26 @@ class ManifestFolder(SealedFolder):
         later = self.read_unfinished() is not None
         self.write_json(f"{_UNFINISHED}-{name}" if later else name, list(rows))
 
-    def read_rows(self, name: str) -> list[dict[str, Any]]:
-        """Rows of a table of the finished run, to be read by who wrote them; empty without one."""
-        found = self.read_json(name)
-        return found if isinstance(found, list) else []
+    def read_rows(
+        self, name: str, kind: type[Row], fault: Callable[[list[Row]], str] = lambda rows: ""
+    ) -> list[Row]:
+        """Rows of a table of the finished run; empty without one, or where it is damaged.
+
+        Parameters
+        ----------
+        kind : type
+            Class of a row, in :mod:`study.record.document`.
+        fault : callable, optional
+            Says what is wrong with rows of the right keys and types; empty if nothing is.
+        """
+        return self.read_document(name, list[kind], fault) or []  # type: ignore[valid-type]
 
     def _manifest(self, name: str) -> ManifestDocument | None:
-        found = self.read_json(name)
-        if found is None:
-            return None
-        if not _is_manifest(found):
-            self._say(f"{self.path / name}.json: is no manifest of a study; it is not used")
-            return None
-        return cast(ManifestDocument, found)
+        return self.read_document(name, ManifestDocument)
 
     def _numbers(self) -> list[int]:
         names = (path.stem.partition("run-")[2] for path in (self.path / "runs").glob("run-*.json"))
-        return sorted(int(name) for name in names if name.isdigit())
-
-
-#: mappings and lists of a manifest with the types of what they hold
-_MAPPINGS: Mapping[str, type | tuple[type, ...]] = {
-    "cases": str,
-    "files": str,
-    "versions": (str, type(None)),
-    "timings": (int, float),
-}
-_LISTS: Mapping[str, type] = {"blocks": str, "notes": str}
-
-
-def _is_manifest(found: object) -> bool:
-    """Whether a sealed content has the shape of a manifest; parts that are missing may be."""
-    if not isinstance(found, dict):
-        return False
-    texts = ("name", "design", "text", "source")
-    return (
-        all(isinstance(found.get(key, ""), str) for key in texts)
-        and isinstance(found.get("truths", {}), dict)
-        and all(_holds(found.get(key, {}), dict, kind) for key, kind in _MAPPINGS.items())
-        and all(_holds(found.get(key, []), list, kind) for key, kind in _LISTS.items())
-    )
-
-
-def _holds(part: object, outer: type, kind: type | tuple[type, ...]) -> bool:
-    if not isinstance(part, outer):
-        return False
-    values = part.values() if isinstance(part, dict) else cast("list[object]", part)
-    return all(isinstance(value, kind) for value in values)
+        return sorted(int(name) for name in names if name.isascii() and name.isdigit())
 
 
 def is_same(first: ManifestDocument | None, second: ManifestDocument) -> bool:

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from pydantic_core import from_json
@@ -26,10 +26,12 @@ from study.record.document import (
     MarkerDocument,
     MeshDocument,
     ParameterDocument,
+    RecordDocument,
     ResponseDocument,
     ScoreDocument,
     SolverDocument,
 )
+from study.record.document_checks import fault_of, fault_of_curves, fault_of_fits
 
 SCHEMA = 1
 #: where a record keeps the text that it was read from
@@ -200,55 +202,24 @@ class Record:
             If the text is no record, is damaged, or was written by a newer version.
         """
         content = unseal(text, source)
-        names = {f.name for f in fields(cls)}
-        if not isinstance(content, dict) or set(content) != names:
-            raise StoreError(f"{source}: its fields are not those of a record")
-        for name, kinds in _KINDS.items():
-            if not isinstance(content[name], kinds):
-                raise StoreError(f"{source}: field {name!r} has the wrong type")
-        _check_parts(content, source)
+        fault = fault_of(content, RecordDocument)
+        kept = cast("dict[str, Any]", content)
+        if not fault and set(kept) != set(RecordDocument.__annotations__):
+            fault = "its fields are others"
+        if fault:
+            raise StoreError(f"{source}: is no record of a case, {fault}")
         try:
-            kept = content.pop("curves")
-            curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in kept.items()}
-            record = cls(**content, curves=curves)
-        except (TypeError, ValueError, KeyError, AttributeError, StoreError) as error:
+            written = kept.pop("curves")
+            curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in written.items()}
+            record = cls(**kept, curves=curves)
+        except (TypeError, ValueError, LookupError, ArithmeticError, StoreError) as error:
             raise StoreError(f"{source}: is not a valid record ({error})") from error
+        fault = fault_of_fits(record.fit or {}) or fault_of_curves(curves, record.scores)
+        if fault:
+            raise StoreError(f"{source}: is no record of a case, {fault}")
         if isinstance(text, str) and _SEALED.fullmatch(text.encode()):
             record.__dict__[_READ] = text  # a worker's, on its way to the disk
         return record
-
-
-_KINDS: Mapping[str, tuple[type, ...]] = {
-    **dict.fromkeys(("case_id", "study", "status", "message", "input_hash"), (str,)),
-    **dict.fromkeys(
-        (
-            "levels",
-            "responses",
-            "parameters",
-            "curves",
-            "timings",
-            "mesh",
-            "solver",
-            "versions",
-            "extra",
-        ),
-        (dict,),
-    ),
-    "block": (str, type(None)),
-    "fit": (dict, type(None)),
-}
-
-
-def _check_parts(content: Mapping[str, Mapping[str, object]], source: str) -> None:
-    """Check the types inside the mappings that tables and reports read."""
-    number = (int, float, type(None))
-    if not all(isinstance(v, str) for v in content["levels"].values()):
-        raise StoreError(f"{source}: levels must be labels")
-    if not all(isinstance(v, number) for v in content["timings"].values()):
-        raise StoreError(f"{source}: timings must be numbers")
-    for name, found in content["responses"].items():
-        if not isinstance(found, dict) or not isinstance(found.get("value", ""), number):
-            raise StoreError(f"{source}: response {name!r} has no number or null as its value")
 
 
 def plain(value: object, where: str, lost: dict[str, str]) -> object:

@@ -33,12 +33,9 @@ from study.record.folder import ID
 from study.record.index import CURRENT, Entry, FileStamp, RecordIndex
 from study.record.index import NAME as INDEX
 from study.record.libraries import OtherLibraries, differences, name_of
-from study.record.manifests import ManifestFolder
 from study.record.record import Record
+from study.record.result_folder import ResultFolder
 from study.record.survey import StoredRecords, Survey
-
-#: key of a stored result: name of the libraries that made it
-_MADE_WITH = "made_with"
 
 
 def laid_by(input_hash: str) -> str:
@@ -46,7 +43,7 @@ def laid_by(input_hash: str) -> str:
     return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
 
 
-class Store(ManifestFolder):
+class Store(ResultFolder):
     """Records, shared fits and manifests of one study.
 
     Parameters
@@ -58,22 +55,6 @@ class Store(ManifestFolder):
     system : FileSystem, optional
         Operations that change the disk.
     """
-
-    #: name of the libraries that make what is written now, and whether nothing else counts
-    _libraries = ""
-    _strict = False
-
-    def made_with(self, versions: Mapping[str, str], *, strict: bool = False) -> None:
-        """Say which libraries compute from now on.
-
-        Parameters
-        ----------
-        versions : mapping of str to str
-            Version of each.
-        strict : bool
-            Whether results that were made with others are as missing.
-        """
-        self._libraries, self._strict = name_of(versions), strict
 
     def write(
         self,
@@ -254,30 +235,6 @@ class Store(ManifestFolder):
             lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
         )
 
-    def write_fit(
-        self, fit_id: str, content: Mapping[str, object], *, followed: bool = False
-    ) -> None:
-        """Store a calibration that several cases share; ``followed`` as for a record."""
-        self.write_result(f"fits/{fit_id}", content, followed=followed)
-
-    def read_fit(self, fit_id: str) -> dict[str, object] | None:
-        """Read a shared calibration; None if it is missing, was damaged, or does not count."""
-        return self.read_result(f"fits/{fit_id}")
-
-    def write_result(
-        self, name: str, content: Mapping[str, object], *, followed: bool = False
-    ) -> None:
-        """Store a result that is no record, with the name of the libraries that made it."""
-        self.write_json(name, {**content, _MADE_WITH: self._libraries}, followed=followed)
-
-    def read_result(self, name: str) -> dict[str, object] | None:
-        """Read what :meth:`write_result` stored; None also where other libraries made it."""
-        found = self.read_json(name)
-        if not isinstance(found, dict):
-            return None
-        made_with = found.pop(_MADE_WITH, "")
-        return None if self._strict and made_with != self._libraries else found
-
     def other_libraries(
         self, input_hashes: Mapping[str, str], versions: Mapping[str, str]
     ) -> list[OtherLibraries]:
@@ -350,7 +307,7 @@ class Store(ManifestFolder):
         known = self.read_manifest() if self._locked else None
         if known is None or not known.get("finished", True):
             return {}
-        return known.get("cases", {})
+        return known["cases"]
 
     def begin_run(self, meta: ManifestDocument) -> None:
         """Note what is going to be computed; a finished study of another design stays as it is."""

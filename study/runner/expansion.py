@@ -7,7 +7,7 @@ of resampled residuals follow: each step takes the values of the one before and 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from study.design.sections.content import plain
 from study.design.spec import Case, Design, Treatment
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements, Selection
+from study.record.record import Record
 from study.runner import provenance
 from study.runner.calibration.cross_validation import distinct_tests, held_out, left_out
 from study.runner.case_task import CONSTANTS, Forward, Origin
@@ -26,7 +27,7 @@ from study.runner.fitting.external_model import NOTHING, Allowed, identity, with
 from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
 from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeated
 from study.runner.provenance import code_version
-from study.runner.replicates import mesh_seeded, resampled
+from study.runner.replicates import mesh_seeded, refitted, resampled
 from study.runner.response import units_of
 
 
@@ -64,6 +65,52 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     jobs = anchored(job(case, origin) for case, origin in planned)
     every = (*jobs, *resampled(jobs, design))
     return Work(design, every, units_asked(design), blocks, data, allowed)
+
+
+def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
+    """List every case that :func:`expand` makes of a design; nothing measured is read.
+
+    Parameters
+    ----------
+    blocks : sequence of str
+        Labels of the blocks, as the measurements have them.
+    """
+    planned = [case for case, _ in mesh_seeded(distinct(cases(design, blocks)), design)]
+    numbers = range(1, design.replicates.noise + 1)
+    again = [refitted(case, number) for case in planned for number in numbers]
+    return {case.case_id: case for case in (*planned, *again)}
+
+
+def relabeled(
+    records: Iterable[Record], design: Design, known: Mapping[str, Case]
+) -> tuple[Record, ...]:
+    """Give records the levels of their cases: a level of another name is computed no more.
+
+    A record of no known case keeps its levels; one whose levels are none of the design is left out.
+
+    Parameters
+    ----------
+    known : mapping of str to Case
+        Cases of the design by their ids.
+    """
+    found = []
+    for record in records:
+        case = known.get(record.case_id)
+        if case is None:
+            found += [record] if _is_of(record, design) else []
+        elif case.levels == record.levels and case.block == record.block:
+            found.append(record)
+        else:
+            found.append(replace(record, levels=dict(case.levels), block=case.block))
+    return tuple(found)
+
+
+def _is_of(record: Record, design: Design) -> bool:
+    """Whether each level of a record is one of the design's."""
+    known = {factor.name: factor.labels for factor in design.factors}
+    return known.keys() == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in known.items()
+    )
 
 
 @dataclass(frozen=True)

@@ -68,12 +68,17 @@ def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
     return tuple(_again(job, design.seed, number) for job in jobs for number in numbers)
 
 
+def refitted(case: Case, number: int) -> Case:
+    """Copy a case whose fits see resampled noise."""
+    return repeated(case, ["noise", number])
+
+
 def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     directions = tuple(_refitted(pair, seed, number) for pair in job.directions)
     keys = {pair.fit_key for pair in directions} - {None}
     return replace(
         job,
-        case=repeated(job.case, ["noise", number]),
+        case=refitted(job.case, number),
         directions=directions,
         input_hash=digest([job.input_hash, "noise", seed, number, sorted(map(str, keys))]),
         origin=replace(job.origin, noise_seed=number),

@@ -146,7 +146,12 @@ def test_why_explains_a_case(done: Path) -> None:
 
 
 def test_why_explains_a_fit_to_resampled_residuals(home: Path) -> None:
-    fit: FitDocument = {"key": "f1", "message": "converged in 3 steps", "values": {"C10": 0.005}}
+    fit: FitDocument = {
+        "key": "f1",
+        "message": "converged in 3 steps",
+        "values": {"C10": 0.005},
+        "identifiable": True,
+    }
     store = Store(home / "results" / "small")
     store.write(Record("a1b2", "small", fit={"A": fit}, extra={"noise_seed": 3}))
     store.path.joinpath("study.json").touch()

@@ -2,14 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from study.curve import Curve
 from study.measurement.section import MeasurementSpec, Range
-from study.record.document import CurveKey
+from study.record.document import CurveKey, ManifestDocument
 from study.record.record import Record
+
+#: a fit that several cases share, and what refinement says of one response
+FIT: dict[str, object] = {
+    "status": "converged",
+    "names": ["C10"],
+    "values": {"C10": 1 / 3},
+    "message": "a minimum",
+}
+NUMERICAL: dict[str, object] = {
+    "levels": {"space": "3d"},
+    "response": "error",
+    "value": 1.25,
+    "u_num": None,
+    "unit": "%",
+    "behaviour": "two meshes",
+    "note": "",
+}
 
 
 def Spec(**changes: Any) -> MeasurementSpec:
@@ -38,3 +55,18 @@ def record(case_id: str = "a1", **changes: Any) -> Record:
         "input_hash": "h-" + case_id,
     }
     return Record(**{**values, **changes})
+
+
+def manifest(**changes: Any) -> ManifestDocument:
+    """Say what a study of no case is."""
+    whole: ManifestDocument = {
+        "name": "demo",
+        "design": "",
+        "text": "",
+        "source": "demo.toml",
+        "cases": {},
+        "blocks": [],
+        "notes": [],
+        "virtual": False,
+    }
+    return cast(ManifestDocument, {**whole, **changes})

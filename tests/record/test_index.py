@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from study.record.atomic_files import read_regular
 from study.record.record import Record, seal
 from study.record.store import Store
 from tests.record.samples import record
@@ -152,13 +153,12 @@ def test_counting_cases_reads_the_index_and_no_record(
     wanted = {name: "h-" + name for name in names}
     time.sleep(0.02)
     read: list[str] = []
-    plain = Path.read_bytes
 
-    def counted(path: Path) -> bytes:
+    def counted(path: Path, limit: int) -> bytes | None:
         read.append(path.name)
-        return plain(path)
+        return read_regular(path, limit)
 
-    monkeypatch.setattr(Path, "read_bytes", counted)
+    monkeypatch.setattr("study.record.folder.read_regular", counted)
     with Store(tmp_path).lock() as store:
         assert len(store.survey(wanted).done) == len(names)
     assert read.count("record.json") == len(names)

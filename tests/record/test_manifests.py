@@ -5,27 +5,21 @@ from __future__ import annotations
 import contextlib
 import os
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 
 from study.errors import NewerSchemaError, StoreError
-from study.record.document import ManifestDocument
+from study.record.document import NumericalRow
 from study.record.record import seal
 from study.record.store import Store
 from study.record.table import table
 from tests.record.disk import FailingDisk, PowerLoss
-from tests.record.samples import record
+from tests.record.samples import FIT, NUMERICAL, manifest, record
 
 CASES = ("a1", "b2", "c3")
 OLD = {name: "old-" + name for name in CASES}
 #: the edited study drops a case, makes two of other inputs, and adds one
 NEW = {"b2": "new-b2", "c3": "new-c3", "d4": "new-d4"}
-
-
-def manifest(design: str, cases: dict[str, str]) -> ManifestDocument:
-    values: dict[str, Any] = {"name": "demo", "design": design, "cases": cases}
-    return cast(ManifestDocument, values)
 
 
 def compute(
@@ -34,12 +28,12 @@ def compute(
     """Run a study: what is missing is computed, with rows beside it."""
     store = Store(path, system=disk)
     with store.lock():
-        store.begin_run(manifest(design, cases))
+        store.begin_run(manifest(design=design, cases=cases))
         for name in [n for n in cases if n not in store.done_ids(cases)]:
             found = {"value": float(len(design)), "unit": "%"}
             store.write(record(name, input_hash=cases[name], responses={"error": found}))
-        store.write_rows("numerical", [{"of": design}])
-        store.finish_run(manifest(design, cases))
+        store.write_rows("numerical", [{**NUMERICAL, "note": design}])
+        store.finish_run(manifest(design=design, cases=cases))
 
 
 def seen(path: Path) -> tuple[object, ...]:
@@ -51,7 +45,7 @@ def seen(path: Path) -> tuple[object, ...]:
     counted = store.survey(known["cases"])
     assert counted.missing == ()
     assert store.warnings == []
-    return known["design"], table(records).to_csv(), store.read_rows("numerical")
+    return known["design"], table(records).to_csv(), store.read_rows("numerical", NumericalRow)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +96,7 @@ def test_an_edit_that_is_taken_back_finds_what_was_there(tmp_path: Path) -> None
     compute(tmp_path, "old", OLD)
     store = Store(tmp_path)
     with store.lock():
-        store.begin_run(manifest("newer", NEW))
+        store.begin_run(manifest(design="newer", cases=NEW))
         store.write(record("b2", input_hash="new-b2"))
     later = Store(tmp_path).read_unfinished()
     assert later is not None
@@ -122,7 +116,7 @@ def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_pat
         for name in CASES:
             versions = {"study": "1", "python": "3.11", **(then if name != "c3" else now)}
             store.write(record(name, input_hash=OLD[name], versions=versions))
-        store.write_fit("f1", {"C10": 0.5})
+        store.write_fit("f1", FIT)
     found = Store(tmp_path).other_libraries(OLD, {"python": "3.13", **now})
     assert [(one.cases, one.changes) for one in found] == [
         (("a1", "b2"), {"numpy": ("1.26.4", "2.2.1")})
@@ -135,7 +129,7 @@ def test_results_of_other_libraries_are_found_and_count_only_if_they_may(tmp_pat
     assert strict.done_ids(OLD) == {"c3"}
     assert [r.case_id for r in strict.records(OLD)] == ["c3"]
     assert strict.read_fit("f1") is None
-    assert Store(tmp_path).read_fit("f1") == {"C10": 0.5}
+    assert Store(tmp_path).read_fit("f1") == FIT
     assert Store(tmp_path).done_ids(OLD) == set(CASES)
 
 
@@ -171,9 +165,9 @@ def test_a_sealed_file_of_another_shape_is_no_manifest(
     """Its checksum is right, so that only its shape tells that no study wrote it."""
     said: list[str] = []
     store = Store(tmp_path, warn=said.append)
-    store.write_json("study", {"name": "a", "cases": {}, **change})
+    store.write_json("study", {**manifest(), **change})
     assert store.read_manifest() is None
-    assert "is no manifest of a study" in said[0]
+    assert "study.json: is not what a study writes there" in said[0]
 
 
 def test_what_is_no_file_is_not_read(tmp_path: Path) -> None:

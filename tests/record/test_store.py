@@ -27,7 +27,7 @@ from study.record.atomic_files import TEMPORARY
 from study.record.store import Store
 from study.record.table import table
 from tests.record.disk import FailingDisk, PowerLoss
-from tests.record.samples import record
+from tests.record.samples import FIT, manifest, record
 
 CASES = ("a1", "b2", "c3")
 WANTED = {name: "h-" + name for name in CASES}
@@ -37,9 +37,9 @@ def run(path: Path, disk: FailingDisk | None = None, followed: bool = False) -> 
     """A study of three cases that share a fit: what is missing is computed and stored."""
     store = Store(path, system=disk)
     with store.lock():
-        store.write_manifest({"name": "demo"})
+        store.write_manifest(manifest())
         if store.read_fit("f1") is None:
-            store.write_fit("f1", {"C10": 1 / 3}, followed=followed)
+            store.write_fit("f1", FIT, followed=followed)
         done = store.done_ids(WANTED)
         for name in CASES:
             if name not in done:

@@ -10,15 +10,19 @@ from typing import cast
 
 import numpy as np
 
-from study.api.folders import data_root, results_folder
+from study.api.folders import data_root, finished_manifest, results_folder
 from study.api.planning.why import why
 from study.arrays import Array
 from study.design import load
+from study.design.sections.cell import Config
+from study.design.spec import Design
 from study.errors import Fault, InputError
 from study.material.material import Material
 from study.material.registry import is_dimensionless
+from study.record.record import Record
 from study.record.store import Store
 from study.runner import provenance
+from study.runner.expansion import cases_by_id
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, ResolvedTables, problem_of
 
@@ -140,6 +144,18 @@ def _test_of(found: Mapping[str, object], path: Path, number: int) -> ResolvedTa
     return tests[number - 1]
 
 
+def _config_of(record: Record, design: Design, blocks: Sequence[str]) -> Config:
+    """Document of the cell that a case is of, or repeats on another mesh."""
+    known = cases_by_id(design, blocks).get(record.case_id)
+    if known is not None:
+        return known.config
+    for cell in design.treatments:
+        if cell.levels == record.levels:
+            return cell.config
+    mend = "name another of its cases (see `study why`)"
+    raise InputError(Fault(f"--case {record.case_id}", "is of no cell of the design", mend))
+
+
 def _constants(
     parameters: Mapping[str, Mapping[str, object]],
 ) -> tuple[dict[str, float], dict[str, float]]:
@@ -195,14 +211,12 @@ def _recorded(path: Path, case: str) -> Source:
         mend = "name one of its cases: --case ID (see `study why`)"
         raise InputError(Fault(str(path), "is a study of many cases", mend))
     record = why(case, study=folder)
-    manifest = Store(folder).read_manifest()
-    if manifest is None:
-        raise InputError(Fault(str(folder), "its manifest is damaged", "run the design again"))
+    manifest = finished_manifest(Store(folder))
     if not record.converged:
         rule = f"the case ended as {record.status}: {record.message}"
         raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
     design = load.loads(manifest["design"], manifest["source"])
-    config = next(t.config for t in design.treatments if t.levels == dict(record.levels))
+    config = _config_of(record, design, manifest["blocks"])
     values, errors = _constants(record.parameters)
     fitted = {n: v for n, v in values.items() if n != "mu0"}
     config = provenance.located(config, provenance.folders(design.source, folder))

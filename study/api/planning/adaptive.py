@@ -20,6 +20,7 @@ from study.design.layout.adaptive import share_of
 from study.design.spec import Design
 from study.design.study_file import Sequential
 from study.errors import RefusedError, StudyError
+from study.record.document import AdaptiveStep
 from study.response_surface.emulator.active_learning import (
     REFERENCES,
     Unsure,
@@ -30,6 +31,7 @@ from study.response_surface.emulator.blocked import BlockedEmulator, fit_blocks
 from study.response_surface.emulator.emulator import Emulator, fit_emulator
 from study.response_surface.emulator.gaussian_process import GaussianProcess
 from study.response_surface.factors import NumericFactor, Runs
+from study.runner.expansion import relabeled
 
 if TYPE_CHECKING:
     from study.record.record import Record
@@ -96,11 +98,14 @@ def run_adaptive(
     if work.design.scheme.sequential is None:
         return work, summary
     size = len(work.design.treatments)
-    history: list[object] = [row for row in store.read_rows(HISTORY) if row["cells"] < size]
+    kept = store.read_rows(HISTORY, AdaptiveStep)
+    history: list[object] = [row for row in kept if row["cells"] < size]
     while True:
         # digits of an emulator must not depend on the threads of the machine
         with threadpool_limits(1):
-            chosen, step = next_cells(work.design, store.records(work.input_hashes))
+            known = {job.case.case_id: job.case for job in work.jobs}
+            records = relabeled(store.records(work.input_hashes), work.design, known)
+            chosen, step = next_cells(work.design, records)
         history.append(step)
         with store.lock():
             store.write_json(HISTORY, history)

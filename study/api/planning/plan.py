@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.api.comparison.design_changes import run_changes
-from study.api.folders import RESULTS, design_root, results_folder
+from study.api.folders import RESULTS, design_root, finished_manifest, results_folder
 from study.api.planning.remaining_time import (
     control_seconds,
     controls_of,
@@ -20,7 +20,7 @@ from study.api.planning.sequential_design import continued
 from study.design.load import load
 from study.design.overview import Overview, overview
 from study.design.spec import Design
-from study.errors import InputError, MissingDataError
+from study.errors import MissingDataError
 from study.forward.external import common_digest
 from study.record.document import ManifestDocument
 from study.record.store import Store
@@ -218,9 +218,7 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     folder = results_folder(path, results)
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
-    manifest = store.read_manifest()
-    if manifest is None or not {"cases", "name"} <= set(manifest):
-        raise InputError(f"{folder}: its manifest is damaged; run the design again")
+    manifest = finished_manifest(store)
     found, later = store.survey(manifest["cases"]), store.read_unfinished()
     running = store.running()
     return {

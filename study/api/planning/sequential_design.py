@@ -28,7 +28,7 @@ def continued(design: Design, store: Store) -> Design:
     if design.scheme.sequential is None:
         return design
     manifest = store.read_unfinished() or store.read_manifest()
-    if manifest is None or manifest["versions"].get("study") != code_version():
+    if manifest is None or manifest.get("versions", {}).get("study") != code_version():
         return design
     try:
         known = loads(manifest["design"], manifest["source"])

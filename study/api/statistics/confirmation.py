@@ -14,6 +14,8 @@ from study.canonical import digest
 from study.design.factors import levels_at
 from study.design.spec import Design, Factor, Level
 from study.errors import Fault, RefusedError
+from study.record.document import ConfirmedRow
+from study.record.folder import ID
 from study.record.store import Store
 from study.response_surface.factors import NumericFactor
 from study.runner.batch import Progress, run_batch
@@ -76,9 +78,20 @@ def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Join
     manifest : mapping
         Of the finished run.
     """
-    own = [row for row in store.read_rows(CONFIRMED) if row["of"] == _identity(manifest)]
-    records = store.records({row["case"]: row["input"] for row in own})
-    return Joined(_knowing(design, [record.levels for record in records]), tuple(records))
+    rows = store.read_rows(CONFIRMED, ConfirmedRow)
+    own = [row for row in rows if row["of"] == _identity(manifest)]
+    found = store.records({row["case"]: row["input"] for row in own if ID.fullmatch(row["case"])})
+    records = tuple(record for record in found if _is_of(record, design))
+    return Joined(_knowing(design, [record.levels for record in records]), records)
+
+
+def _is_of(record: Record, design: Design) -> bool:
+    """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
+    known = {factor.name: factor for factor in design.factors}
+    return known.keys() == record.levels.keys() and all(
+        label in known[name].labels or known[name].span is not None
+        for name, label in record.levels.items()
+    )
 
 
 def _identity(manifest: Mapping[str, object]) -> str:
@@ -87,7 +100,7 @@ def _identity(manifest: Mapping[str, object]) -> str:
 
 def code_of(manifest: Mapping[str, object]) -> str:
     """Version of this program that a run was made with."""
-    versions = manifest["versions"]
+    versions = manifest.get("versions")
     return str(versions.get("study")) if isinstance(versions, Mapping) else ""
 
 
@@ -173,7 +186,8 @@ def confirm(
     run_batch(work, store, jobs=1, progress=permission.progress)
     found = store.records(work.input_hashes)
     own = {*study.manifest["cases"]}
-    rows = [row for row in store.read_rows(CONFIRMED) if row["case"] not in work.input_hashes]
+    kept = store.read_rows(CONFIRMED, ConfirmedRow)
+    rows = [row for row in kept if row["case"] not in work.input_hashes]
     rows += [{"case": one.case_id, "input": work.input_hashes[one.case_id],
               "of": _identity(manifest)} for one in found if one.case_id not in own]  # fmt: skip
     with store.lock():

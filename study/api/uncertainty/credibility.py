@@ -112,7 +112,7 @@ def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
     for row in rows:
         kind = listing(list(row["levels"].values())) or "the study's elements"
         name = f"3D equals axisymmetric space on a cylinder ({kind})"
-        if row["at_end"] is None:
+        if row["at_end"] is None or row["largest"] is None:
             yield Check(name, "caution", f"it could not be looked at: {row['message']}")
             continue
         flat, solid = row["unknowns"]

@@ -35,10 +35,10 @@ def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iter
     if solved:
         yield _energy(solved)
     steps = [
-        (name, float(entry["u_steps"]), str(entry.get("unit", "")))
+        (name, u, entry["unit"])
         for record in solved
         for name, entry in record.responses.items()
-        if "u_steps" in entry and name in responses
+        if (u := entry.get("u_steps")) is not None and name in responses
     ]
     if steps:
         yield _load_steps(steps)
@@ -47,10 +47,10 @@ def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iter
 def _energy(solved: Sequence[Record]) -> Check:
     """Compare the work of the test with the energy stored."""
     name = "work of the test equals stored energy"
-    snapped = [r for r in solved if r.solver["snaps_mm"]]
-    smooth = [float(r.solver["energy_mismatch"]) for r in solved if not r.solver["snaps_mm"]]
+    snapped = [r for r in solved if r.solver.get("snaps_mm")]
+    smooth = [r.solver["energy_mismatch"] for r in solved if not r.solver.get("snaps_mm")]
     worst = max(smooth, default=0.0)
-    held = max(float(r.solver["stabilization_share"]) for r in solved)
+    held = max(r.solver.get("stabilization_share", 0.0) for r in solved)
     finding = (
         f"the two differ by {_at_most(worst)} of the largest energy where nothing snaps; the "
         f"stabilization of the elements holds {_at_most(held)} of it"

@@ -13,6 +13,8 @@ from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.effects.contrast_uncertainty import CellSeries
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.canonical import digest
+from study.record.document import NumericalCells, NumericalRow
+from study.record.document_checks import fault_of_series
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,11 +32,21 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalU
     cases : mapping of str to str
         Case ids and input hashes; what ``study converge`` found of others is left out.
     """
-    found = store.read_json("numerical-cells")
-    rows = store.read_rows("numerical")
-    if isinstance(found, dict) and found.get("of") == digest(cases):
+    found = store.read_document(
+        "numerical-cells", NumericalCells, lambda cells: fault_of_series(cells["rows"])
+    )
+    rows = store.read_rows("numerical", NumericalRow, fault_of_series)
+    if found is not None and found["of"] == digest(cases):
         rows = [*rows, *found["rows"]]
-    return tuple(NumericalUncertainty(**row) for row in rows)
+    return tuple(map(_of_row, rows))
+
+
+def _of_row(row: NumericalRow) -> NumericalUncertainty:
+    return NumericalUncertainty(
+        row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
+        row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
+        tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+    )  # fmt: skip
 
 
 #: factors whose levels are meshes
@@ -179,7 +191,7 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
     On the log scale it counts by its share of the value, as that of the mesh does.
     """
     entries = [r.responses[response] for r in records if r.converged and response in r.responses]
-    found = [(float(e["u_steps"]), e["value"]) for e in entries if "u_steps" in e]
+    found = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
     if transform != "log":
         return max((u for u, _ in found), default=0.0)
     shares = [u / abs(value) for u, value in found if value]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.analysis.convergence.validation import compare
 from study.arrays import Array
+from study.errors import StoreError
 from study.runner.batch import run_batch
 from study.runner.numerical import study_refinement
 from study.runner.numerical.case_series import PLACES, places_of
@@ -60,9 +62,9 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
             continue
         # where the deformation is the same everywhere no mesh matters
         share = np.zeros(PLACES.size) if job.case.setup.is_homogeneous else mesh(job)
-        rows.append(
-            _row(record, share, inputs.get(physics_of(job.case.levels)), work.design.uncertainty)
-        )
+        own = replace(record, levels=job.case.levels)
+        physics = inputs.get(physics_of(job.case.levels))
+        rows.append(_row(own, share, physics, work.design.uncertainty))
     return rows
 
 
@@ -97,9 +99,12 @@ def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
 def _row(
     record: Record, mesh: Array | None, inputs: Array | None, uncertainty: Mapping[str, float]
 ) -> dict[str, object]:
-    fact, pair = record.scores[0], record.first_pair()
-    if pair is None:
-        raise ValueError(f"case {record.case_id} has an answer and no curve")
+    fact, pair = next(iter(record.scores), None), record.first_pair()
+    if fact is None or pair is None:
+        raise StoreError(
+            f"case {record.case_id}: its record has an answer and no curve beside a measured one; "
+            "delete its folder below cases and run the design again"
+        )
     measured, predicted = pair
     d = places_of(measured)
     force = predicted.force_at(d)
@@ -114,7 +119,10 @@ def _row(
 
 
 def _data(
-    measured: Curve, d: Array, scatter: Sequence[float] | None, uncertainty: Mapping[str, float]
+    measured: Curve,
+    d: Array,
+    scatter: Sequence[float | None] | None,
+    uncertainty: Mapping[str, float],
 ) -> Array | None:
     """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
 

@@ -20,6 +20,7 @@ from study.analysis.convergence.grid_convergence import (
 from study.arrays import Array
 from study.curve import Curve
 from study.design.study_file import Converge
+from study.errors import StoreError
 from study.record.record import Record
 from study.runner.job import CaseJob
 from study.runner.numerical.curve_quantities import QUANTITIES
@@ -265,12 +266,15 @@ def force_at_places(record: Record) -> Array:
 
     Raises
     ------
-    ValueError
+    StoreError
         If the record has no predicted curve.
     """
     pair, predicted = record.first_pair(), record.first_prediction()
     if predicted is None:
-        raise ValueError(f"case {record.case_id} has an answer and no curve")
+        raise StoreError(
+            f"case {record.case_id}: its record has an answer and no curve; delete its folder "
+            "below cases and run the design again"
+        )
     return predicted.force_at(places_of(predicted if pair is None else pair[0]))
 
 

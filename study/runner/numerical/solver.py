@@ -50,7 +50,7 @@ def kept(solve: Solver, store: Store) -> Solver:
     def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
         missing = []
         for task in tasks:
-            known = store.read_result(_name(task.key))
+            known = store.read_solution(task.key)
             if known is not None:
                 yield task.key, SolveResult.from_json(known)
             else:
@@ -58,7 +58,7 @@ def kept(solve: Solver, store: Store) -> Solver:
         for key, result in solve(missing) if missing else ():
             if result.status in _KEPT:
                 with store.lock():
-                    store.write_result(_name(key), result.to_json())
+                    store.write_solution(key, result.to_json())
             yield key, result
 
     return looked_up
@@ -66,11 +66,7 @@ def kept(solve: Solver, store: Store) -> Solver:
 
 def is_kept(task: SolveTask, store: Store) -> bool:
     """Whether the solution of a task is stored."""
-    return store.read_result(_name(task.key)) is not None
-
-
-def _name(key: str) -> str:
-    return f"solves/{key}"
+    return store.read_solution(task.key) is not None
 
 
 def store_of(results: Path, name: str) -> Store:

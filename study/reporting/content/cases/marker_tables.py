@@ -55,10 +55,13 @@ def _row(one: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
     )
 
 
-def _values(motion: dict[str, list[float]], names: tuple[str, ...]) -> str:
+def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:
     """Components with their standard errors where they were fitted."""
     said = []
     for name in names:
-        value, error = motion[name]
+        value, error = motion.get(name, (None, None))
+        if value is None:
+            said.append(MISSING)
+            continue
         said.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
     return ", ".join(said).replace("-", MINUS) or MISSING

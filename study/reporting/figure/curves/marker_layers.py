@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from study.reporting.figure.style import MUTED, WIDTH_IN, canvas, color_of
@@ -46,7 +47,8 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 def _freest(one: MarkedCase) -> dict[str, float]:
     """Errors by layer under the last of the fits to all markers."""
     every = [fit for fit in one.fits if fit["fitted"] == "all"]
-    return every[-1]["error_by_layer_mm"] if every else {}
+    known = every[-1]["error_by_layer_mm"] if every else {}
+    return {layer: math.nan if error is None else error for layer, error in known.items()}
 
 
 def draw_layers(frame: pd.DataFrame) -> Canvas:
