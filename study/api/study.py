@@ -29,7 +29,7 @@ from study.api.uncertainty import credibility
 from study.api.uncertainty.validation import validate
 from study.design.load import from_tables, load, loads
 from study.design.spec import Design
-from study.errors import InputError, RefusedError
+from study.errors import InputError, RefusedError, StudyError
 from study.execution.task import check_limit
 from study.execution.worker import Worker
 from study.forward.external import check_allowed
@@ -38,6 +38,7 @@ from study.record.manifests import is_same
 from study.record.store import Store
 from study.reporting.figure.style import load_libraries
 from study.reporting.output import provenance
+from study.reporting.output.files import own_folder
 from study.reporting.output.write import checked_formats, main_file, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
@@ -327,11 +328,13 @@ def report(
         if began is not None:
             timings["statistics"] = clock.parts["statistics"]
         try:
-            written = _written(study, timings, Path(reports) / study.design.name, wanted, worker)
+            folder = own_folder(Path(reports), study.design.name)
+            written = _written(study, timings, folder, wanted, worker)
         except (InputError, RefusedError):
             raise
         except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
-            message = f"the report could not be written: {type(error).__name__}: {error}"
+            kind = "" if isinstance(error, StudyError) else f"{type(error).__name__}: "
+            message = f"the report could not be written: {kind}{error}"
             return replace(study, warnings=(*study.warnings, message))
     return replace(study, report=written)
 

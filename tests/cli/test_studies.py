@@ -215,6 +215,39 @@ def test_a_report_that_cannot_be_written_is_no_success(done: Path) -> None:
     assert "the report could not be written" in answer.err
 
 
+@pytest.mark.parametrize("below", ["small", "small/small-data"])
+def test_a_link_does_not_lead_a_report_out_of_its_folder(done: Path, below: str) -> None:
+    other = done / "other"
+    other.mkdir()
+    (other / "made-from.json").write_text("not of this report")
+    link = done / "linked" / below
+    link.parent.mkdir(parents=True)
+    link.symlink_to(other)
+    answer = study("report", "small", "--reports", "linked")
+    assert answer.code == 1
+    assert "a link leads outside" in answer.err
+    assert [path.name for path in other.iterdir()] == ["made-from.json"]
+
+
+def test_the_folder_that_the_user_names_may_be_a_link(done: Path) -> None:
+    (done / "disk").mkdir()
+    (done / "linked").symlink_to(done / "disk")
+    good(study("report", "small", "--reports", "linked"))
+    assert (done / "disk" / "small" / "small-data" / "numbers.json").is_file()
+
+
+def test_what_an_interrupted_report_left_is_not_written_through(done: Path) -> None:
+    good(study("report", "small", "--reports", "again"))
+    note = done / "note.txt"
+    note.write_text("mine")
+    data = done / "again" / "small" / "small-data"
+    (data / "numbers.json.part").symlink_to(note)
+    (data / "numbers.json").unlink()
+    good(study("report", "small", "--reports", "again"))
+    assert note.read_text() == "mine"
+    assert (data / "numbers.json").is_file()
+
+
 def test_an_override_changes_one_run(home: Path) -> None:
     found = study("plan", "small.toml", "--data", "data", "--json", "-s", "study.name=other").json
     assert found["study"] == "other"

@@ -15,8 +15,8 @@ from study.reporting.content.table import Table
 from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
+from study.reporting.output.files import data_folder, replace_file
 from study.reporting.output.page import _environment
-from study.reporting.output.write import replace_file
 from study.shape_validation.deviation import ShapeDeviation
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult
@@ -70,8 +70,7 @@ def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
         The HTML file.
     """
     folder, stem = Path(out_dir), f"{slug(page.name)}-{slug(page.kicker)}"
-    beside = folder / f"{stem}-data"
-    beside.mkdir(parents=True, exist_ok=True)
+    beside = data_folder(folder, stem)
     for figure in page.figures:
         if figure.data is not None:
             replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))

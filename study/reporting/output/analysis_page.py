@@ -19,6 +19,7 @@ from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.figure.residuals import residual_plots
 from study.reporting.numbers import clean, count, listing, p_phrase, sentence
 from study.reporting.output import page, write
+from study.reporting.output.files import data_folder, replace_file
 from study.reporting.report import Facts, facts
 
 if TYPE_CHECKING:
@@ -268,16 +269,15 @@ def write_analysis(
     folder = Path(out_dir)
     stem = slug(f"{report.data.name} {report.found.request.response}")
     contents = prepare(report)
-    beside = folder / f"{stem}-data"
-    beside.mkdir(parents=True, exist_ok=True)
+    beside = data_folder(folder, stem)
     _write_data(report, contents, beside)
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in asked or "pdf" in asked:
-        write.replace_file(html, render(report, contents))
+        replace_file(html, render(report, contents))
     if "tex" in asked:
         shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
         captions = [(t.name.capitalize(), t) for _, t in shown]
-        write.replace_file(latex, write.document(captions, _methods(contents)))
+        replace_file(latex, write.document(captions, _methods(contents)))
     if "pdf" in asked:
         write.print_page(html, portable)
     return {"html": html, "pdf": html, "tex": latex, "csv": beside / "rows.csv"}[asked[0]]
@@ -289,17 +289,17 @@ _IN_LATEX = ("verdicts", "anova", "coefficients", "means", "pairs", "reference")
 def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -> None:
     numbers = report.found.to_json()
     text = json.dumps(numbers, indent=1, allow_nan=False)
-    write.replace_file(beside / "numbers.json", text + "\n")
+    replace_file(beside / "numbers.json", text + "\n")
     rows = report.found.data.residuals if report.rows is None else report.rows
-    write.replace_file(beside / "rows.csv", write.of_frame(rows))
+    replace_file(beside / "rows.csv", write.of_frame(rows))
     sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
     for table in (*contents.tables.values(), *sizes):
         records = write.of_records(table.raw) if table.raw else write.of_rows(
             table.columns, table.rows
         )  # fmt: skip
-        write.replace_file(beside / f"table-{slug(table.name)}.csv", records)
+        replace_file(beside / f"table-{slug(table.name)}.csv", records)
     for figure in contents.all_figures:
         if figure.data is not None:
-            write.replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
         if figure.svg:
-            write.replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
+            replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")

@@ -10,8 +10,8 @@ from study.reporting.content.table import Table
 from study.reporting.figure.registry import Figure, slug
 from study.reporting.numbers import clean
 from study.reporting.output import write
+from study.reporting.output.files import data_folder, replace_file
 from study.reporting.output.page import _environment
-from study.reporting.output.write import replace_file
 
 
 @dataclass(frozen=True)
@@ -63,8 +63,7 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     """
     folder = Path(out_dir)
     stem = f"{slug(page.name)}-{page.stem}"
-    beside = folder / f"{stem}-data"
-    beside.mkdir(parents=True, exist_ok=True)
+    beside = data_folder(folder, stem)
     for figure in page.figures:
         if figure.data is not None:
             replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))

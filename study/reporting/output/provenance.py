@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_info
 
 import study
 from study.reporting.figure.registry import slug
-from study.reporting.output.write import replace_file
+from study.reporting.output.files import own_folder, replace_file
 
 #: file in the folder of a report's data
 NAME = "made-from.json"
@@ -89,7 +89,9 @@ def keep(folder: Path, name: str, made_from: str) -> None:
 
 def forget(folder: Path, name: str) -> None:
     """Have a report made again the next time; parameters as of :func:`is_kept`."""
-    _note(folder, name).unlink(missing_ok=True)
+    note = _note(folder, name)
+    own_folder(folder, note.parent.name)
+    note.unlink(missing_ok=True)
 
 
 @functools.cache

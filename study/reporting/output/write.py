@@ -23,6 +23,7 @@ from study.reporting.content.methods import paragraph
 from study.reporting.content.table import Table
 from study.reporting.figure.registry import slug
 from study.reporting.numbers import MINUS, MISSING, THIN, TIMES, clean
+from study.reporting.output.files import data_folder, replace_bytes, replace_file, replace_packed
 from study.reporting.output.page import Contents, prepare, render
 from study.study_result.report_data import CurvePair, ReportData
 
@@ -61,6 +62,8 @@ def write(
     ------
     InputError
         For an unknown format, or ``pdf`` without a browser (before anything is written).
+    StudyError
+        If a link leads out of the folder.
     """
     asked = checked_formats(formats)
     folder = Path(out_dir)
@@ -71,13 +74,12 @@ def write(
 def _written(contents: Contents, folder: Path, asked: Sequence[str]) -> Path:
     report_data = contents.data
     stem = slug(report_data.name)
-    beside = folder / f"{stem}-data"
-    beside.mkdir(parents=True, exist_ok=True)
+    beside = data_folder(folder, stem)
     _numbers(contents, beside)
     _tables(contents, beside)
     replace_file(beside / "cases.csv", of_frame(report_data.table))
     if report_data.curves:
-        _replace_packed(beside / "curves.csv.gz", _points(report_data.curves))
+        replace_packed(beside / "curves.csv.gz", _points(report_data.curves))
     for figure in contents.all_figures:
         if figure.data is not None:
             replace_file(beside / f"figure-{figure.name}.csv", of_frame(figure.data))
@@ -196,22 +198,6 @@ def _latex(contents: Contents) -> str:
     return document(known, paragraph(contents.data, contents.found))
 
 
-def _replace_packed(path: Path, text: str) -> None:
-    """Write a gzip file, the same bytes for the same text."""
-    import gzip
-
-    partial = path.with_name(path.name + ".part")
-    partial.write_bytes(gzip.compress(text.encode(), 6, mtime=0))
-    os.replace(partial, path)
-
-
-def replace_file(path: Path, text: str) -> None:
-    """Write a text beside, then rename: a reader never sees half a file."""
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(partial, path)
-
-
 _SPECIAL = {
     "\\": r"\textbackslash{}",
     "&": r"\&",
@@ -317,11 +303,13 @@ def print_page(page: Path, out: Path) -> None:
     """
     program = browser()
     with tempfile.TemporaryDirectory() as profile:
+        # the browser writes through a link, and leaves half a file where it is stopped
+        printed = Path(profile, "page.pdf")
         command = [
             program, "--headless", "--disable-gpu", "--no-first-run",
             "--disable-background-networking", "--disable-component-update", "--disable-sync",
             "--no-pdf-header-footer", "--generate-pdf-document-outline",
-            f"--user-data-dir={profile}", f"--print-to-pdf={out}",
+            f"--user-data-dir={profile}", f"--print-to-pdf={printed}",
         ]  # fmt: skip
         if hasattr(os, "geteuid") and os.geteuid() == 0:
             command.append("--no-sandbox")  # Chromium's sandbox refuses to run as root
@@ -330,9 +318,10 @@ def print_page(page: Path, out: Path) -> None:
             done = subprocess.run(command, capture_output=True, timeout=_SECONDS, check=False)
         except subprocess.TimeoutExpired as error:
             raise StudyError(f"{program} did not print {page} within {_SECONDS} s") from error
-    if done.returncode or not out.is_file():
-        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
-        raise StudyError(f"{program} could not print {page}: {last[0][:300]}")
+        if done.returncode or not printed.is_file():
+            last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
+            raise StudyError(f"{program} could not print {page}: {last[0][:300]}")
+        replace_bytes(out, printed.read_bytes())
 
 
 # CWE-1236: a text cell that starts with one of these is a formula to a spreadsheet

@@ -1,0 +1,76 @@
+"""Files of a report: each replaced whole, none outside the folder it was asked for.
+
+A project may come from others, with links in it that lead elsewhere. The folder that the user
+names may be a link; what the program puts below it may not lead out again.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+from pathlib import Path
+
+from study.errors import StudyError
+
+
+def own_folder(root: Path, name: str) -> Path:
+    """Return the folder of a report below the one that the user named; it is not made.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that the user named.
+    name : str
+        Of the folder in it.
+
+    Raises
+    ------
+    StudyError
+        If it is a link that leads out of ``root``.
+    """
+    folder = root / name
+    if folder.is_symlink() and not folder.resolve().is_relative_to(root.resolve()):
+        raise StudyError(
+            f"{folder}: a link leads outside {root}, where a report is not written; remove the "
+            "link, or name another folder"
+        )
+    return folder
+
+
+def data_folder(folder: Path, stem: str) -> Path:
+    """Make the folder for what a page was drawn from, beside the page.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the page; made where missing.
+    stem : str
+        Name of the page without its suffix.
+
+    Raises
+    ------
+    StudyError
+        If it is a link that leads out of ``folder``.
+    """
+    beside = own_folder(folder, f"{stem}-data")
+    beside.mkdir(parents=True, exist_ok=True)
+    return beside
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a text beside, then rename: a reader never sees half a file."""
+    replace_bytes(path, text.encode())
+
+
+def replace_packed(path: Path, text: str) -> None:
+    """Write a gzip file, the same bytes for the same text."""
+    replace_bytes(path, gzip.compress(text.encode(), 6, mtime=0))
+
+
+def replace_bytes(path: Path, data: bytes) -> None:
+    """Write the bytes of a file beside, then rename; see :func:`replace_file`."""
+    partial = path.with_name(path.name + ".part")
+    partial.unlink(missing_ok=True)  # what was left there, a link too, is not written through
+    with open(partial, "xb") as stream:
+        stream.write(data)
+    os.replace(partial, path)
