@@ -10,6 +10,7 @@ import pytest
 # Each of these takes from a tenth of a second to seconds; a clock would make the test
 # depend on the machine, so it counts modules instead.
 HEAVY = (
+    "numpy",
     "numba",
     "gmsh",
     "skfem",

@@ -17,7 +17,6 @@ from study.cli.next_command import designs
 from study.cli.output import Document
 from study.cli.studies import RESULTS, Data, Json, Results, Set
 from study.errors import Fault, InputError
-from study.material.registry import is_dimensionless, unit_shown
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
@@ -223,6 +222,7 @@ class _Line:
 
     def show(self, step: Step) -> None:
         """Show an accepted iteration."""
+        from study.material.registry import is_dimensionless, unit_shown
         from study.runner.fitting.staged_fit import LAST
 
         it = step.iteration

@@ -11,7 +11,7 @@ import typer
 
 from study.cli import next_command, output
 from study.cli.studies import RESULTS, Data, Json, Results, Study
-from study.cli.tables import analysis_tables, mixed_effects, surface_tables
+from study.cli.tables import mixed_effects, surface_tables
 from study.cli.tables.surface_tables import names
 from study.errors import Fault, InputError
 
@@ -160,11 +160,15 @@ class _Beside:
     def to_json(self) -> dict[str, object]:
         found: dict[str, object] = {}
         if self.compared is not None:
+            from study.cli.tables import analysis_tables
+
             found["reference"] = analysis_tables.reference_json(*self.compared)
         return found if self.page is None else found | {"report": str(self.page)}
 
 
 def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
+    from study.cli.tables import analysis_tables
+
     if as_json:
         output.warn(found.notes)
         output.print_json(found.to_json() | beside.to_json())
