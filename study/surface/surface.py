@@ -61,7 +61,7 @@ def _turn(u: Array, v: Array) -> Array:
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """A checked surface that stands on z = 0 below its plate.
 
@@ -91,12 +91,12 @@ class Body:
         """Height of the highest point."""
         return float(self.points[:, 2].max())
 
-    @property
+    @functools.cached_property
     def volume_mm3(self) -> float:
         """Volume enclosed."""
         return volume(self.points, self.triangles)
 
-    @property
+    @functools.cached_property
     def area_mm2(self) -> float:
         """Area of all triangles."""
         return area(self.points, self.triangles)
@@ -107,7 +107,7 @@ class Body:
         low, high = self.points[:, :2].min(axis=0), self.points[:, :2].max(axis=0)
         return float(max(min(high.min(), -low.max()), 0.0))
 
-    @property
+    @functools.cached_property
     def axis_height_mm(self) -> float:
         """Height of the highest point on the loading axis; 0 where it misses the body."""
         a, b, c = (self.points[self.triangles[:, k]] for k in range(3))

@@ -7,6 +7,7 @@ again in the size that the model asks for (Remacle et al. 2010, Int. J. Numer. M
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from types import ModuleType
 
@@ -175,6 +176,7 @@ def _field(setup: Setup, found: Body) -> SizeField:
     return SizeField.uniform(model.mesh_size_mm or usual * mesh_level(model))
 
 
+@functools.lru_cache(maxsize=8)
 def _followed(found: Body) -> float:
     """Largest reference size whose straight sides follow the round parts on a coarse mesh too."""
     rounding = found.rounding_mm(FEATURE)
