@@ -232,7 +232,7 @@ def test_degenerate_triangles(tmp_path: Path) -> None:
         ),
         (
             "lists.ply",
-            b"ply\nformat ascii 1.0\nelement vertex 1\nelement face 1\nproperty list uchar\nend_header\n",
+            b"ply\nformat ascii 1.0\nelement face 1\nproperty list uchar\nend_header\n",
             "is malformed: it breaks the rules of its format",
         ),
         ("range.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a point that is not there"),
