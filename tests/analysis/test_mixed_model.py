@@ -9,8 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import statsmodels.formula.api as smf
+from scipy.stats import multivariate_normal
 
 import study
+from study.analysis.error.restricted_likelihood import Likelihood
 from study.errors import InputError
 
 #: yield of dyestuff by batch (Davies 1947, Statistical Methods in Research and Production)
@@ -179,3 +181,19 @@ def test_a_response_that_never_changes_is_refused_in_words() -> None:
     table = pd.DataFrame({"a": ["x", "y"] * 4, "b": list("ppqqrrss"), "y": 1e9})
     with pytest.raises(InputError, match="response: is the same in every row"):
         study.mixed_model(table, "y", ["a"], block="b")
+
+
+@pytest.mark.parametrize("kept", [slice(None), slice(0, 45)])
+def test_the_likelihood_is_that_of_a_normal_vector(kept: slice) -> None:
+    """The rows are turned block by block; the density of all rows at once needs none of that."""
+    rng = np.random.default_rng(5)
+    block, part = np.divmod(np.repeat(np.arange(12), 5)[kept], 3)
+    x = np.column_stack([np.ones(block.size), part, rng.normal(size=block.size)])
+    random = (np.eye(block.max() + 1)[block], np.eye(12)[block * 3 + part])
+    y = 3.0 + rng.normal(size=block.size)
+    likelihood = Likelihood(y, x, random)
+    for sd in ([0.7, 0.4, 1.1], [0.0, 2.0, 0.05], [0.0, 0.0, 1.0]):
+        v = likelihood.covariance(np.array(sd))
+        beta = np.linalg.solve(x.T @ np.linalg.solve(v, x), x.T @ np.linalg.solve(v, y))
+        dense = -2 * multivariate_normal(x @ beta, v).logpdf(y)
+        assert likelihood.deviance(np.array(sd), restricted=False) == pytest.approx(dense, rel=1e-9)

@@ -142,6 +142,16 @@ def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:
     assert ours.p == pytest.approx(theirs.pvalue, rel=1e-8)
 
 
+def test_a_cell_without_rows_moves_no_exponent(table: pd.DataFrame) -> None:
+    """Its column of the interaction is zero, and says nothing."""
+    data, fit = fitted(table)
+    columns = fit.matrix.columns
+    known = box_cox(data.y, columns)
+    empty = box_cox(data.y, np.column_stack([columns, np.zeros(len(columns))]))
+    assert empty.exponent == pytest.approx(known.exponent, abs=1e-9)
+    assert empty.ci95 == pytest.approx(known.ci95, abs=1e-9)
+
+
 def test_box_cox_finds_the_log(table: pd.DataFrame) -> None:
     data, fit = fitted(table)
     result = box_cox(data.y, fit.matrix.columns)

@@ -175,6 +175,18 @@ def test_a_column_that_differs_in_case_is_suggested() -> None:
     assert "did you mean 'material'" in err
 
 
+def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Path) -> None:
+    """The column of a cell without rows is zero."""
+    rows = [f"{a},{b},{9 + k + (a == b)}" for a in "xyz" for b in "xyq" for k in range(3)]
+    rows = [row for row in rows if not row.startswith("z,q")]
+    (tmp_path / "t.csv").write_text("\n".join(["a,b,y", *rows]))
+    flags = ["--response", "y", "--factors", "a,b", "--model", "a:b"]
+    answer = study("analyze", tmp_path / "t.csv", *flags)
+    assert answer.code == 0, answer.err
+    assert "the mean is not estimable at z q" in answer.err
+    assert "Box-Cox exponent" in answer.out
+
+
 def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
     text = (TABLES / "etch_rate.csv").read_text().replace(",", ";")
     lines = text.splitlines()

@@ -155,7 +155,8 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
 
     if y.min() <= 0:
         raise InputError(Fault("Box-Cox", f"needs a positive response, got {y.min():g}"))
-    basis = span(matrix / np.linalg.norm(matrix, axis=0))
+    length = np.linalg.norm(matrix, axis=0)
+    basis = span(matrix[:, length > 0] / length[length > 0])  # a cell may be empty
     if basis.shape[1] >= y.size:
         raise InputError(Fault("Box-Cox", "the model leaves no residual degrees of freedom"))
     logs = np.log(y)

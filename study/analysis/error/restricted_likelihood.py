@@ -6,10 +6,46 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import qr
 from scipy.optimize import minimize
 
-from study.arrays import Array
+from study.arrays import Array, Ints
+
+# of the longest column: what an axis keeps below this share of it is rounding
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    """Response and effects of every block in the axes that see an effect, and what lies beside.
+
+    Shapes: y (blocks, k), x (blocks, k, r), patterns (blocks, k, k), the covariances of random
+    effects of unit variance. A block that sees fewer than k axes has zeros in the others;
+    ``rows_left``, the rows beyond all axes, is less by as many.
+    """
+
+    y: Array
+    x: Array
+    patterns: tuple[Array, ...]
+    rows_left: int
+    squares_left: float
+
+    def whiten(self, sd: Array) -> tuple[float, Array, Array]:
+        """Return log det V, and W x and W y with W'W the inverse of the covariance V.
+
+        Raises
+        ------
+        LinAlgError
+            If V is not positive.
+        """
+        v = sd[-1] ** 2 * np.eye(self.y.shape[1]) + np.zeros_like(self.patterns[0])
+        for one, pattern in zip(sd, self.patterns, strict=False):
+            v += one**2 * pattern
+        lower = np.linalg.cholesky(v)
+        both = np.linalg.solve(lower, np.concatenate([self.x, self.y[:, :, None]], axis=2))
+        log_det = 2 * float(np.log(np.diagonal(lower, axis1=1, axis2=2)).sum())
+        rows = both.reshape(-1, both.shape[2])
+        return log_det, rows[:, :-1], rows[:, -1]
 
 
 @dataclass(frozen=True)
@@ -23,7 +59,8 @@ class Likelihood:
     x : ndarray, shape (n, r)
         Columns of the fixed effects.
     random : tuple of ndarray, shape (n, levels)
-        Indicators of the levels of every random effect.
+        Indicators of the levels of every random effect: first the blocks, then what lies in
+        blocks, so that rows of two blocks are independent.
     """
 
     y: Array
@@ -39,19 +76,53 @@ class Likelihood:
 
     def deviance(self, sd: Array, restricted: bool) -> float:
         """-2 log likelihood."""
+        few = self._blocks
         try:
-            root = cho_factor(self.covariance(sd), lower=True)
+            log_det, x, y = few.whiten(sd)
         except np.linalg.LinAlgError:
             return float("inf")
-        vx = cho_solve(root, self.x)
-        information = self.x.T @ vx
-        beta = np.linalg.solve(information, vx.T @ self.y)
-        r = self.y - self.x @ beta
-        n = self.y.size - (self.x.shape[1] if restricted else 0)
-        found = 2 * np.log(np.diag(root[0])).sum() + r @ cho_solve(root, r) + n * np.log(2 * np.pi)
+        information = x.T @ x
+        r = y - x @ np.linalg.solve(information, x.T @ y)
+        found = log_det + r @ r
+        if sd[-1] > 0:
+            found += few.rows_left * np.log(sd[-1] ** 2) + few.squares_left / sd[-1] ** 2
+        found += (self.y.size - restricted * self.x.shape[1]) * np.log(2 * np.pi)
         if restricted:
-            found += np.linalg.slogdet(information)[1] - np.linalg.slogdet(self.x.T @ self.x)[1]
+            found += np.linalg.slogdet(information)[1] - self._fixed_log_det
         return float(found)
+
+    @cached_property
+    def _fixed_log_det(self) -> float:
+        return float(np.linalg.slogdet(self.x.T @ self.x)[1])
+
+    @cached_property
+    def _blocks(self) -> _Blocks:
+        """The rows of every block in axes of which only the first few see an effect.
+
+        Blocks are independent, and the likelihood does not change under a rotation. Beyond the
+        space of its indicators and fixed columns every axis of a block holds scatter within
+        alone, so their sum of squares is all that counts of them.
+        """
+        turned = [self._turned(np.flatnonzero(block)) for block in self.random[0].T if block.any()]
+        k = max(y.size for y, *_ in turned)
+        shape = len(turned), k
+        y, x = np.zeros(shape), np.zeros((*shape, self.x.shape[1]))
+        patterns = tuple(np.zeros((*shape, k)) for _ in self.random)
+        for i, (own_y, own_x, own_z, _) in enumerate(turned):
+            y[i, : own_y.size], x[i, : own_y.size] = own_y, own_x
+            for pattern, z in zip(patterns, own_z, strict=True):
+                pattern[i, : own_y.size, : own_y.size] = z @ z.T
+        squares = sum(left for *_, left in turned)
+        return _Blocks(y, x, patterns, self.y.size - y.size, squares)
+
+    def _turned(self, rows: Ints) -> tuple[Array, Array, list[Array], float]:
+        """Response, fixed columns and indicators of some rows in the axes that see an effect."""
+        y, x, random = self.y[rows], self.x[rows], [z[rows] for z in self.random]
+        q, r = qr(np.hstack([x, *random]), mode="economic", pivoting=True)[:2]
+        seen = np.abs(np.diag(r)) > _ROUNDING * np.abs(r[0, 0])
+        q = q[:, : seen.size][:, seen]
+        left = y - q @ (q.T @ y)
+        return q.T @ y, q.T @ x, [q.T @ z for z in random], float(left @ left)
 
     @cached_property
     def scale(self) -> float:
