@@ -144,9 +144,11 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
         if older and _cost_ahead(sizes, wanted, springs) > system.solver.worth():
             system.factorize()
             older = False
-        elif corrections == _DULL and not system.solver.exact:
-            system.factorize(exact=True)
-            older = False
+        elif corrections >= _DULL and not system.solver.exact:
+            left_to_try = (_CORRECTIONS - corrections) * x.shape[1]
+            if _cost_ahead(sizes, wanted, springs) > left_to_try:
+                system.factorize(exact=True)
+                older = False
         x[free] += system.back_substitute(left[free])
         for each in closed:
             each.take_over(x)
