@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from study.design.load import load
+from study.design.load import from_tables, load, load_problem, loads_problem
 from study.design.sections.cell import Config
 from study.design.spec import Design
 from study.errors import Fault, InputError
@@ -14,6 +14,8 @@ from study.measurement.data_root import locate, locate_pattern
 from study.measurement.section import MeasurementSpec
 from study.record.document import ManifestDocument
 from study.record.store import Store
+from study.runner import provenance
+from study.setup.setup import ResolvedTables
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
@@ -67,6 +69,31 @@ def _holds(folder: Path, wanted: Iterable[MeasurementSpec]) -> bool:
     except InputError:
         return False
     return True
+
+
+def problem_tables(source: str | Path | ResolvedTables, overrides: Sequence[str] = ()) -> Config:
+    """Read a problem, from its file or from tables as a file has them, and find its surface.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        Problem file, or its tables; files that they name are looked for from here. Tables that
+        have the keys of the program, as a setting of a study has them, stay as they are.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem.
+    """
+    if isinstance(source, Mapping):
+        if "displacement_mm" in source.get("test", {}):
+            return dict(source)
+        tables, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
+    else:
+        tables, place = load_problem(source, overrides), Path(source)
+    return provenance.located(tables, provenance.folders(place, data_root(place)))
 
 
 def design_root(design: Design, data: str | Path | None = None) -> Path:

@@ -10,7 +10,7 @@ the same digits.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -141,15 +141,36 @@ def solve(
         Tolerances and step rule.
     """
     from study.fem.solver.options import Options
-    from study.fem.solver.solve import solve as forward_solve
 
-    if problem.setup.has_no_elements:
-        return closed_form.solution(problem)
     options = options or Options()
     if cutbacks is not None:
         options = replace(options, steps=StepSettings(smallest=cutbacks), snaps=False)
     options = replace(options, curve_error=CURVE_ERROR)
-    return forward_solve(problem, gradients=gradients, warm=warm, options=options)
+    return at_steps(problem, gradients=gradients, warm=warm, options=options)
+
+
+def at_steps(
+    problem: Problem,
+    *,
+    gradients: bool = True,
+    warm: Solution | None = None,
+    options: Options | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Solution:
+    """Forward solution at the load steps of the problem, however far apart they are.
+
+    In closed form of a gauge section, else by elements; parameters as of :func:`solve`.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with the share that is done after every load step of the elements.
+    """
+    if problem.setup.has_no_elements:
+        return closed_form.solution(problem)
+    from study.fem.solver.solve import solve as by_elements
+
+    return by_elements(problem, gradients=gradients, warm=warm, options=options, progress=progress)
 
 
 #: Share of the force, root mean square, by which the interpolation between load steps may be

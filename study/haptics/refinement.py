@@ -11,7 +11,7 @@ import numpy as np
 from study.arrays import Array
 from study.curve import Curve
 from study.errors import Fault, InputError
-from study.forward import closed_form
+from study.forward.finite_element import at_steps
 from study.haptics.force_law import (
     ConstantRange,
     ForceLaw,
@@ -143,16 +143,11 @@ def _solved(problem: Problem, steps: int, warm: Solution | None = None) -> Solut
     InputError
         If it does not reach the end, or its force is one over time.
     """
-    from study.fem.solver.solve import solve
-
     asked = replace(problem, test=replace(problem.test, steps=steps))
     if asked.test.hold_s is not None or asked.test.cycles is not None:
         rule = "makes a force over time, and a law is one over displacement"
         raise InputError(Fault("test", rule, "leave hold and cycles out"))
-    if asked.setup.has_no_elements:
-        solution = closed_form.solution(asked)
-    else:
-        solution = solve(asked, warm=warm)
+    solution = at_steps(asked, warm=warm)
     if not solution.converged:
         rule = f"the simulation ends too early ({solution.status}): {solution.message}"
         mend = "press less deep: a law ends where the simulation does"

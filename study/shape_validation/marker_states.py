@@ -96,6 +96,8 @@ def read_markers(spec: MarkerSpec, path: Path, specimen: Block) -> MarkerStates:
     InputError
         For a faulty file, markers outside the block, or a layer that no marker has.
     """
+    from study.surface.surface import turned_up
+
     where = f"markers.file: {path.name}"
     columns = [*spec.rest, *(c for state in spec.states for c in state.columns)]
     required = [*columns, *([spec.layer] if spec.layer else [])]
@@ -104,8 +106,6 @@ def read_markers(spec: MarkerSpec, path: Path, specimen: Block) -> MarkerStates:
 
     def places(axes: tuple[str, str, str]) -> Array:
         numbers = np.column_stack([table.numbers(axis) for axis in axes])
-        from study.surface.surface import turned_up
-
         return turned_up(factor * numbers, spec.axis)
 
     rest = places(spec.rest)

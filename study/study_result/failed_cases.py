@@ -43,6 +43,6 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
     unit = f" {span.unit}" if span.unit else ""
     words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
     return {
-        label: words[min(sum(value >= end for end in ends[1:-1]), PARTS - 1)]
+        label: words[sum(value >= end for end in ends[1:-1])]
         for label, value in settings_of(factor).items()
     }

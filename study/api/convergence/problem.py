@@ -12,11 +12,10 @@ from study.api.convergence.cells import design_series
 from study.api.convergence.notebook import SeriesDocument
 from study.api.convergence.page import write_page
 from study.api.convergence.result import ProblemConvergence
-from study.api.folders import RESULTS, data_root, design_root
+from study.api.folders import RESULTS, design_root, problem_tables
 from study.api.opened_study import open_study
-from study.design.load import file_kind, from_tables, load, load_problem, loads_problem
+from study.design.load import file_kind, load
 from study.errors import Fault, InputError
-from study.runner import provenance
 from study.runner.numerical import curve_quantities
 from study.runner.numerical.case_series import stored_convergence
 from study.runner.numerical.formal_order import FormalOrder
@@ -100,16 +99,9 @@ def converge(
         return grid_convergence(sizes, values, formal_order=formal_order, tolerance=tolerance)
     if len(values) or len(sizes):
         raise InputError(Fault("converge", "takes a file or numbers, not both"))
-    if isinstance(source, Mapping):
-        tables = loads_problem(from_tables(source), "problem", overrides)
-        one = problem(
-            tables, (), formal_order, tolerance, results=results, reports=reports, progress=say,
-            memory_MB=memory_MB,
-        )  # fmt: skip
-        return SeriesDocument(one.to_json())
-    if not Path(source).is_file():
+    if not isinstance(source, Mapping) and not Path(source).is_file():
         return SeriesDocument(stored(source, results))
-    if file_kind(source) != "design":
+    if isinstance(source, Mapping) or file_kind(source) != "design":
         one = problem(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
@@ -157,13 +149,8 @@ def problem(
     solve: Solver | None = None,
 ) -> ProblemConvergence:
     """Refine one problem until its meshes are enough, and study the other errors beside."""
-    tables: Tables
-    if isinstance(source, Mapping):
-        tables, name = source, "problem"
-    else:
-        places = provenance.folders(source, data_root(source))
-        tables = provenance.located(load_problem(source, overrides), places)
-        name = Path(source).stem
+    tables = problem_tables(source, overrides)
+    name = "problem" if isinstance(source, Mapping) else Path(source).stem
     spec = tables["converge"]
     curve_quantities.quantity(spec.qoi)
     formal = promised(problem_of(tables))

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api.folders import data_root
+from study.api.folders import problem_tables
 from study.api.single.notebook import SolvedProblem
-from study.design.load import from_tables, load_problem, loads_problem
+from study.design.load import load_problem
 from study.design.plausibility import plausibility, plausible_sizes
-from study.forward import closed_form
+from study.forward.finite_element import at_steps
 from study.material.stability import check
 from study.record.record import plain
-from study.runner import provenance
 from study.setup.material_section import MaterialSection
 from study.setup.setup import Problem, ResolvedTables, Setup, problem_of
 
@@ -71,12 +70,8 @@ def solve(
     >>> [round(float(force), 4) for force in found.curve.force_N]
     [0.993, 2.1022]
     """
-    from study.fem.solver.solve import solve as forward_solve
-
     made = _problem(problem, overrides)
-    if made.setup.has_no_elements:
-        return SolvedProblem.of(closed_form.solution(made))
-    return SolvedProblem.of(forward_solve(made, gradients=gradients, progress=progress))
+    return SolvedProblem.of(at_steps(made, gradients=gradients, progress=progress))
 
 
 def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
@@ -95,21 +90,9 @@ def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, .
 
 def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
-        config = problem
-        if isinstance(config, Mapping) and not _is_resolved(config):
-            tables = loads_problem(from_tables(config), "problem", overrides)
-            config = provenance.located(tables, provenance.folders("problem", data_root("problem")))
-        elif not isinstance(config, Mapping):
-            places = provenance.folders(config, data_root(config))
-            config = provenance.located(load_problem(config, overrides), places)
-        problem = problem_of(config)
+        problem = problem_of(problem_tables(problem, overrides))
     _judge(problem)
     return problem
-
-
-def _is_resolved(tables: ResolvedTables) -> bool:
-    """Whether tables have the keys of the program rather than those of a file."""
-    return "displacement_mm" in tables.get("test", {})
 
 
 def _judge(problem: Problem) -> None:
