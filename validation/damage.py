@@ -41,13 +41,22 @@ def damages(content: Any) -> Iterator[Damage]:
     for value in WRONG:
         yield Damage((), f"is {value!r:.20}", copy.deepcopy(value))
     for place in places(content):
-        changed = copy.deepcopy(content)
-        del _above(changed, place)[place[-1]]
-        yield Damage(place, "is deleted", changed)
-        for value in WRONG:
-            changed = copy.deepcopy(content)
-            _above(changed, place)[place[-1]] = copy.deepcopy(value)
-            yield Damage(place, f"is {value!r:.20}", changed)
+        yield without(content, place)
+        yield from (instead(content, place, value) for value in WRONG)
+
+
+def without(content: Any, place: tuple[str | int, ...]) -> Damage:
+    """Delete what stands at a place."""
+    changed = copy.deepcopy(content)
+    del _above(changed, place)[place[-1]]
+    return Damage(place, "is deleted", changed)
+
+
+def instead(content: Any, place: tuple[str | int, ...], value: Any) -> Damage:
+    """Put a value where another one stands."""
+    changed = copy.deepcopy(content)
+    _above(changed, place)[place[-1]] = copy.deepcopy(value)
+    return Damage(place, f"is {value!r:.20}", changed)
 
 
 def places(content: Any, above: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:

@@ -14,6 +14,7 @@ import json
 import math
 import os
 import shutil
+import stat
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from numpy.random import Generator
 
 from study.cli.app import run
 from study.design.toml_document import dump_toml
+from validation.damage import WRONG, instead, places, sealed, without
 
 Made = tuple[list[list[str]], bool]
 Rows = list[list[str]]
@@ -543,13 +545,24 @@ def _altered(rng: Generator, data: bytes) -> bytes:
         nested = b'{"schema":1,"checksum":"0","content":' + b"[" * deep + b"]" * deep + b"}"
         return bytes(100_000_000) if kind < 0.302 else nested
     whole = json.loads(data)
+    if kind < 0.6:
+        return _wrong(rng, whole["content"])
     donor = {"status": "failed", "message": "\ud800", "levels": {"material": 1}, "a": [None]}
-    if kind < 0.38:  # the checksum is the old one
+    if kind < 0.63:  # the checksum is the old one
         mutate(rng, whole, donor)
         return json.dumps(whole).encode()
     for _ in range(many):
         mutate(rng, whole["content"], donor)
     return _sealed(rng, nasty(rng, donor) if kind > 0.97 else whole["content"])
+
+
+def _wrong(rng: Generator, content: Any) -> bytes:
+    """Damage one key of a stored file, or two, and seal it as the program does."""
+    for _ in range(int(rng.choice([1, 1, 2]))):
+        place = pick(rng, list(places(content)))
+        change = without(content, place) if rng.random() < 0.3 else None
+        content = (change or instead(content, place, pick(rng, WRONG))).content
+    return sealed(content).encode()
 
 
 def records(rng: Generator, project: Path, place: Place) -> Made:
@@ -586,7 +599,17 @@ def folders(rng: Generator, project: Path, place: Place) -> Made:
         if inside:
             path = pick(rng, few if few and rng.random() < 0.5 else inside)
             modest |= _misplaced(rng, path, pick(rng, inside), project)
+    stored = sorted(p for p in (project / "results").rglob("*.json") if _is_own(p))
+    if rng.random() < 0.25 and stored:
+        path = pick(rng, stored)
+        with contextlib.suppress(ValueError, LookupError, TypeError, AttributeError, OSError):
+            path.write_bytes(_wrong(rng, json.loads(path.read_bytes())["content"]))
     return commands, modest
+
+
+def _is_own(path: Path) -> bool:
+    """Whether a file lies there itself: a link leads elsewhere, and a pipe has no end."""
+    return stat.S_ISREG(path.lstat().st_mode)
 
 
 def _remove(path: Path) -> None:
@@ -622,7 +645,10 @@ def _misplaced(rng: Generator, path: Path, other: Path, project: Path) -> bool:
                 stray.write_bytes(b"{}") if rng.random() < 0.7 else stray.mkdir()
     elif kind == 6:
         _remove(folder / ".lock")
-        (folder / ".lock").write_bytes(pick(rng, LOCKS))
+        if rng.random() < 0.2:
+            os.mkfifo(folder / ".lock")
+        else:
+            (folder / ".lock").write_bytes(pick(rng, LOCKS))
     elif kind == 7 and path not in (other, *other.parents) and other not in path.parents:
         _remove(path)
         other.rename(path)
