@@ -34,6 +34,7 @@ from study.execution.task import check_limit
 from study.execution.worker import Worker
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
+from study.memory import uncollected
 from study.record.manifests import is_same
 from study.record.store import Store
 from study.reporting.figure.style import load_libraries
@@ -192,7 +193,8 @@ def run(
     root = design_root(loaded, data)
     warnings: list[str] = []
     store = Store(Path(results) / loaded.name, warn=warnings.append)
-    work = expand(continued(loaded, store), root, allowed)
+    with uncollected():
+        work = expand(continued(loaded, store), root, allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
     clock.mark("reading")
     # one executor for cells and refined cases alike, so that all of them fit into the memory
@@ -316,7 +318,8 @@ def report(
     many = reports is not None and count_cases(known) >= MANY_CASES
     drawing = many and default_jobs() > 1
     with Worker(load_libraries) if drawing else nullcontext() as worker:
-        study = Study.of(known) if isinstance(known, StudyResult) else open_study(known)
+        with uncollected():
+            study = Study.of(known) if isinstance(known, StudyResult) else open_study(known)
         if beside is not None:
             study = replace(study, beside=compare(study, open_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))

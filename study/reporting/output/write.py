@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import gc
 import io
 import json
 import math
@@ -11,14 +10,14 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.errors import Fault, InputError, StudyError, nearest
+from study.memory import uncollected
 from study.reporting.content.methods import paragraph
 from study.reporting.content.table import Table
 from study.reporting.figure.registry import slug
@@ -67,7 +66,7 @@ def write(
     """
     asked = checked_formats(formats)
     folder = Path(out_dir)
-    with _uncollected():
+    with uncollected():
         return _written(prepare(report_data, worker), folder, asked)
 
 
@@ -93,22 +92,6 @@ def _written(contents: Contents, folder: Path, asked: Sequence[str]) -> Path:
     if "pdf" in asked:
         print_page(html, portable)
     return main_file(folder, report_data.name, asked)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Context in which nobody looks for reference cycles.
-
-    Drawings are made of hundreds of thousands of objects that are all in use: walking through
-    them again and again took a fifth of the time of a report.
-    """
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 def main_file(folder: Path, name: str, formats: Sequence[str]) -> Path:
