@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from scipy import optimize
-from scipy.stats import qmc
 
 from study.arrays import Array
 
@@ -48,6 +47,8 @@ class Extreme:
 
 def box_points(k: int, n: int, seed: int = 0) -> Array:
     """Points that fill the box [-1, 1]^k evenly, shape (n, k); n is a power of two."""
+    from scipy.stats import qmc
+
     return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)
 
 

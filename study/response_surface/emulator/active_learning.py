@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
-from scipy.stats import qmc
 
 from study.arrays import Array
 from study.response_surface.emulator.gaussian_process import GaussianProcess
@@ -26,6 +25,8 @@ PRIOR_RUNS = 1.0
 
 def candidates(k: int, seed: int) -> Array:
     """Points of the unit box from which runs are chosen, shape (1024, k), some on its faces."""
+    from scipy.stats import qmc
+
     inside = qmc.Sobol(k, seed=seed).random_base2(CANDIDATES)
     return np.asarray(np.round(np.clip(0.5 + STRETCH * (inside - 0.5), 0.0, 1.0), 4))
 

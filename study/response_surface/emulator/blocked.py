@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from study.arrays import Array
 from study.errors import Fault, RefusedError
@@ -97,6 +96,8 @@ class BlockedEmulator:
 
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
+        from scipy import stats
+
         b = len(self.each)
         t = float(stats.t.ppf(0.975, b - 1))
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import qmc
 
 from study.arrays import Array
 
@@ -71,6 +70,8 @@ def effect_range(
     small : Small
         What is too small to matter.
     """
+    from scipy.stats import qmc
+
     others = qmc.Sobol(k, seed=j).random(SETTINGS)
     steps = np.linspace(0.0, 1.0, STEPS)
     points = np.repeat(others[:, None, :], STEPS, axis=1)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from study.arrays import Array
 
@@ -52,6 +51,8 @@ def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, 
     array, array
         S and T, shape (k, p) each; NaN for a function that never changes.
     """
+    from scipy.stats import qmc
+
     sample = qmc.Sobol(2 * k, seed=seed).random(SAMPLE)
     a = sample[:, :k]
     b = sample[:, k:]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from study.arrays import Array, Ints
 from study.response_surface.quadratic.least_squares import ModelColumns
@@ -49,6 +48,8 @@ def against_blocks(columns: Array, response: Array) -> FTest | None:
     FTest or None
         None without columns, or where the blocks agree to the last digit.
     """
+    from scipy import stats
+
     parts = response.T @ columns  # (b, k): what every block says of each column
     blocks, k = parts.shape
     if k == 0 or blocks < 2:
@@ -81,6 +82,8 @@ def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | 
     FTest or None
         None without replicates, or where no setting is left to judge the model by.
     """
+    from scipy import stats
+
     counts = np.bincount(which)
     means = np.bincount(which, weights=response) / counts
     pure = float(((response - means[which]) ** 2).sum())

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from study.arrays import Array, Flags
 from study.response_surface.quadratic.polynomial import Polynomial
@@ -113,6 +112,8 @@ def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95)
     level : float
         Probability that the true point belongs to the region.
     """
+    from scipy import stats
+
     b, k = len(surfaces), surfaces[0].k
     gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
     mean = gradients.mean(axis=0)

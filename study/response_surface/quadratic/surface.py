@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from study.arrays import Array, Flags, Ints
 from study.errors import Fault, RefusedError
@@ -210,6 +209,8 @@ def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
 def _estimates(
     labels: list[str], b: Array, errors: Array, df: int, alpha: float
 ) -> tuple[TermEstimate, ...]:
+    from scipy import stats
+
     if df < 1:
         return tuple(TermEstimate(label, float(c)) for label, c in zip(labels, b, strict=True))
     t = float(stats.t.ppf(1.0 - alpha / 2.0, df))
