@@ -59,10 +59,12 @@ class Edges:
     def of(cls, triangles: Ints) -> Edges:
         """Edges of triangles (m, 3)."""
         directed = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        ends, place, count = np.unique(
-            np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True
-        )
-        order = np.argsort(place.ravel(), kind="stable")
+        low, high = directed.min(axis=1), directed.max(axis=1)
+        # one number for both ends: rows take ten times as long to sort
+        size = int(high.max(initial=0)) + 1
+        keys, place, count = np.unique(low * size + high, return_inverse=True, return_counts=True)
+        ends = np.column_stack([keys // size, keys % size])
+        order = np.argsort(place, kind="stable")
         begins = np.concatenate([[0], np.cumsum(count)[:-1]])
         first = begins[count == 2]
         sides = np.column_stack([order[first], order[first + 1]])
@@ -137,8 +139,9 @@ def _merged(points: Array, triangles: Ints) -> tuple[Array, Ints]:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    distinct, place = np.unique(points[triangles].reshape(-1, 3), axis=0, return_inverse=True)
-    cells = place.reshape(-1, 3)
+    used, corner = np.unique(triangles, return_inverse=True)
+    distinct, place = np.unique(points[used], axis=0, return_inverse=True)
+    cells = place.ravel()[corner].reshape(-1, 3)
     near = cKDTree(distinct).query_pairs(
         _MERGE * float(np.ptp(distinct, axis=0).max()), output_type="ndarray"
     )
@@ -221,8 +224,8 @@ def _pinched(triangles: Ints, edges: Edges) -> Ints:
         ]
         links.append(np.column_stack(corner))
     _, labels = _components(np.vstack(links), triangles.size)
-    fans = np.unique(np.column_stack([triangles.ravel(), labels]), axis=0)
-    own, count = np.unique(fans[:, 0], return_counts=True)
+    fans = np.unique(triangles.ravel() * triangles.size + labels)
+    own, count = np.unique(fans // triangles.size, return_counts=True)
     return np.asarray(own[count > 1])
 
 
