@@ -238,7 +238,7 @@ def _hang(number: int, frame: object) -> None:
     raise Hang(f"no end within {HANGS} s")
 
 
-def _obey(modes: bool) -> None:
+def obey(modes: bool) -> None:
     """Let the modes of files hold for root as well, or no more; others obey them anyway."""
     libc, head = ctypes.CDLL(None), (ctypes.c_uint32 * 2)(CAPABILITIES, 0)
     sets = (ctypes.c_uint32 * 6)()  # effective, permitted, inheritable; twice 32 bits
@@ -252,12 +252,12 @@ def _verbs(commands: Sequence[Sequence[str]], project: Path, modest: bool, note:
     os.chdir(project)
     _AUDIT[0].found.clear()
     _AUDIT[0].look(project)
-    _obey(modest)
+    obey(modest)
     try:
         for words in commands:
             command(words, note)
     finally:
-        _obey(False)
+        obey(False)
         _AUDIT[0].look(None)
     note.faults += [f"wrote outside: {name}" for name in sorted(_AUDIT[0].found)[:3]]
     if {words[0] for words in commands} & {"run", "report"}:

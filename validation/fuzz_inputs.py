@@ -626,7 +626,8 @@ def _misplaced(rng: Generator, path: Path, other: Path, project: Path) -> bool:
     if kind == 0:
         _remove(path)
     elif kind == 1:
-        path.rename(path.with_name(str(pick(rng, ODD)) + str(pick(rng, ("", "2")))))
+        with contextlib.suppress(OSError):  # a folder does not take the name of a file
+            path.rename(path.with_name(str(pick(rng, ODD)) + str(pick(rng, ("", "2")))))
     elif kind == 2:
         _remove(path)
         path.write_bytes(b"") if was_folder else path.mkdir()

@@ -19,7 +19,7 @@ from study.errors import StoreError
 from study.record.record import Record, seal
 from tests.cli.small import Answer, study
 from validation.damage import Damage, damages, sealed
-from validation.fuzz import BUG
+from validation.fuzz import BUG, obey
 
 #: one damage of so many is looked at where it need not be all
 FEW = 150
@@ -182,3 +182,29 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
     answer = study(*RUN)
     assert answer.code == 2
     assert ".lock: cannot be written (it is no file; remove it)" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("place", "mode"),
+    [
+        ("reports/small", 0o444),
+        ("reports/small/small-data", 0o444),
+        ("reports/small/small-data", 0o000),
+        ("reports", 0o000),
+        ("results/small/fits", 0o444),
+        ("results/small/runs", 0o444),
+        ("results/small/cases", 0o444),
+    ],
+)
+def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None:
+    """Rights are obeyed by root, too, for as long as it asks."""
+    assert study("report", "small", "--format", "csv,html").code == 0
+    verbs = [("verify", "small"), ("verify", "reports/small/small.html"), READERS[0], RUN]
+    os.chmod(place, mode)
+    obey(True)
+    try:
+        wrong = [said for verb in verbs if (said := fault(verb))]
+    finally:
+        obey(False)
+        os.chmod(place, 0o755)
+    assert not wrong
