@@ -8,16 +8,21 @@ from __future__ import annotations
 
 import ast
 import csv
+import inspect
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from numpydoc.docscrape import FunctionDoc
 
 LONGEST_FILE = 400
 #: lines of code of a function, without its docstring
 LONGEST_FUNCTION = 60
 LARGEST_PACKAGE = 16
+#: fields of a dataclass
+MOST_FIELDS = 12
 #: names of distributions that are imported under another name
 IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
 #: extras of what the package itself never imports: tests, and the documentation site
@@ -176,6 +181,44 @@ def untyped(root: Path) -> int:
         for _, tree in trees(root)
         for node in ast.walk(tree)
     )
+
+
+def untyped_aliases(root: Path) -> list[str]:
+    """Names that stand for a type with ``Any`` in it, by module: each hides many."""
+    return [
+        f"{path}: {ast.unparse(node)}"
+        for path, tree in trees(root)
+        for node in tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign) and _names_any(node.value)
+    ]
+
+
+def _names_any(value: ast.expr | None) -> bool:
+    return value is not None and any(
+        isinstance(node, ast.Name) and node.id == "Any" for node in ast.walk(value)
+    )
+
+
+def wide_classes(root: Path) -> list[str]:
+    """Dataclasses with more fields than a reader holds at once."""
+    return [
+        f"{path}: {node.name}"
+        for path, tree in trees(root)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        and any("dataclass" in ast.unparse(one) for one in node.decorator_list)
+        and sum(isinstance(line, ast.AnnAssign) for line in node.body) > MOST_FIELDS
+    ]
+
+
+def unexplained(function: Callable[..., object]) -> list[str]:
+    """What the docstring of a public function does not say of its parameters and its answer."""
+    said = FunctionDoc(function)
+    taken = [p.lstrip("*") for p in inspect.signature(function).parameters]
+    explained = [word.strip().lstrip("*") for p in said["Parameters"] for word in p.name.split(",")]
+    lost = [f"parameters {explained}, not {taken}"] if explained != taken else []
+    lost += [f"type of {p.name}" for p in said["Parameters"] if not p.type]
+    return lost if said["Returns"] else [*lost, "what it returns"]
 
 
 def ceiling(root: Path, name: str) -> int:

@@ -77,6 +77,7 @@ def test_a_gate_lets_the_clean_house_pass(house: Path, command: tuple[str, ...])
         ("def area(radius):\n    return radius\n", "D103"),
         ("import numpy as np\n\nnp.random.seed(1)\n", "NPY002"),
         ("x = 1  # " + 100 * "-" + "\n", "E501"),
+        (f'def crowd({", ".join("abcdefghi")}):\n    """Take nine."""\n', "PLR0913"),
     ],
 )
 def test_style_sees(house: Path, code: str, rule: str) -> None:
@@ -212,6 +213,40 @@ def test_rules_see_an_untyped_value(furnished: Path) -> None:
     before = rules.untyped(furnished)
     plant(furnished, "units.py", "\nx: Any = 1\n")
     assert rules.untyped(furnished) == before + 1
+
+
+def test_rules_see_a_name_that_hides_untyped_values(furnished: Path) -> None:
+    before = rules.untyped_aliases(furnished)
+    plant(furnished, "units.py", "\nTables = dict[str, Any]\n")
+    assert set(rules.untyped_aliases(furnished)) - set(before) == {
+        "study/units.py: Tables = dict[str, Any]"
+    }
+
+
+def test_rules_see_a_class_of_many_fields(furnished: Path) -> None:
+    before = rules.wide_classes(furnished)
+    fields = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS + 1))
+    plant(furnished, "units.py", f"\n\n@dataclass(frozen=True)\nclass Wide:\n{fields}")
+    assert set(rules.wide_classes(furnished)) - set(before) == {"study/units.py: Wide"}
+
+
+def test_rules_see_a_parameter_without_a_word() -> None:
+    def solve(problem: str, steps: int) -> float:
+        """Solve it.
+
+        Parameters
+        ----------
+        problem : str
+            Its file.
+
+        Returns
+        -------
+        float
+            The force.
+        """
+        return float(len(problem) * steps)
+
+    assert rules.unexplained(solve) == ["parameters ['problem'], not ['problem', 'steps']"]
 
 
 def test_rules_see_a_reader_of_the_environment(furnished: Path) -> None:
