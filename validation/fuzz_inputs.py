@@ -565,6 +565,12 @@ def _wrong(rng: Generator, content: Any) -> bytes:
     return sealed(content).encode()
 
 
+#: raised where an earlier damage left no document that could be altered once more
+UNALTERABLE = (
+    ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError,
+)  # fmt: skip
+
+
 def records(rng: Generator, project: Path, place: Place) -> Made:
     """Alter one or two stored files of the finished study."""
     commands, folder = _asked(rng, project, place), project / "results" / "small"
@@ -575,7 +581,7 @@ def records(rng: Generator, project: Path, place: Place) -> Made:
         state = rng.bit_generator.state
         for path in chosen:  # the same change in all of them, as of another version
             rng.bit_generator.state = state
-            with contextlib.suppress(ValueError, LookupError, TypeError, AttributeError):
+            with contextlib.suppress(*UNALTERABLE):
                 path.write_bytes(_altered(rng, path.read_bytes()))
     return commands, False
 
@@ -602,7 +608,7 @@ def folders(rng: Generator, project: Path, place: Place) -> Made:
     stored = sorted(p for p in (project / "results").rglob("*.json") if _is_own(p))
     if rng.random() < 0.25 and stored:
         path = pick(rng, stored)
-        with contextlib.suppress(ValueError, LookupError, TypeError, AttributeError, OSError):
+        with contextlib.suppress(*UNALTERABLE, OSError):
             path.write_bytes(_wrong(rng, json.loads(path.read_bytes())["content"]))
     return commands, modest
 
