@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure as Drawing
 
 from study.cli.tables import report_tables
 from study.errors import InputError
@@ -65,6 +66,17 @@ def test_columns_are_written_as_their_cells_are():
     rows = frame.itertuples(index=False, name=None)
     cells = [[None if cell is pd.NA else cell for cell in row] for row in rows]
     assert write.of_frame(frame) == write.of_rows(list(frame.columns), cells)
+
+
+def test_no_drawing_outlives_its_report(tmp_path: Path, data: ReportData):
+    before = drawings()
+    write.write(data, tmp_path)
+    assert drawings() <= before
+
+
+def drawings() -> set[int]:
+    gc.collect()
+    return {id(one) for one in gc.get_objects() if isinstance(one, Drawing)}
 
 
 @pytest.mark.usefixtures("quick")

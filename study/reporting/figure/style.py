@@ -132,7 +132,18 @@ def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
         buffer = io.StringIO()
         sheet: Any = FigureCanvasSVG(figure)
         sheet.print_svg(buffer, metadata=nothing)
+    _forget_artists()
     return _inline(buffer.getvalue(), name, title)
+
+
+def _forget_artists() -> None:
+    """Let go of drawings that are done: matplotlib's cache of the setters of artists holds them.
+
+    Without that every report left 2 to 7 MB behind in its process.
+    """
+    from matplotlib.artist import ArtistInspector
+
+    getattr(ArtistInspector.is_alias, "cache_clear", lambda: None)()
 
 
 def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:
