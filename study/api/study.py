@@ -35,11 +35,11 @@ from study.execution.worker import Worker
 from study.forward.external import check_allowed
 from study.forward.python_function import Function, PythonFunction
 from study.memory import uncollected
+from study.record.folder import own_folder
 from study.record.manifests import is_same
 from study.record.store import Store
 from study.reporting.figure.style import load_libraries
 from study.reporting.output import provenance
-from study.reporting.output.files import own_folder
 from study.reporting.output.write import checked_formats, main_file, write
 from study.runner.batch import default_jobs, run_batch
 from study.runner.expansion import expand
@@ -192,7 +192,7 @@ def run(
         checked_formats(formats or loaded.report.format)
     root = design_root(loaded, data)
     warnings: list[str] = []
-    store = Store(Path(results) / loaded.name, warn=warnings.append)
+    store = Store(own_folder(Path(results), loaded.name), warn=warnings.append)
     with uncollected():
         work = expand(continued(loaded, store), root, allowed)
     check_allowed(externals(job.case.config for job in work.jobs), allow_commands)

@@ -133,7 +133,7 @@ class FitDocument(TypedDict, total=False):
     evaluations: int
     newton_iterations: int
     solves: int
-    seconds: float
+    seconds: NotNegative
     mu0: float
     resampling: list[ResamplingDocument]
 
@@ -167,7 +167,7 @@ class ManifestDocument(TypedDict, total=False):
     virtual: Required[bool]
     truths: dict[str, object]
     versions: dict[str, str]
-    timings: dict[str, float]
+    timings: dict[str, NotNegative]
     finished: bool
 
 
@@ -213,7 +213,7 @@ class RecordDocument(TypedDict):
     parameters: dict[str, ParameterDocument]
     fit: dict[str, FitDocument] | None
     curves: dict[str, dict[str, object]]
-    timings: dict[str, float | None]
+    timings: dict[str, NotNegative | None]
     mesh: MeshDocument
     solver: SolverDocument
     versions: dict[str, str]
@@ -225,7 +225,7 @@ class StoredFitDocument(FitDocument, total=False):
     """A fit as cases share it: how it ended, and its last solution where that is a prediction."""
 
     status: Required[str]
-    start_seconds: float
+    start_seconds: NotNegative
     curve: dict[str, object]
     mesh: MeshDocument
     solver: SolverDocument
@@ -240,7 +240,7 @@ class SolutionDocument(TypedDict, total=False):
     elements: int
     dofs: int
     mesh_hash: str
-    seconds: float
+    seconds: NotNegative
     memory_MB: float
     base_MB: float
 

@@ -27,6 +27,30 @@ Kept = TypeVar("Kept")
 ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
 
 
+def own_folder(root: Path, name: str) -> Path:
+    """Return the folder of a study or a report below the one that the user named; it is not made.
+
+    Parameters
+    ----------
+    root : Path
+        Folder that the user named, which may be a link.
+    name : str
+        Of the folder in it.
+
+    Raises
+    ------
+    StoreError
+        If it is a link that leads out of ``root``.
+    """
+    folder = root / name
+    if folder.is_symlink() and not folder.resolve().is_relative_to(root.resolve()):
+        raise StoreError(
+            f"{folder}: a link leads outside {root}, where nothing is written; remove the link, "
+            "or name another folder"
+        )
+    return folder
+
+
 class SealedFolder:
     """Sealed files under names, in a folder that one process at a time may write to.
 

@@ -229,6 +229,16 @@ def test_a_link_does_not_lead_a_report_out_of_its_folder(done: Path, below: str)
     assert [path.name for path in other.iterdir()] == ["made-from.json"]
 
 
+def test_a_link_does_not_lead_results_out_of_their_folder(home: Path) -> None:
+    (home / "other").mkdir()
+    (home / "results").mkdir()
+    (home / "results" / "small").symlink_to(home / "other")
+    answer = study("run", "small.toml", "--data", "data", "--jobs", 1)
+    assert answer.code == 2
+    assert "a link leads outside results" in answer.err
+    assert list((home / "other").iterdir()) == []
+
+
 def test_the_folder_that_the_user_names_may_be_a_link(done: Path) -> None:
     (done / "disk").mkdir()
     (done / "linked").symlink_to(done / "disk")

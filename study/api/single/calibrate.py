@@ -14,6 +14,7 @@ from study.api.single.notebook import Calibrated
 from study.design.load import load_calibration
 from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
+from study.record.folder import own_folder
 from study.reporting.figure.curves.fit import fit_figure
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
@@ -79,7 +80,7 @@ def calibrate(
     config = provenance.located(
         config, provenance.folders(source, calibration_root(config, source, data))
     )
-    folder = None if results is None else Path(results) / config["name"]
+    folder = None if results is None else own_folder(Path(results), config["name"])
     found = run_calibration(
         config,
         calibration_root(config, source, data),

@@ -18,6 +18,7 @@ from study.contact_mechanics.result import AnalyticCalibration
 from study.design.load import load_calibration
 from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
+from study.record.folder import own_folder
 from study.setup.geometry import Block, Cylinder, Sphere
 from study.setup.material_section import Compressibility, MaterialSection
 from study.setup.setup import Setup
@@ -78,7 +79,7 @@ def indentation_modulus(
     moduli = tuple(one for one, _ in found)
     result = AnalyticCalibration(config["name"], moduli, notes, time.perf_counter() - began)
     if results is not None:
-        save_moduli(result, Path(results) / result.name)
+        save_moduli(result, own_folder(Path(results), result.name))
     return result
 
 

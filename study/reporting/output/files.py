@@ -10,31 +10,7 @@ import gzip
 import os
 from pathlib import Path
 
-from study.errors import StudyError
-
-
-def own_folder(root: Path, name: str) -> Path:
-    """Return the folder of a report below the one that the user named; it is not made.
-
-    Parameters
-    ----------
-    root : Path
-        Folder that the user named.
-    name : str
-        Of the folder in it.
-
-    Raises
-    ------
-    StudyError
-        If it is a link that leads out of ``root``.
-    """
-    folder = root / name
-    if folder.is_symlink() and not folder.resolve().is_relative_to(root.resolve()):
-        raise StudyError(
-            f"{folder}: a link leads outside {root}, where a report is not written; remove the "
-            "link, or name another folder"
-        )
-    return folder
+from study.record.folder import own_folder
 
 
 def data_folder(folder: Path, stem: str) -> Path:

@@ -22,8 +22,9 @@ import scipy.linalg  # noqa: F401  (its linear algebra is another one than numpy
 from threadpoolctl import threadpool_info
 
 import study
+from study.record.folder import own_folder
 from study.reporting.figure.registry import slug
-from study.reporting.output.files import own_folder, replace_file
+from study.reporting.output.files import replace_file
 
 #: file in the folder of a report's data
 NAME = "made-from.json"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from study.execution.loky import Loky
 from study.execution.task import Document, Executor, Results, Task
+from study.record.folder import own_folder
 from study.record.store import Store
 from study.runner.numerical.solve_task import Solver, SolveResult, SolveTask, perform, solved
 
@@ -71,7 +72,7 @@ def is_kept(task: SolveTask, store: Store) -> bool:
 
 def store_of(results: Path, name: str) -> Store:
     """Store of a problem or a design by its name."""
-    return Store(results / slug(name))
+    return Store(own_folder(results, slug(name)))
 
 
 def slug(name: str) -> str:
