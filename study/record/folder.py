@@ -40,15 +40,28 @@ def own_folder(root: Path, name: str) -> Path:
     Raises
     ------
     StoreError
-        If it is a link that leads out of ``root``.
+        If it is a link that leads out of ``root``, or nowhere.
     """
-    folder = root / name
-    if folder.is_symlink() and not folder.resolve().is_relative_to(root.resolve()):
-        raise StoreError(
-            f"{folder}: a link leads outside {root}, where nothing is written; remove the link, "
-            "or name another folder"
-        )
-    return folder
+    return _inside(
+        root,
+        root / name,
+        f"{root}, where nothing is written; remove the link, or name another folder",
+    )
+
+
+def _inside(root: Path, path: Path, outside: str) -> Path:
+    """Refuse a place that a link leads out of a folder."""
+    below = path.relative_to(root).parts
+    names = [os.path.join(root, *below[: k + 1]) for k in range(len(below))]
+    if not any(map(os.path.islink, names)):
+        return path
+    try:
+        inside = path.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise StoreError(f"{path}: cannot be used ({error})") from error
+    if not inside:
+        raise StoreError(f"{path}: a link leads outside {outside}")
+    return path
 
 
 class SealedFolder:
@@ -197,17 +210,7 @@ class SealedFolder:
 
     def _inside(self, path: Path) -> Path:
         """Refuse a place that a link leads out of the results folder."""
-        below = path.relative_to(self.path).parts
-        names = [os.path.join(self.path, *below[: k + 1]) for k in range(len(below))]
-        if not any(map(os.path.islink, names)):
-            return path
-        try:
-            inside = path.resolve().is_relative_to(self.path.resolve())
-        except (OSError, RuntimeError, ValueError) as error:
-            raise StoreError(f"{path}: cannot be used ({error})") from error
-        if not inside:
-            raise StoreError(f"{path}: a link leads outside the results folder; remove it")
-        return path
+        return _inside(self.path, path, "the results folder; remove it")
 
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:

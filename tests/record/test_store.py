@@ -24,6 +24,7 @@ from hypothesis.stateful import (
 
 from study.errors import StoreError
 from study.record.atomic_files import TEMPORARY
+from study.record.folder import own_folder
 from study.record.store import Store
 from study.record.table import table
 from tests.record.disk import FailingDisk, PowerLoss
@@ -225,6 +226,12 @@ def test_ids_are_no_paths(tmp_path, name):
         store.write(record(name))
     with pytest.raises(StoreError, match="no name"):
         store.write_fit(name + "/..", {})
+
+
+def test_a_study_that_is_a_link_to_itself_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "small").symlink_to(tmp_path / "small")
+    with pytest.raises(StoreError, match="cannot be used"):
+        own_folder(tmp_path, "small")
 
 
 def test_links_out_of_the_folder_are_refused(tmp_path):
