@@ -43,7 +43,7 @@ def config(model: str, order: int | None, mesh: str) -> dict[str, Any]:
 
 def ours(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[float, int, Array]:
     """Seconds, simulations and constants of our fit."""
-    names = MaterialSection.of(setting["material"]).calibrated_names
+    names = MaterialSection.of(setting).calibrated_names
     began = time.perf_counter()
     model = fit_task.InverseFem(setting, [measured], names)
     data = [MeasuredCurve("virtual", measured)]
@@ -59,7 +59,7 @@ def scipys(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[floa
     The relative step is the square root of the solver's own tolerance: smaller ones
     differentiate its noise.
     """
-    names = MaterialSection.of(setting["material"]).calibrated_names
+    names = MaterialSection.of(setting).calibrated_names
     began = time.perf_counter()
     last: Any = None
     solves = 0

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from study.design.load import from_tables, load, load_problem, loads_problem
+from study.design.sections.calibration_design import CalibrationDesign
 from study.design.sections.cell import Config
 from study.design.spec import Design
 from study.errors import Fault, InputError
@@ -15,7 +16,8 @@ from study.measurement.section import MeasurementSpec
 from study.record.document import ManifestDocument
 from study.record.store import Store
 from study.runner import provenance
-from study.setup.setup import ResolvedTables
+from study.setup.section import table_of
+from study.setup.setup import Tables
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
@@ -71,7 +73,7 @@ def _holds(folder: Path, wanted: Iterable[MeasurementSpec]) -> bool:
     return True
 
 
-def problem_tables(source: str | Path | ResolvedTables, overrides: Sequence[str] = ()) -> Config:
+def problem_tables(source: str | Path | Tables, overrides: Sequence[str] = ()) -> Config:
     """Read a problem, from its file or from tables as a file has them, and find its surface.
 
     Parameters
@@ -88,7 +90,7 @@ def problem_tables(source: str | Path | ResolvedTables, overrides: Sequence[str]
         For a faulty problem.
     """
     if isinstance(source, Mapping):
-        if "displacement_mm" in source.get("test", {}):
+        if "displacement_mm" in table_of(source, "test"):
             return dict(source)
         tables, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
     else:
@@ -113,7 +115,9 @@ def design_root(design: Design, data: str | Path | None = None) -> Path:
     return data_root(design.source, data, {(s.file, s.files): s for s in specs}.values())
 
 
-def calibration_root(config: Config, source: str | Path, data: str | Path | None = None) -> Path:
+def calibration_root(
+    config: CalibrationDesign, source: str | Path, data: str | Path | None = None
+) -> Path:
     """Folder that the measurement files of a calibration are relative to.
 
     Raises
@@ -121,9 +125,7 @@ def calibration_root(config: Config, source: str | Path, data: str | Path | None
     InputError
         If the named folder does not exist.
     """
-    return data_root(
-        source, data, [test["measurements"] for test in config["tests"] if test["measurements"]]
-    )
+    return data_root(source, data, [test.measurements for test in config.tests])
 
 
 def finished_manifest(store: Store) -> ManifestDocument:

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from study.contact_mechanics.curves import RecordedCurve, read_curves
-from study.contact_mechanics.force_law import ForceLaw, Theory, force_law
+from study.contact_mechanics.force_law import ForceLaw, force_law
 from study.contact_mechanics.layer import Layer
 from study.contact_mechanics.median import MedianEstimate, median_estimate
 from study.contact_mechanics.modulus import CurveModulus, fit_modulus
 from study.contact_mechanics.result import FittedCurve, IndentationModulus
 from study.contact_mechanics.validity import Limit, caution, limits
+from study.design.sections.calibration import Theory
 from study.measurement.section import MeasurementSpec
 from study.setup.geometry import Indenter
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -19,10 +18,8 @@ from study.contact_mechanics import thin_layer
 from study.contact_mechanics.integral_equation import ContactState, contact_state
 from study.contact_mechanics.layer import Layer
 from study.contact_mechanics.profile import contact_range
+from study.design.sections.calibration import Theory
 from study.setup.geometry import Flat, Indenter, Sphere
-
-#: how the support enters
-Theory = Literal["integral-equation", "dimitriadis", "half-space"]
 
 #: contact radii that are tabulated, over three decades: force is interpolated to 1e-6
 _RADII = 60

@@ -14,14 +14,13 @@ from typing import TypeVar
 
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
-from study.design.diagnostics import Faults, Table, entries, noted, read_table
+from study.design.diagnostics import Faults, Table, entries, read_table
 from study.design.factors import exclusions_from, factors_from, grouped, presets_from, set_whole
 from study.design.layout.schemes import scheme_from
-from study.design.resolve import calibration_from, resolve_problem
-from study.design.sections.calibration import ANALYTIC_KEYS, Fitting, bounds_of
-from study.design.sections.cell import CellProblem, Config
+from study.design.resolve import calibration_from, resolve_calibration, resolve_problem
+from study.design.sections.calibration_design import CalibrationDesign
+from study.design.sections.cell import Config
 from study.design.sections.measurements import measurements_from
-from study.design.sections.nuisance import nuisance_from, of_test
 from study.design.spec import Design
 from study.design.statistics.hypotheses import expected_from
 from study.design.statistics.model import analysis_from
@@ -32,12 +31,10 @@ from study.design.study_file import (
     CalibrationFile,
     DesignFile,
     ProblemFile,
-    TestTable,
 )
 from study.design.toml_document import Tables
 from study.errors import Fault, InputError
 from study.material.registry import is_constant_key
-from study.setup.section import values_of
 
 File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)
 
@@ -150,15 +147,13 @@ def loads_problem(
     return {**document, "converge": file.converge}
 
 
-def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> CalibrationDesign:
     """Load a calibration.
 
     Returns
     -------
-    dict
-        ``name``, ``specimen``, ``model``, ``material``, ``calibration`` (``specimens``,
-        ``leave_out`` and ``bounds``, of the constants in MPa) and ``tests``: a list of ``role``,
-        ``test``, ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
+    CalibrationDesign
+        Its measured tests, and how the constants are to be found.
 
     Raises
     ------
@@ -170,45 +165,14 @@ def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
 
 def loads_calibration(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
-) -> Config:
+) -> CalibrationDesign:
     """Load a calibration from a text; see :func:`load_calibration`."""
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(CalibrationFile, tables, source)
-    problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
-    if _all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
-        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
-    names = problems[0].material.calibrated_names if _all_about(faults, "calibration") else ()
-    asked, bounds = file.calibration, None
-    for key in ANALYTIC_KEYS:
-        if asked.method != "analytic" and getattr(asked, key) != getattr(Fitting(), key):
-            mend = 'write method = "analytic", or leave it out'
-            faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
-    if asked.bounds is not None:
-        bounds = noted(bounds_of(names), asked.bounds, "calibration.bounds", faults)
-    shared_nuisance = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
-    own_nuisance = [
-        nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
-        for i, test in enumerate(file.tests)
-    ]
+    found = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
     _refuse(faults, source)
-    tests = [
-        {"role": test.role, "weight": test.weight, **problem.document(),
-         "nuisance": of_test(shared_nuisance, own)}
-        for test, problem, own in zip(file.tests, problems, own_nuisance, strict=True)
-    ]  # fmt: skip
-    shared = {key: tests[0][key] for key in ("specimen", "model", "material")}
-    fitting = {**values_of(asked), "bounds": bounds or {}}
-    name = file.study.name or default_name(source)
-    return {"name": name, **shared, "calibration": fitting, "tests": tests}
-
-
-def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
-    """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
-    own = ("test", "measurements", "specimen", "model")
-    given = {key: value for key in own if (value := getattr(test, key)) is not None}
-    places = {key: f"{where}.{key}" for key in given}
-    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+    return found
 
 
 def file_kind(path: str | Path) -> str:

@@ -109,7 +109,7 @@ def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[s
         mend = 'write specimen.shape = "homogeneous", with area and length, or another energy'
         faults.add(f"{places['material']}.model", rule, mend)
     if test.prestretch is not None:
-        if test.kind != "simple-shear":
+        if not kind.shears:
             rule = f"belongs to a simple shear, not to {test.kind}"
             faults.add(f"{where}.prestretch", rule, "leave it out")
         elif problem.material.relaxation:
@@ -233,7 +233,7 @@ def check_stability(problem: CellProblem, faults: Faults) -> None:
     depth, height = problem.test.displacement_mm, problem.height_mm
     given = tuple(problem.material.constants.items())
     mu0 = initial_shear_modulus(problem.material)
-    if faults or not given or mu0 is None or problem.test.kind != "compression":
+    if faults or not given or mu0 is None or not TEST_KINDS[problem.test.kind].compresses:
         return
     if depth is None or height is None or depth >= height:
         return

@@ -1,23 +1,27 @@
-"""Tables as written -> the problems of one cell, with every fault."""
+"""Tables as written -> the problems of a cell or of a calibration, with every fault."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
 
-from study.design import plausibility
-from study.design.diagnostics import Faults, Table, is_known, read_table, with_values
-from study.design.sections.calibration import Calibration
+from study.design import overlay, plausibility
+from study.design.diagnostics import Faults, Table, is_known, noted, read_table, with_values
+from study.design.sections.calibration import ANALYTIC_KEYS, Bounds, Calibration, Fitting, bounds_of
+from study.design.sections.calibration_design import CalibratedTest, CalibrationDesign
 from study.design.sections.cell import Cell, CellProblem
 from study.design.sections.material import material_from
 from study.design.sections.measurements import markers_from, measurements_from
+from study.design.sections.nuisance import nuisance_from, of_test
 from study.design.sections.problem import (
     forward_from,
     loading_from,
     model_from,
     specimen_from,
 )
+from study.design.study_file import CalibrationFile, TestTable
 from study.errors import InputError
+from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
 
 TABLES = ("specimen", "test", "material", "model", "measurements", "markers", "forward")
@@ -187,3 +191,71 @@ def _check_method(cell: Cell, faults: Faults) -> None:
     if cell.method == "analytic" and readable and not cell.fitted.is_homogeneous:
         rule = "analytic needs compression of a cylinder or block with both faces frictionless"
         faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')
+
+
+def resolve_calibration(
+    file: CalibrationFile, tables: Table, name: str, faults: Faults
+) -> CalibrationDesign:
+    """Resolve a calibration: its tests in internal units, and the bounds of its constants.
+
+    Parameters
+    ----------
+    file : CalibrationFile
+        Tables that are the same for all tests.
+    tables : mapping
+        The whole file as written: a test's own tables replace those of the file.
+    name : str
+        Of the calibration.
+    faults : Faults
+        Where faults go.
+
+    Returns
+    -------
+    CalibrationDesign
+        Of no use where it brought a fault.
+    """
+    problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
+    is_read = all(fault.where.startswith("calibration") for fault in faults)
+    if is_read and not any(test.role == "fit" for test in file.tests):
+        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
+    is_read = all(fault.where.startswith("calibration") for fault in faults)
+    bounds = _bounds(file.calibration, problems[0].material if is_read else None, faults)
+    shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
+    own = [
+        nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
+        for i, test in enumerate(file.tests)
+    ]
+    if faults:
+        return CalibrationDesign(name, ())
+    tests = tuple(
+        CalibratedTest(
+            problem.document(),
+            spec,
+            "fit" if test.role == "fit" else "held-out",
+            test.weight,
+            of_test(shared, nuisance),
+        )
+        for test, problem, nuisance in zip(file.tests, problems, own, strict=True)
+        if (spec := problem.measurements) is not None  # it must stand in the file
+    )
+    return CalibrationDesign(name, tests, file.calibration, bounds)
+
+
+def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
+    """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
+    own = ("test", "measurements", "specimen", "model")
+    given = {key: value for key in own if (value := getattr(test, key)) is not None}
+    places = {key: f"{where}.{key}" for key in given}
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+
+
+def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
+    """Bounds of the constants; keys that the closed form of indentations has alone are noted."""
+    for key in ANALYTIC_KEYS:
+        if asked.method != "analytic" and getattr(asked, key) != getattr(Fitting(), key):
+            mend = 'write method = "analytic", or leave it out'
+            faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
+    if asked.bounds is None:
+        return {}
+    names = () if material is None else material.calibrated_names
+    return noted(bounds_of(names), asked.bounds, "calibration.bounds", faults) or {}

@@ -380,7 +380,7 @@ class Case:
     @cached_property
     def material(self) -> MaterialSection:
         """Energy and constants, as far as these are given."""
-        return MaterialSection.of(self.config["material"])
+        return MaterialSection.of(self.config)
 
     @property
     def label(self) -> str:

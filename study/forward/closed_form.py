@@ -23,7 +23,7 @@ from study.material.material import Material
 from study.setup.course import course_of
 from study.setup.geometry import Enclosed, Specimen
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Problem, ResolvedTables, Setup
+from study.setup.setup import Problem, Setup, Tables
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -228,9 +228,7 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
     return homogeneous(specimen, material, displacement_mm)
 
 
-def neo_hookean_start(
-    config: ResolvedTables, displacement_mm: Array, force_N: Array
-) -> dict[str, float]:
+def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
     The force is linear in C10 where Poisson's ratio is given, so one linear least squares
@@ -249,18 +247,18 @@ def neo_hookean_start(
     return {"C10": c10}
 
 
-def _force_per_C10(config: ResolvedTables, d: Array) -> Array:  # noqa: N802
+def _force_per_C10(config: Tables, d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
     setup = Setup.of(config)
     if LOADINGS[setup.kind.mode].is_volumetric:  # the volume is all that changes
-        volume = MaterialSection.of(config["material"]).compressibility
+        volume = MaterialSection.of(config).compressibility
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
         return _elastic(setup, unit, d).force_N
-    nu = MaterialSection.of(config["material"]).compressibility.poisson_ratio or 0.5
+    nu = MaterialSection.of(config).compressibility.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = halfspace.indentation(
         pressed,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from study.forward import closed_form
 from study.forward.model import Prediction
 from study.setup.load_steps import StepSettings
-from study.setup.setup import Problem, ResolvedTables, problem_of
+from study.setup.setup import Problem, Tables, problem_of
 
 if TYPE_CHECKING:  # they load compiled kernels
     from study.fem.solver.options import Options
@@ -50,7 +50,7 @@ class Anchors:
 
     def predict(
         self,
-        config: ResolvedTables,
+        config: Tables,
         constants: Mapping[str, float] | None,
         depth_mm: float,
         anchor: Anchor | None,
@@ -77,7 +77,7 @@ class Anchors:
             return _cold(config, constants, depth_mm, gradients=False)
         return Prediction(found, self._seconds)
 
-    def _prepare(self, config: ResolvedTables, depth_mm: float, anchor: Anchor) -> None:
+    def _prepare(self, config: Tables, depth_mm: float, anchor: Anchor) -> None:
         if anchor.group == self._group:
             return
         self._solution = None  # its memory goes before the next one comes
@@ -87,7 +87,7 @@ class Anchors:
 
 
 def _cold(
-    config: ResolvedTables,
+    config: Tables,
     constants: Mapping[str, float] | None,
     depth_mm: float,
     *,

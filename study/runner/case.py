@@ -30,8 +30,7 @@ from study.runner.case_task import CaseTask, ScoreTask
 from study.runner.fitting.external_fit import external_curve
 from study.runner.fitting.marked_state import marker_responses, predicted_markers
 from study.runner.fitting.solution import Predicted
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Setup, Tables, problem_of
 
 # One cache per worker process. A worker runs its cases one at a time, so no lock is needed.
 _ANCHORS = Anchors()
@@ -183,7 +182,7 @@ def _external(
     if direction.measured is not None:
         at = direction.measured.displacement_mm
     else:
-        steps = int(tables["test"].get("steps") or 10)
+        steps = Setup.of(tables).test.steps
         at = direction.depth_mm * np.arange(1, steps + 1) / steps
     try:
         return external_curve(tables, constants, at)

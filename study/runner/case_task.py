@@ -13,8 +13,8 @@ from study.record.record import Record
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.provenance import versions
 from study.runner.response import Scored
-from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
+from study.setup.setup import Tables
 
 #: role of a direction that gives the constants of a specimen where its score is held out
 CONSTANTS = "constants"
@@ -167,7 +167,7 @@ class ScoreTask:
         """Collect what responses are computed from; given constants stand in the tables."""
         if self.fit is not None:
             return Scored(self.measured, predicted, self.fit.constants, self.fit.fit.get("mu0"))
-        material = MaterialSection.of(tables["material"]).material()
+        material = MaterialSection.of(tables).material()
         return Scored(self.measured, predicted, material.constants, material.mu0)
 
 

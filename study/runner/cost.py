@@ -8,11 +8,11 @@ from study.canonical import digest
 from study.errors import InputError
 from study.forward.external import External
 from study.runner.fitting.external_fit import USUAL_EVALUATIONS
-from study.runner.fitting.fit_task import FitProblem
+from study.runner.fitting.fit_problem import FitProblem
 from study.runner.job import CaseJob, FitJob
-from study.runner.tables import Tables
+from study.runner.tables import with_placeholder
 from study.setup.material_section import MaterialSection
-from study.setup.setup import known_height_mm, problem_of
+from study.setup.setup import Setup, Tables
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -52,7 +52,7 @@ class Costs:
             return _OVERHEAD_S + fit_calls(problem) * external.section.seconds_s
         if problem.method != "inverse-fem":
             return _OVERHEAD_S
-        names = MaterialSection.of(problem.tables["material"]).calibrated_names
+        names = MaterialSection.of(problem.tables).calibrated_names
         solves = (
             _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
@@ -120,7 +120,7 @@ def fit_calls(problem: FitProblem) -> int:
     """
     if problem.method != "external":
         return 0
-    names = MaterialSection.of(problem.tables["material"]).calibrated_names
+    names = MaterialSection.of(problem.tables).calibrated_names
     return USUAL_EVALUATIONS * (1 + len(names))
 
 
@@ -137,14 +137,10 @@ def _scales(names: Sequence[str]) -> bool:
 
 def _from_anchor(config: Tables) -> float:
     # weight stays what it is where a modulus doubles, so that nothing scales
-    if _scales(MaterialSection.of(config["material"]).calibrated_names) and not _is_heavy(config):
+    setup = Setup.of(config)
+    if _scales(MaterialSection.of(config).calibrated_names) and not setup.test.weight_N_mm3:
         return _SCALED
-    return _FROM_ANCHOR_INDENTED if config["test"]["kind"] == "indentation" else _FROM_ANCHOR
-
-
-def _is_heavy(config: Tables) -> bool:
-    gravity = config["test"].get("gravity")
-    return gravity is not None and gravity.get("direction") != "none"
+    return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
 
 
 def same_model(config: Tables) -> str:
@@ -158,12 +154,9 @@ def _estimated(
     """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
     from study.fem.cost import estimate
 
-    section = {**config["material"], "constants": None, "model": "neo-hookean"}
-    height = known_height_mm(config["specimen"]) or 1.0
-    if config["test"].get("displacement_mm") is None:
-        depth_mm = depth_mm or 0.2 * height
+    depth = depth_mm or 0.2 * (Setup.of(config).height_mm or 1.0)
     try:
-        problem = problem_of({**config, "material": section}, {"C10": 0.005}, depth_mm)
+        problem = with_placeholder(config, depth, C10_MPa=0.005)
         found = estimate(problem.setup, patience_s=patience_s)
         return float(found.seconds), float(found.memory_MB), found.counting_s
     except (InputError, ValueError, RuntimeError):

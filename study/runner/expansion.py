@@ -24,7 +24,7 @@ from study.runner import provenance
 from study.runner.calibration.cross_validation import distinct_tests, held_out, left_out
 from study.runner.case_task import CONSTANTS, Forward, Origin
 from study.runner.fitting.external_model import NOTHING, Allowed, identity, with_external
-from study.runner.fitting.fit_task import FitProblem, fit_problem, start_problem
+from study.runner.fitting.fit_problem import FitProblem, fit_problem, start_problem
 from study.runner.job import CaseJob, DataCache, FitJob, ScorePair, Work, repeated
 from study.runner.provenance import code_version
 from study.runner.replicates import mesh_seeded, refitted, resampled
@@ -244,7 +244,7 @@ def score_pairs(
 
 def _simulated(case: Case, problem: FitProblem) -> ScorePair:
     """Prediction that nothing was measured beside."""
-    depth, marked = case.config["test"]["displacement_mm"], case.treatment.cell.problem.markers
+    depth, marked = case.setup.test.displacement_mm, case.treatment.cell.problem.markers
     if marked is not None and case.block is not None:  # each state is a block
         depth = marked.state(case.block).displacement_mm
     if problem.method != "none" or depth is None:

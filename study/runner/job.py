@@ -14,7 +14,6 @@ from study.design.spec import Case, Design
 from study.measurement import plausibility
 from study.measurement.conditioning import is_caution
 from study.measurement.measured_test import Measurements
-from study.measurement.quantities import Gauge
 from study.measurement.reading import read_measurements
 from study.measurement.recording import Recordings, read_recordings
 from study.measurement.section import MeasurementSpec
@@ -22,9 +21,9 @@ from study.record.table import is_repeat
 from study.runner import provenance
 from study.runner.case_task import CONSTANTS, Forward, Origin
 from study.runner.fitting.external_model import NOTHING, Allowed
-from study.runner.fitting.fit_task import FitProblem, fit_key
-from study.runner.tables import CalibrationTable, Tables, gauge_of
-from study.setup.setup import Setup, known_height_mm
+from study.runner.fitting.fit_problem import FitProblem, fit_key
+from study.runner.tables import CalibrationTable, gauge_of, measurements_of
+from study.setup.setup import Setup, Tables
 
 #: ends in the name of the file that says how virtual measurements were made
 TRUTH_SUFFIX = ".virtual.json"
@@ -69,30 +68,22 @@ class DataCache:
         return {name: sha for found in self._read.values() for name, sha in found.files.items()}
 
     def _get(self, tables: Tables) -> Measurements | None:
-        spec = tables.get("measurements")
-        if not spec:
+        spec, made = tables.get("measurements"), measurements_of(tables)
+        if made is None:
             return None
-        height, depth = known_height_mm(tables["specimen"]), tables["test"].get("displacement_mm")
-        made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
-        gauge = gauge_of(tables["specimen"], tables["test"])
-        asked = (id(spec), height, depth, gauge)
+        setup = Setup.of(tables)
+        asked = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
         if asked not in self._asked:
-            self._asked[asked] = (spec, self._conditioned(made, height, depth, gauge, tables))
+            self._asked[asked] = (spec, self._conditioned(made, setup))
         return self._asked[asked][1]
 
-    def _conditioned(
-        self,
-        made: MeasurementSpec,
-        height: float | None,
-        depth: float | None,
-        gauge: Gauge | None,
-        tables: Tables,
-    ) -> Measurements:
+    def _conditioned(self, made: MeasurementSpec, setup: Setup) -> Measurements:
+        height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
         key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
             rows = self._recordings(made)
             found = read_measurements(made, self.root, height, depth, gauge, rows)
-            self._read[key] = plausibility.checked(found, Setup.of(tables))
+            self._read[key] = plausibility.checked(found, setup)
         return self._read[key]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:

@@ -18,9 +18,10 @@ from study.errors import Fault, InputError, MissingDataError, StoreError, neares
 from study.measurement.data_root import check_relative, locate
 from study.measurement.marker_section import MarkerSpec
 from study.record.atomic_files import write_atomic
-from study.runner.tables import CalibrationTable, Tables
+from study.runner.tables import CalibrationTable, with_placeholder
 from study.setup.geometry import Block, Enclosed
-from study.setup.setup import problem_of, specimen_of
+from study.setup.section import table_of
+from study.setup.setup import Setup, Tables, specimen_of
 from study.shape_validation.marker_states import read_markers
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
@@ -195,7 +196,7 @@ def located(config: Tables, places: Sequence[Path]) -> Config:
     Parameters
     ----------
     config : mapping
-        Resolved sections; specimens may also be in ``calibration.problem`` and ``tests``.
+        Document of a problem; a specimen may also be in ``calibration.problem``.
     places : sequence of Path
         Folders that a file may be in or below.
 
@@ -205,9 +206,8 @@ def located(config: Tables, places: Sequence[Path]) -> Config:
         If a file is missing or outside these folders, or its surface cannot be used.
     """
     found = cast(Config, _walked(config, places))
-    for one in found.get("tests") or [found]:
-        if _is_surface(one.get("specimen")):
-            _check_use(one)
+    if _is_surface(found.get("specimen")):
+        _check_use(found)
     return found
 
 
@@ -295,11 +295,9 @@ def _check_use(config: Tables) -> None:
     """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
     from study.fem.checks import check
 
-    material = {**config["material"], "model": "neo-hookean", "order": None, "constants": None}
-    depth = config["test"].get("displacement_mm") or (
-        _USUAL_DEPTH * float(config["specimen"]["height_mm"])
-    )
-    check(problem_of({**config, "material": material}, {"C10": 0.005}, depth))
+    setup = Setup.of(config)
+    depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
+    check(with_placeholder(config, depth, C10_MPa=0.005))
 
 
 def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
@@ -310,8 +308,9 @@ def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
 def _notes(config: Tables) -> Iterator[str]:
     from study.surface.surface import body
 
-    if _is_surface(config.get("specimen")):
-        made = specimen_of(config["specimen"])
+    specimen = table_of(config, "specimen")
+    if _is_surface(specimen):
+        made = specimen_of(specimen)
         if isinstance(made, Enclosed):
             yield from body(made).notes
 
@@ -319,9 +318,9 @@ def _notes(config: Tables) -> Iterator[str]:
 def fingerprints(config: Tables) -> list[str]:
     """Hashes of the surfaces that a configuration uses."""
     own = CalibrationTable.of(config).problem or {}
-    sections = [config.get(name) or {} for name in ("specimen", "markers")]
-    sections.append(own.get("specimen") or {})
-    return [section["sha256"] for section in sections if section.get("sha256")]
+    sections = [table_of(config, name) for name in ("specimen", "markers")]
+    sections.append(table_of(own, "specimen"))
+    return [str(section["sha256"]) for section in sections if section.get("sha256")]
 
 
 def surface_files(config: object) -> set[Path]:

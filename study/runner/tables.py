@@ -1,18 +1,20 @@
-"""Resolved tables of a case: what they say of its calibration, and copies on another mesh."""
+"""Documents of problems: what stands in one is read as values, and copies with other values.
+
+A document is what is hashed and what a worker gets; :class:`study.setup.setup.Setup`,
+:class:`study.setup.material_section.MaterialSection` and the functions here read it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 from study.forward.closed_form import height_and_area
 from study.measurement.quantities import Gauge
-from study.setup.setup import Setup
-
-#: tables of a case by name, in mm, N, MPa and deg, as :func:`study.design.resolve.resolve` made
-#: and checked them; what stands in one is read by the section of that name
-Tables = Mapping[str, Any]
+from study.measurement.section import MeasurementSpec
+from study.setup.material_section import MaterialSection
+from study.setup.section import table_of
+from study.setup.setup import Problem, Setup, Tables
 
 #: tables that make a problem; ``forward`` stands there where another program predicts
 PROBLEM = ("specimen", "test", "material", "model", "forward")
@@ -27,7 +29,7 @@ class CalibrationTable:
     method : str
         ``"auto"``, ``"analytic"``, ``"inverse-fem"`` or ``"none"``.
     problem : mapping or None
-        Tables of the test whose curve gives the constants, where that is another one.
+        Document of the test whose curve gives the constants, where that is another one.
     """
 
     method: str
@@ -36,32 +38,124 @@ class CalibrationTable:
     @classmethod
     def of(cls, tables: Tables) -> CalibrationTable:
         """Read the table ``calibration``; without one everything is left to the program."""
-        table = tables.get("calibration") or {}
-        return cls(table.get("method") or "auto", table.get("problem"))
+        table = table_of(tables, "calibration")
+        return cls(str(table.get("method") or "auto"), table_of(table, "problem") or None)
+
+
+def with_table(tables: Tables, name: str, **changes: object) -> dict[str, object]:
+    """Copy a document with other values in one table.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a problem.
+    name : str
+        Table, such as ``"test"``.
+    **changes
+        Values by their keys, in internal units.
+
+    Examples
+    --------
+    >>> with_table({"test": {"kind": "compression"}}, "test", steps=20)
+    {'test': {'kind': 'compression', 'steps': 20}}
+    """
+    return {**tables, name: {**table_of(tables, name), **changes}}
+
+
+def with_both(tables: Tables, name: str, **changes: object) -> dict[str, object]:
+    """Copy a document with other values in one table, in the problem of the calibration too.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a case; its calibration may have a problem with a table of that name.
+    name : str
+        Table, such as ``"model"``.
+    **changes
+        Values by their keys, in internal units.
+    """
+    made, own = with_table(tables, name, **changes), CalibrationTable.of(tables).problem
+    if own and table_of(own, name):
+        made = with_table(made, "calibration", problem=with_table(own, name, **changes))
+    return made
 
 
 def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
-    """Copy tables with other keys of ``model``, in the problem of the calibration too.
+    """Copy a document with other keys of ``model``, in the problem of the calibration too.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a case.
+    **changes
+        Values by their keys, such as ``mesh_size_mm``.
 
     Examples
     --------
     >>> on_mesh({"model": {"space": "3d"}, "test": {}}, mesh_seed=1)
     {'model': {'space': '3d', 'mesh_seed': 1}, 'test': {}}
     """
-    made = {**tables, "model": {**tables["model"], **changes}}
-    own = CalibrationTable.of(tables).problem
-    if own:
-        problem = {**own, "model": {**own["model"], **changes}}
-        made["calibration"] = {**tables["calibration"], "problem": problem}
-    return made
+    return with_both(tables, "model", **changes)
 
 
-def gauge_of(specimen: Tables, test: Tables) -> Gauge | None:
+def with_placeholder(
+    tables: Tables,
+    depth_mm: float | None = None,
+    *,
+    C10_MPa: float = 1.0,  # noqa: N803
+) -> Problem:
+    """Problem with a neo-Hookean material in place of one that has yet to be found.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a problem.
+    depth_mm : float, optional
+        Final displacement where the tables leave it to the measurements.
+    C10_MPa : float
+        Of the material.
+
+    Raises
+    ------
+    InputError
+        If nothing gives the displacement.
+    """
+    section = replace(MaterialSection.of(tables), model="neo-hookean", order=None, constants={})
+    return Setup.of(tables).problem(section.material({"C10": C10_MPa}), depth_mm)
+
+
+def measurements_of(tables: Tables) -> MeasurementSpec | None:
+    """Where the measured curves of a problem are.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document, also after a way through JSON.
+
+    Returns
+    -------
+    MeasurementSpec or None
+        None where nothing was measured.
+    """
+    spec = tables.get("measurements")
+    if isinstance(spec, MeasurementSpec):
+        return spec
+    return MeasurementSpec.from_dict(spec) if isinstance(spec, Mapping) and spec else None
+
+
+def gauge_of(setup: Setup) -> Gauge | None:
     """Return what turns recorded strain and stress into displacement and force.
 
-    None for a surface whose file nobody looked for.
+    Parameters
+    ----------
+    setup : Setup
+        Specimen and test.
+
+    Returns
+    -------
+    Gauge or None
+        None for a surface whose file nobody looked for.
     """
-    setup = Setup.of({"specimen": specimen, "test": test})
     if setup.height_mm is None:
         return None
     height, area = height_and_area(setup.specimen)

@@ -14,7 +14,8 @@ from study.errors import Fault, InputError
 from study.forward import finite_element
 from study.forward.closed_form import height_and_area
 from study.material.homogeneous import response
-from study.setup.setup import Problem, ResolvedTables, is_homogeneous, problem_of
+from study.setup.section import table_of
+from study.setup.setup import Problem, Tables, is_homogeneous, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -65,7 +66,7 @@ class ForceModel(Protocol):
         ...
 
 
-def force_model(tables: ResolvedTables, farthest_mm: float) -> ForceModel:
+def force_model(tables: Tables, farthest_mm: float) -> ForceModel:
     """Model of a test: closed form where its deformation is homogeneous, else finite elements.
 
     Parameters
@@ -75,8 +76,8 @@ def force_model(tables: ResolvedTables, farthest_mm: float) -> ForceModel:
     farthest_mm : float
         Largest displacement that will be asked for.
     """
-    test = {**tables["test"], "displacement_mm": farthest_mm}
-    problem = problem_of({**tables, "test": test})
+    reached = {**table_of(tables, "test"), "displacement_mm": farthest_mm}
+    problem = problem_of({**tables, "test": reached})
     if problem.material.relaxation:
         rule = "is not known to sensors: their rows have positions and forces, and no times"
         raise InputError(Fault("material.relaxation", rule, "leave it out"))

@@ -12,7 +12,7 @@ from study.design.load import default_name, loads_problem
 from study.design.study_file import Study
 from study.errors import Fault, InputError
 from study.sensors.section import ForceAccuracy, PositionAccuracy, Requirement
-from study.setup.setup import ResolvedTables
+from study.setup.setup import Tables
 
 #: Tables that only this verb knows.
 OWN = ("position", "force", "requirement", "predict")
@@ -42,8 +42,8 @@ class RequirementFile:
     name: str
     question: str
     seed: int
-    fitted: ResolvedTables
-    predicted: ResolvedTables
+    fitted: Tables
+    predicted: Tables
     position: PositionAccuracy
     force: ForceAccuracy
     asked: Requirement
@@ -100,7 +100,7 @@ def _has_errors(position: PositionAccuracy, force: ForceAccuracy) -> bool:
 
 def _problem(
     tables: Mapping[str, object], source: str, overrides: Sequence[str], faults: list[Fault]
-) -> ResolvedTables | None:
+) -> Tables | None:
     """Resolve a problem; None, and its faults, where it has any."""
     try:
         config = loads_problem(toml_document.dump_toml(tables), source, overrides)
@@ -116,7 +116,7 @@ def _predicted(
     source: str,
     overrides: Sequence[str],
     faults: list[Fault],
-) -> ResolvedTables | None:
+) -> Tables | None:
     """Problem with the tables that ``[predict]`` replaces whole."""
     if not isinstance(table, Mapping):
         faults.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))

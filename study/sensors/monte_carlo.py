@@ -20,7 +20,7 @@ from study.execution.task import Executor, Results, Task
 from study.sensors.propagation import Propagation, Quantity
 from study.sensors.section import multiplied
 from study.sensors.virtual_test import Changes, Chunk, Sampling, perform
-from study.setup.setup import ResolvedTables, is_homogeneous, problem_of
+from study.setup.setup import Setup, Tables
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.
 CHUNK = 25
@@ -174,10 +174,9 @@ def _changes(result: Mapping[str, object]) -> Changes:
     )
 
 
-def _executor(tables: ResolvedTables, jobs: int) -> Executor:
+def _executor(tables: Tables, jobs: int) -> Executor:
     """Take processes for finite elements; a closed form is done before they have started."""
-    shape, kind = str(tables["specimen"]["shape"]), problem_of(tables).test
-    return Inline(perform) if is_homogeneous(kind, shape) else Loky(perform, jobs)
+    return Inline(perform) if Setup.of(tables).is_homogeneous else Loky(perform, jobs)
 
 
 def _simulation(

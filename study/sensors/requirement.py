@@ -17,7 +17,7 @@ from study.sensors.monte_carlo import Simulation, simulate
 from study.sensors.propagation import ErrorSource, Propagation, Quantity, propagate, sources_of
 from study.sensors.section import multiplied
 from study.sensors.virtual_test import Sampling, depth_of, rows_mm
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup
 
 #: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.
 MULTIPLES = np.logspace(-1, 1, 61)
@@ -131,7 +131,7 @@ def sensor_requirement(
 
 def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
     """Refuse errors with which a test would go through its specimen."""
-    height = known_height_mm(file.fitted["specimen"])
+    height = Setup.of(file.fitted).height_mm
     for multiple in file.asked.multiples if file.asked.samples else ():
         position, force = multiplied(file.position, file.force, multiple)
         farthest = replace(sampling, position=position, force=force).farthest_mm

@@ -14,7 +14,7 @@ from study.calibration.levenberg_marquardt import levenberg_marquardt
 from study.errors import InputError
 from study.sensors.force_model import ForceModel, force_model
 from study.sensors.section import ForceAccuracy, PositionAccuracy
-from study.setup.setup import ResolvedTables
+from study.setup.setup import Setup, Tables
 
 #: Standard deviations of the noise that the simulated curve reaches beyond the test.
 REACH = 5.0
@@ -45,8 +45,8 @@ class Sampling:
         Number of tests; the stream of random numbers.
     """
 
-    fitted: ResolvedTables
-    predicted: ResolvedTables
+    fitted: Tables
+    predicted: Tables
     position: PositionAccuracy
     force: ForceAccuracy
     points: int
@@ -106,8 +106,8 @@ class Chunk:
         drawn = cast("Mapping[str, object]", data["sampling"])
         return cls(
             Sampling(
-                fitted=cast("ResolvedTables", drawn["fitted"]),
-                predicted=cast("ResolvedTables", drawn["predicted"]),
+                fitted=cast("Tables", drawn["fitted"]),
+                predicted=cast("Tables", drawn["predicted"]),
                 position=PositionAccuracy(**cast("Mapping[str, float]", drawn["position"])),
                 force=ForceAccuracy(**cast("Mapping[str, float]", drawn["force"])),
                 points=cast(int, drawn["points"]),
@@ -180,9 +180,9 @@ def perform(task: dict[str, object]) -> dict[str, object]:
     return {"status": "done", **asdict(found)}
 
 
-def depth_of(tables: ResolvedTables) -> float:
+def depth_of(tables: Tables) -> float:
     """Displacement of a resolved test in mm."""
-    return float(cast(float, tables["test"]["displacement_mm"]))
+    return Setup.of(tables).test.depth_mm
 
 
 class _Test:

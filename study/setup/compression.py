@@ -28,6 +28,8 @@ class Compression:
     """Plates approach each other by the displacement; each may be bonded."""
 
     takes_indenter: bool = False
+    compresses: bool = True
+    shears: bool = False
     strains_locally: bool = False
     sense: float = -1.0
     mode: str = "uniaxial"

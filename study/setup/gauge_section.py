@@ -43,8 +43,14 @@ class GaugeSection:
     mode: str
     sense: float = 1.0
     takes_indenter: bool = False
+    compresses: bool = False
     strains_locally: bool = False
     needs_homogeneous: bool = True
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear."""
+        return self.mode == "simple-shear"
 
     def usual_base(self, interface: Interface) -> Interface:
         """Without meaning: nothing holds a gauge section but its own material."""
@@ -78,7 +84,7 @@ class GaugeSection:
     def stretches(self, test: Test, height_mm: float) -> Array:
         """Stretches of the loaded direction, for a shear those of its longest line."""
         share = self.sense * test.depth_mm / height_mm
-        if self.mode == "simple-shear":
+        if self.shears:
             longest = sheared_stretches(np.array([share]), test.prestretch or 1.0)[0]
             return np.linspace(1.0, longest[0], STRETCHES)
         return np.linspace(1.0, 1.0 + share, STRETCHES)

@@ -35,6 +35,8 @@ class Indentation:
     """An indenter comes down by the displacement; it may keep hold of what it touches."""
 
     takes_indenter: bool = True
+    compresses: bool = False
+    shears: bool = False
     strains_locally: bool = True
     sense: float = -1.0
     mode: str = "uniaxial"

@@ -14,7 +14,7 @@ from study.material.material import Material
 from study.material.registry import constant_names, energy_named
 from study.material.relaxation import RelaxationTerm, share_name, time_name
 from study.setup.quantity import Pressure, number
-from study.setup.section import Bad, Reads, section, section_of
+from study.setup.section import Bad, Reads, section, section_of, table_of
 from study.setup.text import flag
 
 
@@ -100,13 +100,14 @@ class MaterialSection:
 
     @classmethod
     def of(cls, resolved: Mapping[str, object]) -> MaterialSection:
-        """Material of its resolved table, in internal units."""
-        resistance = section_of("material", Compressibility, resolved)
-        order = cast("int | None", resolved.get("order"))
-        constants = cast("Mapping[str, float]", resolved.get("constants") or {})
-        terms = cast("list[Mapping[str, object]]", resolved.get("relaxation") or [])
+        """Material of resolved tables, in MPa and s."""
+        table = table_of(resolved, "material")
+        resistance = section_of("material", Compressibility, table)
+        order = cast("int | None", table.get("order"))
+        constants = cast("Mapping[str, float]", table.get("constants") or {})
+        terms = cast("list[Mapping[str, object]]", table.get("relaxation") or [])
         fading = tuple(RelaxationKey.of(term) for term in terms)
-        return cls(str(resolved["model"]), order, constants, resistance, fading)
+        return cls(str(table["model"]), order, constants, resistance, fading)
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:

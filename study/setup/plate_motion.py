@@ -30,6 +30,8 @@ class PlateMotion(Compression):
     sideways forces and moments stand in it with their share of the motion.
     """
 
+    compresses: bool = False
+
     def usual_base(self, interface: Interface) -> Interface:
         """Specimens are fixed to what they stand on."""
         return "bonded"

@@ -226,6 +226,20 @@ def written_keys(kind: type) -> tuple[str, ...]:
     return tuple(key.written for key in keys_of(kind) if not key.is_derived)
 
 
+def table_of(resolved: Mapping[str, object], name: str) -> Mapping[str, object]:
+    """Return one of the tables of a document; an empty one where there is none.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Document in internal units.
+    name : str
+        Of the table, such as ``"specimen"``.
+    """
+    found = resolved.get(name)
+    return found if isinstance(found, Mapping) else {}
+
+
 def values_of(value: object) -> dict[str, object]:
     """Values of a section by their names, in internal units; sections within it stay."""
     return {key.name: getattr(value, key.name) for key in keys_of(type(value))}

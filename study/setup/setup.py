@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
 
@@ -22,7 +22,7 @@ from study.setup.geometry import (
 from study.setup.load_steps import StepRule, StepSettings
 from study.setup.material_section import MaterialSection
 from study.setup.quantity import Length, finite
-from study.setup.section import DERIVED, section, section_of
+from study.setup.section import DERIVED, section, section_of, table_of
 from study.setup.test_kind import Contact, FaceCondition, MeshGrading, Test, TestKind
 from study.setup.test_section import TEST_KINDS, TestSection
 from study.setup.text import word
@@ -33,8 +33,8 @@ Shape = Literal["simplex", "tensor"]
 Formulation = Literal["mixed", "displacement"]
 MeshName = Literal["coarse", "medium", "fine"]
 
-#: Tables of a problem by their names, in internal units.
-ResolvedTables = Mapping[str, Mapping[str, object]]
+#: Document of a problem: its tables by their names, in mm, N, MPa, deg and s.
+Tables = Mapping[str, object]
 
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
 MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
@@ -78,6 +78,24 @@ class Model:
     mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
     mesh_seed: Annotated[int | None, DERIVED] = None
 
+    @property
+    def level(self) -> int:
+        """Number of meshes with a name that are finer: 0 on the fine one."""
+        return len(MESH_LEVELS) - 1 - MESH_LEVELS.index(self.mesh)
+
+    def coarser(self, ratio: float) -> Model | None:
+        """Discretization on the next coarser mesh; None on the coarsest with a name.
+
+        Parameters
+        ----------
+        ratio : float
+            Of the element sizes, where one is given.
+        """
+        if self.mesh_size_mm is not None:
+            return replace(self, mesh_size_mm=ratio * self.mesh_size_mm)
+        at = MESH_LEVELS.index(self.mesh)
+        return replace(self, mesh=MESH_LEVELS[at - 1]) if at else None
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -97,13 +115,13 @@ class Setup:
     height_mm: float | None = None
 
     @classmethod
-    def of(cls, resolved: ResolvedTables) -> Setup:
+    def of(cls, resolved: Tables) -> Setup:
         """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
         return cls(
-            specimen_of(resolved["specimen"]),
-            loading_of(resolved["test"]),
-            model_of(resolved.get("model", {})),
-            known_height_mm(resolved["specimen"]),
+            specimen_of(table_of(resolved, "specimen")),
+            loading_of(table_of(resolved, "test")),
+            model_of(table_of(resolved, "model")),
+            known_height_mm(table_of(resolved, "specimen")),
         )
 
     @property
@@ -206,7 +224,7 @@ def is_homogeneous(test: Test, shape: str) -> bool:
 
 
 def problem_of(
-    resolved: ResolvedTables,
+    resolved: Tables,
     constants: Mapping[str, float] | None = None,
     displacement_mm: float | None = None,
 ) -> Problem:
@@ -226,14 +244,13 @@ def problem_of(
     InputError
         If something that the solver needs is missing.
     """
-    material = MaterialSection.of(resolved["material"]).material(constants)
+    material = MaterialSection.of(resolved).material(constants)
     return Setup.of(resolved).problem(material, displacement_mm)
 
 
 def mesh_level(model: Model) -> float:
     """Size of a named mesh over the reference size: 1 on the fine one."""
-    steps = len(MESH_LEVELS) - 1 - MESH_LEVELS.index(model.mesh)
-    return float(model.mesh_ratio**steps)
+    return float(model.mesh_ratio**model.level)
 
 
 def specimen_of(resolved: Mapping[str, object]) -> Specimen:

@@ -247,6 +247,14 @@ class TestKind(Protocol):
         """Whether a test of this kind needs an indenter."""
 
     @property
+    def compresses(self) -> bool:
+        """Whether two plates shorten the specimen along its axis, and do nothing else."""
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear, which may be preceded by a stretch."""
+
+    @property
     def strains_locally(self) -> bool:
         """Whether single places are stretched several times: elements are stabilized there."""
 

@@ -40,16 +40,15 @@ CONICAL = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").r
 
 def test_tests_inherit_specimen_and_model() -> None:
     found = load.loads_calibration(TEXT)
-    fit, held_out = found["tests"]
-    assert found["material"]["order"] == 2
-    assert found["model"]["mesh"] == "medium"
-    assert (fit["role"], fit["weight"]) == ("fit", "scatter")
-    assert (held_out["role"], held_out["weight"]) == ("held-out", 2.5)
-    assert fit["specimen"] == found["specimen"]
-    assert held_out["specimen"]["height_mm"] == 20.0
-    assert fit["measurements"].range == Range("percent", 1.0, 20.0)
-    assert (fit["test"]["displacement_mm"], held_out["test"]["displacement_mm"]) == (6.0, 4.0)
-    assert held_out["test"]["base"] == "bonded"
+    fit, held_out = found.tests
+    assert found.material.order == 2
+    assert fit.setup.model.mesh == held_out.setup.model.mesh == "medium"
+    assert (fit.role, fit.weight) == ("fit", "scatter")
+    assert (held_out.role, held_out.weight) == ("held-out", 2.5)
+    assert (fit.setup.height_mm, held_out.setup.height_mm) == (30.0, 20.0)
+    assert fit.measurements.range == Range("percent", 1.0, 20.0)
+    assert (fit.setup.test.depth_mm, held_out.setup.test.depth_mm) == (6.0, 4.0)
+    assert held_out.setup.test.base == "bonded"
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_loading_is_quick_and_light() -> None:
 def test_every_design_that_ships_is_read(path: Path) -> None:
     kind = load.file_kind(path)
     if kind == "calibration":
-        assert load.load_calibration(path)["tests"]
+        assert load.load_calibration(path).tests
     elif kind == "problem" and "[requirement]" in path.read_text():
         assert load_requirement(path).fitted
     elif kind == "problem" and "[tracking]" in path.read_text():

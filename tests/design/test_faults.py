@@ -401,7 +401,7 @@ def test_files_of_another_kind_are_named() -> None:
 def test_plausibility_warns_of_units() -> None:
     wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
     told, none = (
-        plausibility.plausibility(MaterialSection.of(loads_problem(text)["material"]))
+        plausibility.plausibility(MaterialSection.of(loads_problem(text)))
         for text in (wrong, PROBLEM)
     )
     assert "is the unit right?" in told[0]

@@ -13,6 +13,7 @@ from study.curve import Curve
 from study.forward import finite_element
 from study.forward.halfspace import indentation
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_problem import fit_problem
 from study.setup.geometry import Cone, Flat, Indenter, Sphere
 from study.setup.setup import problem_of
 
@@ -103,7 +104,7 @@ def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) ->
     measured = virtual(config)
     _, start = fit_task.start_values(config, [measured], None)
     assert 1 / 1.25 < start[0] / NEO_HOOKEAN < 1.25
-    found = fit_task.fitted(fit_task.FitTask(fit_task.fit_problem(config), (measured,)))
+    found = fit_task.fitted(fit_task.FitTask(fit_problem(config), (measured,)))
     assert found.status == "converged"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
     # the force is linear in C10: one simulation at the start, one at the end
@@ -118,7 +119,7 @@ def test_a_lost_warm_start_is_not_taken_for_constants_without_answer() -> None:
     config = setting("needle", "thick cylinder")
     measured = virtual(config)
     given = {**config, "material": {**config["material"], "constants": {"C10": 2.2e-4}}}
-    found = fit_task.fitted(fit_task.FitTask(fit_task.fit_problem(given), (measured,)))
+    found = fit_task.fitted(fit_task.FitTask(fit_problem(given), (measured,)))
     assert found.status == "converged"
     assert found.message == "the next full step would not change the parameters"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)

@@ -166,7 +166,7 @@ def test_a_crash_is_tried_again_by_the_next_run_and_a_verdict_is_not(
 
 
 def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("expansion", "fitting.fit_task"):
+    for module in ("expansion", "fitting.fit_problem"):
         monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
     store = Store(clean[1])

@@ -426,7 +426,7 @@ def test_a_kink_is_called_alike_in_every_verb(
     assert document["status"] == "at-kink"
     assert document["parameters"]["C10"]["standard_error"] is None
     assert document["mu0"] == pytest.approx(14.0, abs=0.1)
-    tables = load_calibration(path)["tests"][0]
+    tables = load_calibration(path).tests[0].tables
     measured = api.calibrate(path, data=tmp_path).curves[0].measured.curve
     found = fit_task.fitted(fit_task.FitTask(measured_tests.problem_of(tables), (measured,)))
     assert found.status == document["status"]

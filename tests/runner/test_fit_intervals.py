@@ -19,9 +19,9 @@ def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path, capsys, point
     arguments = ["calibrate", str(path), "--data", str(tmp_path), "--json"]
     assert run([*arguments, "--results", str(tmp_path / "r")]) == 0
     document = json.loads(capsys.readouterr().out)
-    tests = load_calibration(path)["tests"]
+    tests = load_calibration(path).tests
     (curve,) = in_order(read_tests(tests, tmp_path)[0])
-    task = FitTask(problem_of(tests[0]), (curve.measured.curve,))
+    task = FitTask(problem_of(tests[0].tables), (curve.measured.curve,))
     found = fitted(FitTask.from_json(json.loads(json.dumps(task.to_json()))))
     for name, one in document["parameters"].items():
         wanted = [1e-3 * value for value in one["ci95"]]

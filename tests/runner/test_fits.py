@@ -12,6 +12,7 @@ from study.curve import Curve
 from study.forward import closed_form, finite_element
 from study.material.material import Material
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_problem import fit_key, fit_problem, start_problem
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask, fitted
 from study.setup.setup import specimen_of
@@ -53,7 +54,7 @@ def curve(model: str, constants: dict[str, float]) -> Curve:
 def test_closed_form_recovers_the_constants_of_exact_data(
     model: str, order: int | None, truth: dict[str, float]
 ) -> None:
-    problem = fit_task.fit_problem(config(model, "frictionless", order=order))
+    problem = fit_problem(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
     found = fitted(FitTask(problem, (curve(model, truth),)))
     assert found.status == "converged", found.message
@@ -68,8 +69,8 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
     base = curve("reduced-polynomial", truth)
     factor = BONDED * (1 + 1e-3 * _size())
     measured = Curve(base.displacement_mm, factor * base.force_N)
-    problem = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=2))
-    before = fit_task.start_problem(problem)
+    problem = fit_problem(config("reduced-polynomial", "bonded", order=2))
+    before = start_problem(problem)
     assert before is not None
     start = fitted(FitTask(before, (measured,)))
     assert start.status == "converged"
@@ -101,7 +102,7 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
         return found
 
     monkeypatch.setattr(finite_element, "solve", stops)
-    problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
+    problem = fit_problem(config("neo-hookean", "bonded"))
     found = fitted(FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
     assert found.status == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
@@ -120,7 +121,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     base = curve("neo-hookean", truth)
     measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
     monkeypatch.setattr(finite_element, "solve", lost)
-    problem = fit_task.fit_problem(config("neo-hookean", "bonded"))
+    problem = fit_problem(config("neo-hookean", "bonded"))
     found = fitted(FitTask(problem, (measured,)))
     assert found.status == "converged", found.message
     assert found.constants == pytest.approx(truth, rel=2e-3)
@@ -129,7 +130,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
 
 
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
-    problem = fit_task.fit_problem(config("mooney-rivlin", "bonded"))
+    problem = fit_problem(config("mooney-rivlin", "bonded"))
     start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
     task = FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
     found = fitted(FitTask.from_json(task.to_json()))
@@ -142,24 +143,22 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
     other["model"] = {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"}
     other["test"]["steps"] = 20
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    assert fit_task.fit_key(fit_task.fit_problem(one), data) == fit_task.fit_key(
-        fit_task.fit_problem(other), data
-    )
-    bonded = [fit_task.fit_problem({**c, "test": {**c["test"], "interface": "bonded"}})
+    assert fit_key(fit_problem(one), data) == fit_key(fit_problem(other), data)
+    bonded = [fit_problem({**c, "test": {**c["test"], "interface": "bonded"}})
               for c in (one, other)]  # fmt: skip
-    assert fit_task.fit_key(bonded[0], data) != fit_task.fit_key(bonded[1], data)
+    assert fit_key(bonded[0], data) != fit_key(bonded[1], data)
 
 
 def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    third = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=3))
-    second = fit_task.fit_problem(config("reduced-polynomial", "bonded", order=2))
-    first = fit_task.fit_problem(config("neo-hookean", "bonded"))
+    third = fit_problem(config("reduced-polynomial", "bonded", order=3))
+    second = fit_problem(config("reduced-polynomial", "bonded", order=2))
+    first = fit_problem(config("neo-hookean", "bonded"))
     for problem, start in ((third, second), (second, first)):
-        before = fit_task.start_problem(problem)
+        before = start_problem(problem)
         assert before is not None
-        assert fit_task.fit_key(before, data) == fit_task.fit_key(start, data)
-    assert fit_task.start_problem(first) is None
+        assert fit_key(before, data) == fit_key(start, data)
+    assert start_problem(first) is None
 
 
 def test_higher_constants_start_at_zero() -> None:
@@ -181,4 +180,4 @@ def test_a_force_that_pulls_is_refused_by_name() -> None:
     base = curve("neo-hookean", {"C10": 8e-3})
     pulling = Curve(base.displacement_mm, -base.force_N)
     with pytest.raises(InputError, match="sign"):
-        fitted(FitTask(fit_task.fit_problem(config("neo-hookean", "frictionless")), (pulling,)))
+        fitted(FitTask(fit_problem(config("neo-hookean", "frictionless")), (pulling,)))

@@ -51,7 +51,7 @@ def curve(setting: dict[str, Any], constants: dict[str, float]) -> Curve:
 def fitted(
     setting: dict[str, Any], measured: Curve, start: Any
 ) -> tuple[Fit, fit_task.InverseFem, Any]:
-    names = MaterialSection.of(setting["material"]).calibrated_names
+    names = MaterialSection.of(setting).calibrated_names
     model = fit_task.InverseFem(setting, [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     return fit(model, data, names, start, **TOLERANCE), model, names
@@ -121,7 +121,7 @@ def test_recovery_from_indentation(indenter: str, energy: Energy, identifiable: 
 def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     """All stages counted, on the medium mesh: the coarse one gives the start."""
     setting, true = config(RP3, "medium", steps=20), RP3[2]
-    names = MaterialSection.of(setting["material"]).calibrated_names
+    names = MaterialSection.of(setting).calibrated_names
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
     parts = [Part("inverse-fem", setting, (measured,))]
@@ -169,7 +169,7 @@ def test_bias_of_finer_data_by_mesh(energy: Energy) -> None:
 def test_coverage_of_intervals_over_300_fem_fits() -> None:
     """V42 through the FEM: 95 % intervals hold the truth in at least 91 % of 300 fits."""
     setting, true = config(RP2), np.array(list(RP2[2].values()))
-    names = MaterialSection.of(setting["material"]).calibrated_names
+    names = MaterialSection.of(setting).calibrated_names
     clean, rng = curve(setting, RP2[2]), np.random.default_rng(2011)
     noise = 0.02
     model = fit_task.InverseFem(setting, [clean], names)  # one mesh and factorization for all

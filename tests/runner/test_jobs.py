@@ -15,8 +15,9 @@ from study.forward.finite_element import Anchor
 from study.runner.batch import case_frame
 from study.runner.case_task import CaseTask, Origin, ScoreTask
 from study.runner.expansion import expand
+from study.runner.fitting.fit_problem import fit_problem
 from study.runner.fitting.fit_summary import FitResult
-from study.runner.fitting.fit_task import FitTask, fit_problem, fitted
+from study.runner.fitting.fit_task import FitTask, fitted
 from study.runner.fitting.solution import Predicted
 from study.runner.job import fits_of
 from study.runner.numerical.solve_task import SolveResult, SolveTask, solutions
@@ -93,7 +94,9 @@ def test_a_solution_comes_back_as_it_went() -> None:
 
 
 def test_equal_solutions_are_made_once() -> None:
-    tables = {"specimen": {}, "test": {"steps": 2}, "material": {}, "model": {}}
+    cylinder = {"shape": "cylinder", "radius_mm": 5.0, "height_mm": 5.0}
+    test = {"kind": "compression", "steps": 2}
+    tables = {"specimen": cylinder, "test": test, "material": {}, "model": {}}
     tasks = [SolveTask.of(tables, size) for size in (1.0, 2.0, 1.0)]
     asked: list[str] = []
 

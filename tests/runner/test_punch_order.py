@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -12,7 +13,9 @@ from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import edge_rules, formal_order
 from study.runner.numerical.refinement import refine, solving
 from study.runner.numerical.solver import in_process
-from study.setup.setup import problem_of
+from study.setup.geometry import Cylinder, Flat, Sphere
+from study.setup.setup import Model, Setup, problem_of
+from study.setup.test_kind import Test
 
 PUNCH = """
 schema = 1
@@ -89,20 +92,18 @@ def test_a_deep_punch_into_rubber_is_told_what_may_hide_the_order(depth: float, 
 
 
 def test_only_an_edge_that_every_mesh_shows_alike_rules_the_size() -> None:
-    config: dict[str, Any] = {
-        "test": {"kind": "indentation", "indenter": {"shape": "flat", "edge_radius_mm": 0.0}},
-        "model": {"space": "axisymmetric"},
-    }
-    assert edge_rules(config)
-    for name, change in (
-        ("model", {"space": "3d"}),
-        ("test", {"kind": "indentation", "indenter": {"shape": "flat", "edge_radius_mm": 0.1}}),
-        ("test", {"kind": "indentation", "indenter": {"shape": "sphere"}}),
-        ("test", {"kind": "compression"}),
+    sharp = Test("indentation", 1.0, indenter=Flat(2.0))
+    setup = Setup(Cylinder(10.0, 10.0), sharp, Model())
+    assert edge_rules(setup)
+    solid = replace(setup, model=Model(space="3d"))
+    for other in (
+        solid,
+        replace(setup, test=replace(sharp, indenter=Flat(2.0, 0.1))),
+        replace(setup, test=replace(sharp, indenter=Sphere(2.0))),
+        replace(setup, test=Test("compression", 1.0)),
     ):
-        assert not edge_rules(config | {name: change})
-    assert judgement.series_sizes([2.0, 1.0], [100, 300], config) == [2.0, 1.0]
-    solid = config | {"model": {"space": "3d"}}
+        assert not edge_rules(other)
+    assert judgement.series_sizes([2.0, 1.0], [100, 300], setup) == [2.0, 1.0]
     assert judgement.series_sizes([2.0, 1.0], [100, 800], solid) == pytest.approx([2.0, 1.0])
     assert judgement.series_sizes([2.0, 1.0], [100, 300], solid)[0] < 1.5
 

@@ -22,6 +22,7 @@ from study.runner.batch import run_batch
 from study.runner.cost import Costs
 from study.runner.expansion import expand
 from study.runner.fitting import fit_task, residual_bootstrap
+from study.runner.fitting.fit_problem import FitProblem, fit_problem
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask
 from study.runner.job import Work
@@ -142,7 +143,7 @@ def test_a_refit_is_cheap_in_a_plan(one_mix: Path) -> None:
 
 def fitted(
     model: str, order: int | None, seed: int, poisson_ratio: float = 0.4995
-) -> tuple[fit_task.FitProblem, Curve, FitResult]:
+) -> tuple[FitProblem, Curve, FitResult]:
     config = {
         "specimen": SPECIMEN,
         "test": {"kind": "compression", "interface": "frictionless", "base": None,
@@ -154,7 +155,7 @@ def fitted(
     truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
     exact = closed_form.compression(specimen_of(SPECIMEN), truth, DEPTHS).force_N
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
-    problem = fit_task.fit_problem(config)
+    problem = fit_problem(config)
     measured = Curve(DEPTHS, exact + noise_N)
     return problem, measured, fit_task.fitted(FitTask(problem, (measured,)))
 

@@ -29,7 +29,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
     from study.curve import Curve
     from study.runner.virtual import specimens
 
-    def line(config: Any, *truth: Any, as_designed: bool) -> Curve:
+    def line(config: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
         assert as_designed
         d = np.linspace(0.3, 6.3, 21)
         stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
@@ -55,8 +55,8 @@ def test_the_design_plans_three_tests_of_every_specimen(
 
 def test_the_calibration_reads_the_same_files() -> None:
     found = load.load_calibration(DESIGN.with_name("one-material.toml"))
-    assert found["calibration"]["leave_out"] == "test"
-    files = [test["measurements"].file for test in found["tests"]]
+    assert found.asked.leave_out == "test"
+    files = [test.file for test in found.tests]
     assert files == [f"same-specimen/{way}.csv" for way in WAYS]
 
 

@@ -12,7 +12,7 @@ from study.design.load import load, load_problem
 from study.errors import InputError
 from study.runner import provenance
 from study.runner.expansion import expand
-from study.runner.fitting.fit_task import fit_problem
+from study.runner.fitting.fit_problem import fit_problem
 from study.runner.fitting.staged_fit import Part, cheaper
 from study.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write

@@ -55,7 +55,7 @@ def test_what_is_missing_is_named() -> None:
     with pytest.raises(InputError, match="displacement"):
         loading_of({"kind": "compression"}).to_depth()
     with pytest.raises(InputError, match="constants"):
-        MaterialSection.of({"model": "neo-hookean", "poisson_ratio": 0.49}).material()
+        MaterialSection.of({"material": {"model": "neo-hookean", "poisson_ratio": 0.49}}).material()
     with pytest.raises(InputError, match="height_mm"):
         specimen_of({"shape": "cylinder", "radius_mm": 1.0})
 

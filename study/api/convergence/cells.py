@@ -33,8 +33,7 @@ from study.runner.numerical.formal_order import formal_order
 from study.runner.numerical.judgement import SeriesJudgement, judge, series_of, with_sources
 from study.runner.numerical.refinement import Series, budget_of, refine, solving
 from study.runner.numerical.solver import by_workers, kept, store_of
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Tables, problem_of
 
 if TYPE_CHECKING:
     from study.design.spec import Design

@@ -15,8 +15,7 @@ from study.reporting.output.convergence_page import write_convergence
 from study.runner.numerical.judgement import SeriesJudgement
 from study.runner.numerical.solve_task import SolveTask
 from study.runner.numerical.solver import slug
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Setup, Tables, problem_of
 
 #: cells whose coarsest and finest mesh are shown
 SHOWN = 4
@@ -52,7 +51,7 @@ def meshes(
     window = None
     for cell, own in zip(cells, tables, strict=True):
         sizes = [level.mesh_size_mm for level in cell.meshes if level.converged]
-        if own["model"].get("space") == "3d" or not sizes or len(found) >= 2 * SHOWN:
+        if Setup.of(own).model.space == "3d" or not sizes or len(found) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
             key, picture = _picture(own, size)

@@ -23,8 +23,7 @@ from study.runner.numerical.formal_order import formal_order as promised
 from study.runner.numerical.judgement import judge, series_of, with_sources
 from study.runner.numerical.refinement import budget_of, refine, solving
 from study.runner.numerical.solver import in_process, kept, store_of
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Tables, problem_of
 
 if TYPE_CHECKING:
     from study.analysis.convergence.grid_convergence import ConvergenceResult

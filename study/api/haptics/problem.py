@@ -24,7 +24,7 @@ from study.record.store import Store
 from study.runner import provenance
 from study.runner.expansion import cases_by_id
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Problem, ResolvedTables, problem_of
+from study.setup.setup import Problem, Tables, problem_of
 
 #: Half ranges of calibrated constants over their standard errors.
 STANDARD_ERRORS = 2.0
@@ -99,7 +99,7 @@ def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> t
     document = _document(path)
     values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
     tables = _test_of(document, path, test)
-    return str(document["name"]), MaterialSection.of(tables["material"]).material(values)
+    return str(document["name"]), MaterialSection.of(tables).material(values)
 
 
 def _written(path: Path, overrides: Sequence[str]) -> Source:
@@ -135,9 +135,9 @@ def _calibrated(path: Path, number: int) -> Source:
     )
 
 
-def _test_of(found: Mapping[str, object], path: Path, number: int) -> ResolvedTables:
+def _test_of(found: Mapping[str, object], path: Path, number: int) -> Tables:
     """Tables of a test of a calibration, counted from 1."""
-    tests = cast("Sequence[ResolvedTables]", found["tests"])
+    tests = cast("Sequence[Tables]", found["tests"])
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))

@@ -23,6 +23,7 @@ from study.runner.calibration.model_selection import choose
 from study.runner.numerical.numerical_bound import numerical_bound
 
 if TYPE_CHECKING:
+    from study.design.sections.calibration_design import CalibrationDesign
     from study.runner.calibration.comparison import Comparison
     from study.runner.calibration.model_selection import EnergyChoice
     from study.runner.calibration.result import CalibrationResult
@@ -74,23 +75,21 @@ def calibrate(
         For a faulty file or faulty data.
     """
     config = load_calibration(source, overrides)
-    if config["calibration"]["method"] == "analytic":
+    if config.asked.method == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
-    config = provenance.located(
-        config, provenance.folders(source, calibration_root(config, source, data))
-    )
-    folder = None if results is None else own_folder(Path(results), config["name"])
+    root = calibration_root(config, source, data)
+    config = _located(config, source, root)
+    folder = None if results is None else own_folder(Path(results), config.name)
     found = run_calibration(
         config,
-        calibration_root(config, source, data),
+        root,
         progress=progress,
         profiles=profiles,
         resamples=resamples,
         folder=folder,
     )
     if numerics and found.converged:
-        root = calibration_root(config, source, data)
         bound = numerical_bound(config, root, found.fit, progress)
         found = replace(found, numerics=bound.as_dict())
     if folder is not None:
@@ -161,16 +160,21 @@ def compare_tests(
         rule = f"must be a share of the largest force, got {zero:g}"
         raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
     config = load_calibration(source, overrides)
-    config = provenance.located(
-        config, provenance.folders(source, calibration_root(config, source, data))
-    )
+    root = calibration_root(config, source, data)
     return compare(
-        config,
-        calibration_root(config, source, data),
+        _located(config, source, root),
+        root,
         difference=difference,
         zero=zero,
         progress=progress,
     )
+
+
+def _located(config: CalibrationDesign, source: str | Path, root: Path) -> CalibrationDesign:
+    """Copy a calibration with the surface of every test found."""
+    places = provenance.folders(source, root)
+    found = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    return replace(config, tests=tuple(found))
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:

@@ -91,7 +91,7 @@ def _solve() -> tuple[str, str]:
     solution = finite_element.solve(problem_of(config))
     exact = closed_form.compression(
         specimen_of(config["specimen"]),
-        MaterialSection.of(config["material"]).material(),
+        MaterialSection.of(config).material(),
         np.array([1.0]),
     )
     error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)

@@ -21,11 +21,11 @@ from study.record.atomic_files import write_atomic
 from study.record.folder import own_folder
 from study.setup.geometry import Block, Cylinder, Sphere
 from study.setup.material_section import Compressibility, MaterialSection
-from study.setup.setup import Setup
 
 if TYPE_CHECKING:
     from study.contact_mechanics.result import FittedCurve
-    from study.design.sections.cell import Config
+    from study.design.sections.calibration import Fitting
+    from study.design.sections.calibration_design import CalibratedTest
 
 #: override that asks a calibration file for the closed form
 ASKED = 'calibration.method="analytic"'
@@ -67,23 +67,23 @@ def indentation_modulus(
     root = calibration_root(config, source, data)
     tests: list[IndentationTest] = []
     faults: list[Fault] = []
-    for number, tables in enumerate(config["tests"]):
+    for number, test in enumerate(config.tests):
         try:
-            tests.append(_test_of(tables, config["calibration"], f"tests[{number}]"))
+            tests.append(_test_of(test, config.asked, f"tests[{number}]"))
         except InputError as error:
             faults += error.faults
     if faults:
         raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
-    found = [modulus_of(test, root, number) for number, test in enumerate(tests)]
+    found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
     notes = tuple(dict.fromkeys(note for _, own in found for note in own))
     moduli = tuple(one for one, _ in found)
-    result = AnalyticCalibration(config["name"], moduli, notes, time.perf_counter() - began)
+    result = AnalyticCalibration(config.name, moduli, notes, time.perf_counter() - began)
     if results is not None:
         save_moduli(result, own_folder(Path(results), result.name))
     return result
 
 
-def _test_of(tables: Config, asked: Config, where: str) -> IndentationTest:
+def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test.
 
     Raises
@@ -91,9 +91,9 @@ def _test_of(tables: Config, asked: Config, where: str) -> IndentationTest:
     InputError
         If the test has no closed form.
     """
-    setup = Setup.of(tables)
+    setup = test.setup
     specimen, pressed = setup.specimen, setup.test.indenter
-    if setup.test.kind != "indentation" or pressed is None:
+    if not setup.kind.takes_indenter or pressed is None:
         rule = f"analytic is for indentation, got {setup.test.kind}"
         mend = 'leave calibration.method out: "auto" knows the closed form of the other tests'
         raise InputError(Fault(f"{where}.test.kind", rule, mend))
@@ -104,20 +104,20 @@ def _test_of(tables: Config, asked: Config, where: str) -> IndentationTest:
         rule = "analytic takes the indenter for frictionless, got bonded"
         mend = 'write interface = "frictionless", or leave calibration.method out'
         raise InputError(Fault(f"{where}.test.interface", rule, mend))
-    if asked["theory"] == "dimitriadis" and not isinstance(pressed, Sphere):
+    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
         rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
         mend = 'write theory = "integral-equation"'
         raise InputError(Fault("calibration.theory", rule, mend))
-    nu = _poisson_ratio(MaterialSection.of(tables["material"]).compressibility)
+    nu = _poisson_ratio(MaterialSection.of(test.tables).compressibility)
     return IndentationTest(
         indenter=pressed,
         layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),
         area_mm2=specimen.area_mm2,
-        spec=tables["measurements"],
+        spec=test.measurements,
         displacement_mm=setup.test.displacement_mm,
-        theory=asked["theory"],
-        paraboloid=asked["profile"] == "paraboloid",
-        find_contact=asked["contact"] == "fitted",
+        theory=asked.theory,
+        paraboloid=asked.profile == "paraboloid",
+        find_contact=asked.contact == "fitted",
     )
 
 

@@ -16,4 +16,4 @@ def is_analytic(source: str | Path, overrides: Sequence[str] = ()) -> bool:
     InputError
         For a faulty file.
     """
-    return bool(load_calibration(source, overrides)["calibration"]["method"] == "analytic")
+    return load_calibration(source, overrides).asked.method == "analytic"

@@ -14,14 +14,14 @@ from study.forward.finite_element import at_steps
 from study.material.stability import check
 from study.record.record import plain
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Problem, ResolvedTables, Setup, problem_of
+from study.setup.setup import Problem, Setup, Tables, problem_of
 
 if TYPE_CHECKING:
     from study.fem.solver.solution import Solution
 
 
 def solve(
-    problem: Problem | ResolvedTables | str | Path,
+    problem: Problem | Tables | str | Path,
     *,
     overrides: Sequence[str] = (),
     gradients: bool = True,
@@ -84,11 +84,11 @@ def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, .
     """
     tables = load_problem(problem, overrides)
     setup = Setup.of(tables)
-    material = MaterialSection.of(tables["material"])
+    material = MaterialSection.of(tables)
     return plausibility(material) + plausible_sizes(setup.specimen, setup.model)
 
 
-def _problem(problem: Problem | ResolvedTables | str | Path, overrides: Sequence[str]) -> Problem:
+def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
         problem = problem_of(problem_tables(problem, overrides))
     _judge(problem)
@@ -101,7 +101,7 @@ def _judge(problem: Problem) -> None:
 
     height = float(getattr(problem.specimen, "height_mm", 0.0))
     depth = problem.test.depth_mm
-    compressed = problem.test.kind == "compression" and depth < height
+    compressed = problem.setup.kind.compresses and depth < height
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
 
 

@@ -121,8 +121,8 @@ def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
 
 
 def _element(treatment: Treatment) -> str:
-    model = treatment.config["model"]
-    return " ".join(str(model.get(key)) for key in _ELEMENT)
+    model = treatment.cell.problem.model
+    return " ".join(str(getattr(model, key)) for key in _ELEMENT)
 
 
 def _own_series(

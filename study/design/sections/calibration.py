@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 from study import units
 from study.errors import nearest
@@ -15,7 +15,7 @@ from study.setup.text import choice
 METHODS = ("auto", "analytic", "inverse-fem", "none")
 
 #: how the support of an indented layer may enter its closed form
-THEORIES = ("integral-equation", "dimitriadis", "half-space")
+Theory = Literal["integral-equation", "dimitriadis", "half-space"]
 
 #: keys that mean something to it alone
 ANALYTIC_KEYS = ("theory", "profile", "contact")
@@ -91,7 +91,7 @@ class Fitting:
     starts: Annotated[int, Reads(integer(1, 1000))] = 1
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
     method: Annotated[str, Reads(choice("auto", "analytic"))] = "auto"
-    theory: Annotated[str, Reads(choice(*THEORIES))] = "integral-equation"
+    theory: Annotated[Theory, Reads(choice(*get_args(Theory)))] = "integral-equation"
     profile: Annotated[str, Reads(choice("sphere", "paraboloid"))] = "sphere"
     contact: Annotated[str, Reads(choice("given", "fitted"))] = "given"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 from study import units
@@ -24,6 +25,31 @@ _OWN = {OFFSET: ("length", "curve"), ZERO: ("force", "curve"), FRICTION: ("numbe
 _TABLES = ("specimen", "test.indenter", "material")
 
 _EXAMPLE = '{ uncertainty = "0.1 mm" }'
+
+
+@dataclass(frozen=True)
+class NuisanceInput:
+    """A nuisance parameter of one test, in internal units.
+
+    Parameters
+    ----------
+    value : float or None
+        What is expected; None for an input of the simulation, which has its value elsewhere.
+    uncertainty : float or None
+        Standard uncertainty before the fit; None where nothing is known.
+    relative : bool
+        Whether the uncertainty is a share of the value.
+    treat : {"fitted", "propagated"}
+        Whether the tests may move it.
+    each : {"curve", "test", "all"}
+        What has a value of its own.
+    """
+
+    value: float | None
+    uncertainty: float | None
+    relative: bool
+    treat: str
+    each: str
 
 
 @section
@@ -50,7 +76,7 @@ class NuisanceTable:
 
 def nuisance_from(
     table: object, dimension: Callable[[str], str | None], path: str, faults: Faults
-) -> dict[str, dict[str, object]]:
+) -> dict[str, NuisanceInput]:
     """Read the declarations of nuisance parameters, by key.
 
     Parameters
@@ -66,11 +92,10 @@ def nuisance_from(
 
     Returns
     -------
-    dict
-        ``key``, ``value``, ``uncertainty``, ``relative``, ``treat`` and ``each`` of every one, in
-        internal units.
+    dict of str to NuisanceInput
+        Every parameter that is declared, by its dotted key.
     """
-    found: dict[str, dict[str, object]] = {}
+    found: dict[str, NuisanceInput] = {}
     for key, raw in _flat(entries(table, path, faults)).items():
         where = f"{path}.{key}"
         measured = noted(_dimension(dimension), key, where, faults)
@@ -90,24 +115,23 @@ def nuisance_from(
         if asked.uncertainty is None and treat == "propagated":
             rule = "is propagated, which needs an uncertainty"
             faults.add(where, rule, f'write {_EXAMPLE}, or treat = "fitted"')
-        found[key] = {
-            "key": key, "value": value, "uncertainty": uncertainty, "relative": relative,
-            "treat": treat, "each": asked.each or each, "dimension": measured,
-        }  # fmt: skip
+        found[key] = NuisanceInput(value, uncertainty, relative, treat, asked.each or each)
     return found
 
 
 def of_test(
-    shared: Mapping[str, Mapping[str, object]], own: Mapping[str, Mapping[str, object]]
-) -> dict[str, dict[str, object]]:
+    shared: Mapping[str, NuisanceInput], own: Mapping[str, NuisanceInput]
+) -> dict[str, NuisanceInput]:
     """Nuisance parameters of one test: its own, and those of the file that it does not replace.
 
     What all tests share is common to the tests that take it from the file; a test's own
     parameter is at most common to its curves.
     """
-    within = {key: {**one, "each": "curve" if one["each"] == "curve" else "test"}
-              for key, one in own.items()}  # fmt: skip
-    return {key: dict(one) for key, one in {**shared, **within}.items()}
+    within = {
+        key: replace(one, each="curve" if one.each == "curve" else "test")
+        for key, one in own.items()
+    }
+    return {**shared, **within}
 
 
 def _flat(table: Mapping[str, object]) -> dict[str, object]:

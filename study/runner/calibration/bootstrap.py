@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.design.sections.calibration_design import CalibratedTest, CalibrationDesign
 from study.errors import Fault, InputError
 from study.runner.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.runner.fitting import fit_task
 from study.runner.fitting.residual_bootstrap import Residuals, resampled, residuals_of
 from study.runner.fitting.staged_fit import Checkpoint, Part, single_stage
 from study.runner.response import scale_of
-from study.runner.tables import Tables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -97,7 +97,7 @@ class Bootstrap:
 
 def bootstrap(
     found: Fit,
-    config: Tables,
+    config: CalibrationDesign,
     curves: Sequence[FitCurve],
     resamples: int,
     bounds: Sequence[tuple[float, float]] | None = None,
@@ -108,8 +108,8 @@ def bootstrap(
     ----------
     found : Fit
         Converged; every fit starts from it.
-    config : mapping
-        Of the calibration; its seed is that of the draws.
+    config : CalibrationDesign
+        The calibration; its seed is that of the draws.
     curves : sequence of FitCurve
         Measured ones; specimens are drawn where there are two or more.
     resamples : int
@@ -129,7 +129,7 @@ def bootstrap(
     if found.joint is not None:
         rule = "cannot resample what is expected of fitted nuisance parameters"
         raise InputError(Fault("--bootstrap", rule, "leave one or the other out"))
-    tests, seed = config["tests"], int(config["calibration"].get("seed", 0))
+    tests, seed = config.tests, config.asked.seed
     own, rng = in_order(curves), np.random.default_rng(seed)
     specimens = of_specimens(own)
     several = len(specimens) > 1
@@ -189,7 +189,7 @@ def _of_rows(
 
 
 def _of_specimens(
-    tests: Sequence[Tables], specimens: dict[str, list[FitCurve]], rng: np.random.Generator
+    tests: Sequence[CalibratedTest], specimens: dict[str, list[FitCurve]], rng: np.random.Generator
 ) -> list[Part]:
     """Draw as many specimens as there are, with replacement; each brings all its curves."""
     labels = list(specimens)

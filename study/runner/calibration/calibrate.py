@@ -18,6 +18,7 @@ from study.calibration.profile_likelihood import profile
 from study.calibration.random_effects import population
 from study.canonical import digest
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibrationDesign
 from study.errors import Fault, InputError
 from study.measurement.conditioning import is_caution
 from study.runner.calibration.bootstrap import bootstrap
@@ -44,8 +45,7 @@ from study.runner.fitting.staged_fit import (
     Staged,
 )
 from study.runner.provenance import code_version
-from study.runner.tables import Tables
-from study.setup.material_section import MaterialSection
+from study.setup.section import table_of
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -57,7 +57,7 @@ _ORDERED = 0.5
 
 
 def calibrate(
-    config: Tables,
+    config: CalibrationDesign,
     root: Path,
     *,
     progress: Progress | None = None,
@@ -70,8 +70,8 @@ def calibrate(
 
     Parameters
     ----------
-    config : mapping
-        Of :func:`study.design.load_calibration`.
+    config : CalibrationDesign
+        The calibration.
     root : Path
         Data root.
     progress : callable, optional
@@ -91,7 +91,7 @@ def calibrate(
         If data are missing or malformed, or cannot answer.
     """
     began = time.perf_counter()
-    curves, notes = read_tests(config["tests"], root)
+    curves, notes = read_tests(config.tests, root)
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = setting_of(config, curves, progress, checkpoint, begin)
@@ -123,25 +123,27 @@ def calibrate(
     return result
 
 
-def _checkpoint(folder: Path | None, config: Tables, curves: Sequence[FitCurve]) -> Checkpoint:
+def _checkpoint(
+    folder: Path | None, config: CalibrationDesign, curves: Sequence[FitCurve]
+) -> Checkpoint:
     if folder is None:
         return Checkpoint()
     data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
-    problems = [problem_of(test).tables for test in config["tests"]]
-    key = digest([problems, dict(config["calibration"]), data, code_version()], 32)
+    problems = [problem_of(test.tables).tables for test in config.tests]
+    key = digest([problems, config.document, data, code_version()], 32)
     return Checkpoint(folder / "calibration.checkpoint.json", key)
 
 
 def _splits(
-    config: Tables, curves: Sequence[FitCurve]
+    config: CalibrationDesign, curves: Sequence[FitCurve]
 ) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
     """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
-    asked = config["calibration"]
-    own = of_specimens(curves) if asked["specimens"] == "each" else {}
-    if asked["specimens"] == "each" and len(own) < 2:
+    asked = config.asked
+    own = of_specimens(curves) if asked.specimens == "each" else {}
+    if asked.specimens == "each" and len(own) < 2:
         mend = "name the column of the specimens in measurements.block"
         raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
-    return own, left_out(curves, asked["leave_out"]) if asked["leave_out"] else []
+    return own, left_out(curves, asked.leave_out) if asked.leave_out else []
 
 
 def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
@@ -215,14 +217,14 @@ def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurv
 
 
 def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
-    found, section = done.fit, setting.config["material"]
+    found, section = done.fit, setting.config.material
     predictions = _predictions(setting, curves, found)
     status: str = status_of(found)
     message = done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
     if found.status.usable:
-        material = MaterialSection.of(section).material(found.constants())
+        material = section.material(found.constants())
         judged_as, message, cautions = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         stable, stability = range_stability(setting.tests, curves, material)
@@ -235,14 +237,14 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
             "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
             "that is wrong"
         )
-    if setting.config["calibration"]["specimens"] == "pooled" and len(of_specimens(curves)) > 1:
+    if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
         cautions.append(
             "specimens are pooled: intervals are those of these specimens, not of the population; "
             'write calibration.specimens = "each"'
         )
     return CalibrationResult(
-        name=setting.config["name"],
-        model=section["model"],
+        name=setting.config.name,
+        model=section.model,
         status=status,
         message=message,
         fit=found,
@@ -262,7 +264,10 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         ),
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
-            {table: test[table] for table in ("specimen", "test", "material", "model")}
+            {
+                table: table_of(test.tables, table)
+                for table in ("specimen", "test", "material", "model")
+            }
             for test in setting.tests
         ),
     )

@@ -15,6 +15,7 @@ from study.calibration.fit import Fit
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.wald_test import ALPHA, USUAL_POWER, Agreement, agreement
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibrationDesign
 from study.errors import Fault, InputError, RefusedError
 from study.material.registry import is_dimensionless
 from study.record.record import plain
@@ -26,7 +27,6 @@ from study.runner.calibration.systematic_error import mesh_error, zero_error
 from study.runner.fitting.fit_task import model
 from study.runner.fitting.staged_fit import Progress
 from study.runner.response import ConstantResponse, scale_of
-from study.runner.tables import Tables
 
 #: difference of two curves over the larger force that is rounding
 _ROUNDING = 1e-9
@@ -187,7 +187,7 @@ class Comparison:
 
 
 def compare(
-    config: Tables,
+    config: CalibrationDesign,
     root: Path,
     *,
     difference: float = 0.05,
@@ -198,8 +198,8 @@ def compare(
 
     Parameters
     ----------
-    config : mapping
-        Of :func:`study.design.load_calibration`; tests that are held out take no part.
+    config : CalibrationDesign
+        The calibration; tests that are held out take no part.
     root : Path
         Data root.
     difference : float
@@ -244,7 +244,7 @@ def compare(
         unit = _off(test.common, next(iter(fits.values())).fit.names, i, len(fits))
         power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
     return Comparison(
-        config["name"], config["material"]["model"], fits, test, systematic, difference, power,
+        config.name, config.material.model, fits, test, systematic, difference, power,
         detectable, form,
     )  # fmt: skip
 
@@ -257,7 +257,7 @@ def _refuse_unconverged(fits: Mapping[str, CalibrationResult]) -> None:
 
 
 def _compared(
-    groups: Mapping[str, Tables],
+    groups: Mapping[str, CalibrationDesign],
     root: Path,
     fits: Mapping[str, CalibrationResult],
     joint: Fit | None,
@@ -275,7 +275,10 @@ def _compared(
 
 
 def _at_least_squares(
-    config: Tables, groups: Mapping[str, Tables], root: Path, progress: Progress | None
+    config: CalibrationDesign,
+    groups: Mapping[str, CalibrationDesign],
+    root: Path,
+    progress: Progress | None,
 ) -> tuple[dict[str, CalibrationResult], Fit | None]:
     """Fit every test alone, and again from where the others and all together ended.
 
@@ -289,7 +292,7 @@ def _at_least_squares(
         return fits, None  # linear in its moduli: one minimum
     begins, joint = [one.fit for one in fits.values() if one.converged], None
     with contextlib.suppress(InputError):
-        whole = calibrate(_together(config), root, progress=progress)
+        whole = calibrate(config.pooled(), root, progress=progress)
         joint = whole.fit if whole.converged else None
     begins = begins if joint is None else [joint, *begins]
     for label, one in groups.items():
@@ -304,14 +307,8 @@ def _at_least_squares(
     return fits, joint
 
 
-def _together(config: Tables) -> Tables:
-    """Calibration of all tests at once, of which nothing but the constants is asked."""
-    asked = {**config["calibration"], "specimens": "pooled", "leave_out": None}
-    return {**config, "calibration": asked}
-
-
 def _of_one_sign(
-    groups: Mapping[str, Tables], fits: Mapping[str, CalibrationResult]
+    groups: Mapping[str, CalibrationDesign], fits: Mapping[str, CalibrationResult]
 ) -> dict[str, CalibrationResult]:
     """Give exponents whose sign a test cannot tell the sign that the others find.
 
@@ -332,10 +329,10 @@ def _of_one_sign(
     return out
 
 
-def _is_even(config: Tables, found: Fit, k: int) -> bool:
+def _is_even(config: CalibrationDesign, found: Fit, k: int) -> bool:
     """Whether the closed form of a test is the same for the other sign of one constant."""
-    (test,) = config["tests"]
-    problem = problem_of(test)
+    (test,) = config.tests
+    problem = problem_of(test.tables)
     if problem.method != "closed-form":
         return False
     grids = [Curve(one.displacement_mm, one.force_N, time_s=one.time_s) for one in found.curves]
@@ -372,21 +369,17 @@ def _mirrored(found: Fit, k: int) -> Fit:
     )  # fmt: skip
 
 
-def _groups(config: Tables) -> dict[str, Tables]:
+def _groups(config: CalibrationDesign) -> dict[str, CalibrationDesign]:
     """Calibration of every fitted test alone; only the bounds carry over."""
-    fitted = [(i, test) for i, test in enumerate(config["tests"]) if test["role"] == "fit"]
+    fitted = [(i, test) for i, test in enumerate(config.tests) if test.role == "fit"]
     if len(fitted) < 2:
         mend = "give a second [[tests]] table with role = 'fit'"
         raise InputError(Fault("tests", "one test alone has nothing to be compared with", mend))
-    stems = [Path(str(t["measurements"].file or t["measurements"].files)).stem for _, t in fitted]
-    alone = {**config["calibration"], "specimens": "pooled", "leave_out": None}
+    stems, alone = [Path(test.file).stem for _, test in fitted], config.pooled()
     return {
-        stem if stems.count(stem) == 1 else f"tests[{i}]": {
-            **config, **{key: test[key] for key in ("specimen", "model")},
-            "tests": [test], "calibration": alone,
-        }
+        stem if stems.count(stem) == 1 else f"tests[{i}]": replace(alone, tests=(test,))
         for stem, (i, test) in zip(stems, fitted, strict=True)
-    }  # fmt: skip
+    }
 
 
 def _shown(names: tuple[str, ...], moved: Array) -> dict[str, float]:

@@ -18,9 +18,11 @@ from study.curve import Curve
 from study.design.sections.calibration import NOTHING
 from study.errors import Fault, InputError
 from study.measurement.measured_test import MeasuredTest, Measurements, Selection
-from study.runner.fitting.fit_task import FitProblem, fit_problem, together
+from study.runner.fitting.fit_problem import FitProblem, fit_problem, together
 from study.runner.job import DataCache
-from study.runner.tables import Tables
+from study.runner.tables import measurements_of
+from study.setup.section import table_of
+from study.setup.setup import Tables
 
 if TYPE_CHECKING:
     from study.design.spec import Case
@@ -153,7 +155,6 @@ def _sections(config: Tables) -> Tables:
 
 
 def _name(config: Tables) -> str:
-    spec = config["measurements"]
-    written = spec.as_dict() if hasattr(spec, "as_dict") else spec
-    test = {k: v for k, v in config["test"].items() if k != "steps"}
-    return digest([config["specimen"], test, written])
+    spec = measurements_of(config)
+    test = {k: v for k, v in table_of(config, "test").items() if k != "steps"}
+    return digest([config["specimen"], test, None if spec is None else spec.as_dict()])

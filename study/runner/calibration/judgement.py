@@ -6,12 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from study.design.sections.calibration_design import CalibratedTest
 from study.errors import InputError
 from study.material.material import Material
 from study.material.stability import check, stability
 from study.runner.calibration.measured_tests import FitCurve
-from study.runner.tables import Tables
-from study.setup.setup import known_height_mm
 
 
 def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
@@ -29,14 +28,14 @@ def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
 
 
 def range_stability(
-    tests: Sequence[Tables], curves: Sequence[FitCurve], material: Material
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve], material: Material
 ) -> tuple[bool, str]:
     """Drucker's criterion over the compressions that were fitted, else over the usual range."""
     strains = [
         float(c.measured.curve.displacement_mm.max()) / height
         for c in curves
-        if tests[c.test]["test"]["kind"] == "compression"
-        and (height := known_height_mm(tests[c.test]["specimen"])) is not None
+        if (setup := tests[c.test].setup).kind.compresses
+        and (height := setup.height_mm) is not None
     ]
     range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
     judged = stability(material, *range_of)

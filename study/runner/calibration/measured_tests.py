@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -13,16 +12,15 @@ from study.arrays import Array
 from study.calibration.lack_of_fit import Repeated
 from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibratedTest, Role
 from study.errors import Fault, InputError
 from study.measurement import plausibility
 from study.measurement.measured_test import MeasuredTest, Measurements
 from study.measurement.reading import read_measurements
-from study.runner.fitting import fit_task
+from study.runner.fitting.fit_problem import FitProblem, fit_problem
 from study.runner.fitting.staged_fit import Part
-from study.runner.tables import Tables, gauge_of
-from study.setup.setup import Setup, known_height_mm
-
-Role = Literal["fit", "held-out"]
+from study.runner.tables import gauge_of
+from study.setup.setup import Tables
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
 _UNEVEN = 5.0
@@ -73,7 +71,9 @@ class FitCurve:
         return Repeated(self.residual(predicted), scatter, self.measured.n_repeats)
 
 
-def read_tests(tests: Sequence[Tables], root: Path) -> tuple[list[FitCurve], tuple[str, ...]]:
+def read_tests(
+    tests: Sequence[CalibratedTest], root: Path
+) -> tuple[list[FitCurve], tuple[str, ...]]:
     """Read the curves of every test; notes say what was done to the rows.
 
     Raises
@@ -85,24 +85,22 @@ def read_tests(tests: Sequence[Tables], root: Path) -> tuple[list[FitCurve], tup
     notes: list[str] = []
     for number, test in enumerate(tests):
         data = _read(test, root)
-        file = str(test["measurements"].file or test["measurements"].files)
-        notes += [f"{file}: {note}" if len(tests) > 1 else note for note in data.notes]
+        notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
             one = data.curve(specimen, **dict(data.fit or {}))
-            weight = _weight(test["weight"], one, f"tests[{number}]")
-            curves.append(FitCurve(number, file, specimen, one, test["role"], weight))
+            weight = _weight(test.weight, one, f"tests[{number}]")
+            curves.append(FitCurve(number, test.file, specimen, one, test.role, weight))
     return curves, tuple(dict.fromkeys(notes))
 
 
-def _read(test: Tables, root: Path) -> Measurements:
-    height = known_height_mm(test["specimen"])
-    depth = test["test"].get("displacement_mm")
-    gauge = gauge_of(test["specimen"], test["test"])
-    found = read_measurements(test["measurements"], root, height, depth, gauge)
-    return plausibility.checked(found, Setup.of(test))
+def _read(test: CalibratedTest, root: Path) -> Measurements:
+    setup = test.setup
+    depth, gauge = setup.test.displacement_mm, gauge_of(setup)
+    found = read_measurements(test.measurements, root, setup.height_mm, depth, gauge)
+    return plausibility.checked(found, setup)
 
 
-def _weight(asked: str | float, one: MeasuredTest, where: str) -> float | Array:
+def _weight(asked: float | str, one: MeasuredTest, where: str) -> float | Array:
     """Weight of a curve: a number, or one over the standard error of the mean of its repeats."""
     if asked == "equal":
         return 1.0
@@ -116,18 +114,24 @@ def _weight(asked: str | float, one: MeasuredTest, where: str) -> float | Array:
     return np.asarray(np.sqrt(one.n_repeats) / np.maximum(one.scatter_N, floor))
 
 
-def problem_of(test: Tables) -> fit_task.FitProblem:
-    """Fit problem of one ``[[tests]]`` table."""
-    return fit_task.fit_problem({**test, "calibration": {"method": "auto"}})
+def problem_of(tables: Tables) -> FitProblem:
+    """Fit problem of one ``[[tests]]`` table.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of the test, with its material and model.
+    """
+    return fit_problem({**tables, "calibration": {"method": "auto"}})
 
 
-def parts_of(tests: Sequence[Tables], curves: Sequence[FitCurve]) -> list[Part]:
+def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[Part]:
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
     for number, test in enumerate(tests):
         own = [c for c in curves if c.test == number]
         if own:
-            problem = problem_of(test)
+            problem = problem_of(test.tables)
             measured = tuple(
                 MeasuredCurve(c.label, c.measured.curve, c.weight, "fit", c.measured.recordings)
                 for c in own

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from study.calibration.lack_of_fit import akaike_weights
+from study.design.sections.calibration_design import CalibrationDesign
 from study.errors import InputError
 from study.record.record import plain
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.staged_fit import Progress
-from study.runner.tables import Tables
+from study.runner.tables import with_table
 
 if TYPE_CHECKING:
     pass
@@ -105,13 +106,15 @@ class EnergyChoice:
         return cast("dict[str, object]", plain(content, "energies", {}))
 
 
-def choose(config: Tables, root: Path, *, progress: Progress | None = None) -> EnergyChoice:
+def choose(
+    config: CalibrationDesign, root: Path, *, progress: Progress | None = None
+) -> EnergyChoice:
     """Fit every candidate to the tests of a calibration.
 
     Parameters
     ----------
-    config : mapping
-        Of :func:`study.design.load_calibration`; its material gives the compressibility.
+    config : CalibrationDesign
+        The calibration; its material gives the compressibility.
     root : Path
         Data root.
     """
@@ -131,16 +134,18 @@ def choose(config: Tables, root: Path, *, progress: Progress | None = None) -> E
     return EnergyChoice(found, weights, failures)
 
 
-def _may_be_foam(config: Tables) -> bool:
+def _may_be_foam(config: CalibrationDesign) -> bool:
     """Whether Poisson's ratio is given and no test asks for elements, which foams lack."""
-    problems = (problem_of(test) for test in config["tests"])
-    compressible = config["material"].get("poisson_ratio") is not None
+    problems = (problem_of(test.tables) for test in config.tests)
+    compressible = config.material.compressibility.poisson_ratio is not None
     return compressible and all(one.method == "closed-form" for one in problems)
 
 
-def _with_energy(config: Tables, model: str, order: int | None) -> Tables:
+def _with_energy(config: CalibrationDesign, model: str, order: int | None) -> CalibrationDesign:
     """Make the same calibration of another energy; start, bounds and extra fits do not carry."""
-    material = {**config["material"], "model": model, "order": order, "constants": {}}
-    tests = [{**test, "material": material} for test in config["tests"]]
-    pooled: Tables = {"specimens": "pooled", "leave_out": None, "bounds": {}, "starts": 1}
-    return {**config, "material": material, "tests": tests, "calibration": pooled}
+    changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
+    tests = tuple(
+        replace(test, tables=with_table(test.tables, "material", **changes))
+        for test in config.tests
+    )
+    return CalibrationDesign(config.name, tests)

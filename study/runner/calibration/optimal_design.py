@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from study.arrays import Array
 from study.calibration.identifiability import KNOWN, fitted_rows
+from study.design.sections.calibration_design import CalibratedTest
 from study.forward.closed_form import height_and_area
 from study.forward.halfspace import indentation
 from study.material.compressibility import poisson_from_bulk
@@ -28,9 +29,7 @@ from study.material.material import Material
 from study.material.registry import is_dimensionless, unit_shown
 from study.runner.calibration.measured_tests import FitCurve, in_order, parts_of
 from study.runner.response import scale_of
-from study.runner.tables import Tables
 from study.setup.geometry import Sphere
-from study.setup.setup import Setup
 from study.setup.test_section import TEST_KINDS
 
 if TYPE_CHECKING:
@@ -90,7 +89,7 @@ class NextTest:
     def words(self) -> str:
         """The test and its strain."""
         size = f"{100 * self.strain:.3g} %"
-        if self.kind == "indentation":
+        if TEST_KINDS[self.kind].takes_indenter:
             return f"indentation by a sphere to {size} of its radius"
         return f"{self.kind.replace('-', ' ')} to {size}"
 
@@ -196,7 +195,7 @@ class NextTests:
 
 
 def next_tests(
-    found: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[Tables]
+    found: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
 ) -> NextTests | None:
     """Rank the tests that could be made next by what they would tell of the constants.
 
@@ -208,8 +207,8 @@ def next_tests(
         Measured ones, which say how far specimens were deformed.
     material : Material
         With the constants found.
-    tests : sequence of mapping
-        Tables of the measured tests, which say how large specimens are.
+    tests : sequence of CalibratedTest
+        Measured ones, which say how large specimens are.
 
     Returns
     -------
@@ -269,10 +268,10 @@ class _Conditions:
 
     @classmethod
     def of(
-        cls, found: Fit, curves: Sequence[FitCurve], tests: Sequence[Tables], noise: float
+        cls, found: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> _Conditions:
         """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for one in tests if (s := Setup.of(one).specimen) is not None]
+        specimens = [s for one in tests if (s := one.setup.specimen) is not None]
         areas = [height_and_area(one)[1] for one in specimens]
         serial, rows = found.serial, found.n
         if serial is not None:
@@ -340,7 +339,7 @@ class _Search:
 
 def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Array:
     """Differentiate the force by every constant, N / MPa, shape (n, p)."""
-    if kind == "indentation":
+    if TEST_KINDS[kind].takes_indenter:
         radius = np.sqrt(at.area_mm2 / np.pi)
         nu = poisson_from_bulk(material.mu0, material.bulk)
         area = indentation(Sphere(radius), radius * strain, height_mm=np.inf, poisson_ratio=nu)
@@ -353,9 +352,9 @@ def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Ar
     return np.array([at.area_mm2 * state.gradient[n] for n in material.names]).T
 
 
-def _strain_of(curve: FitCurve, test: Tables) -> float:
+def _strain_of(curve: FitCurve, test: CalibratedTest) -> float:
     """Largest mean strain of a measured specimen; 0 of an indented one."""
-    setup = Setup.of(test)
+    setup = test.setup
     if setup.height_mm is None or setup.test.indenter is not None:
         return 0.0
     return float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm

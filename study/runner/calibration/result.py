@@ -18,7 +18,7 @@ from study.record.record import plain
 from study.runner.calibration.multistart import Starts
 from study.runner.fitting.fit_summary import WITH_CONSTANTS, status_of
 from study.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
-from study.setup.setup import ResolvedTables
+from study.setup.setup import Tables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -182,7 +182,7 @@ class CalibrationResult:
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    tests: tuple[ResolvedTables, ...] = ()
+    tests: tuple[Mapping[str, Tables], ...] = ()
     starts: Starts | None = None
     identified: Identifiability | None = None
     next_tests: NextTests | None = None

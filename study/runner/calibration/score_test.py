@@ -19,17 +19,17 @@ from study.arrays import Array
 from study.calibration.fit import Fit, fit
 from study.calibration.influence import with_serial_correlation
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibrationDesign
 from study.runner.calibration.measured_tests import in_order, parts_of, read_tests
 from study.runner.fitting import fit_task
-from study.runner.tables import Tables
 
 
-def linearized_fit(config: Tables, root: Path, common: Mapping[str, float]) -> Fit:
+def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, float]) -> Fit:
     """Fit one test with the slopes at the constants that all tests share.
 
     Parameters
     ----------
-    config : mapping
+    config : CalibrationDesign
         Calibration of this test alone.
     root : Path
         Data root.
@@ -47,7 +47,7 @@ def linearized_fit(config: Tables, root: Path, common: Mapping[str, float]) -> F
         If the model has no answer at the common constants.
     """
     names, center = tuple(common), np.array(list(common.values()), float)
-    parts = parts_of(config["tests"], in_order(read_tests(config["tests"], root)[0]))
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
     measured = [one for part in parts for one in part.measured]
     base = [
         _at_points(curve, one.curve, names)

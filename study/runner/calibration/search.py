@@ -9,11 +9,13 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.influence import with_serial_correlation
+from study.design.sections.calibration_design import CalibratedTest, CalibrationDesign
 from study.errors import Fault, InputError
 from study.runner.calibration.measured_tests import FitCurve, in_order, parts_of, problem_of
 from study.runner.calibration.multistart import Starts, best, excluded, scattered
 from study.runner.calibration.nuisance.propagation import with_nuisance
 from study.runner.fitting import fit_task
+from study.runner.fitting.fit_problem import FitProblem, start_problem
 from study.runner.fitting.staged_fit import (
     Checkpoint,
     Progress,
@@ -23,16 +25,14 @@ from study.runner.fitting.staged_fit import (
     staged_fit,
 )
 from study.runner.fitting.starts import gentler
-from study.runner.tables import Tables
-from study.setup.material_section import MaterialSection
 
 
 @dataclass(frozen=True)
 class Setting:
     """What all fits of one calibration share."""
 
-    config: Tables
-    tests: Sequence[Tables]
+    config: CalibrationDesign
+    tests: Sequence[CalibratedTest]
     names: tuple[str, ...]
     start: Array
     bounds: Sequence[tuple[float, float]] | None
@@ -54,7 +54,7 @@ class Setting:
 
 
 def setting_of(
-    config: Tables,
+    config: CalibrationDesign,
     curves: Sequence[FitCurve],
     progress: Progress | None,
     checkpoint: Checkpoint,
@@ -64,8 +64,8 @@ def setting_of(
 
     Parameters
     ----------
-    config : mapping
-        Of :func:`study.design.load_calibration`.
+    config : CalibrationDesign
+        The calibration.
     curves : sequence of FitCurve
         Measured ones.
     progress : callable, optional
@@ -84,7 +84,7 @@ def setting_of(
     InputError
         If no start is found, or the given one lies outside the bounds of the file.
     """
-    tests, given = config["tests"], config["calibration"]["bounds"]
+    tests, given = config.tests, config.bounds
     if begin is None:
         names, start = _start(tests, curves, progress, checkpoint)
     else:
@@ -93,7 +93,7 @@ def setting_of(
     low, high = np.array(bounds).T
     inside = np.clip(start, low, high)
     outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
-    if outside and config["material"].get("constants"):
+    if outside and config.material.constants:
         raise InputError([excluded(n, start[names.index(n)], given[n]) for n in outside])
     moved = tuple(
         f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
@@ -103,13 +103,13 @@ def setting_of(
     return Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
 
 
-def bounds_of(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]:
+def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[float, float]]:
     """Bounds of the file; else those beyond which an energy is not defined.
 
     Parameters
     ----------
-    config : mapping
-        Of a calibration.
+    config : CalibrationDesign
+        The calibration.
     names : sequence of str
         Constants.
 
@@ -118,20 +118,18 @@ def bounds_of(config: Tables, names: Sequence[str]) -> list[tuple[float, float]]
     list of (low, high)
         MPa (exponents plain); may be infinite.
     """
-    section, given = MaterialSection.of(config["material"]), config["calibration"]["bounds"]
-    return [given.get(n) or section.bounds(n) for n in names]
+    return [config.bounds.get(n) or config.material.bounds(n) for n in names]
 
 
 def from_all_starts(
     setting: Setting, curves: Sequence[FitCurve], own: Staged
 ) -> tuple[Staged, Starts | None]:
     """Fit from the other starts that were asked for; the least sum of squares is the answer."""
-    asked = setting.config["calibration"]
-    count, seed = int(asked.get("starts", 1)), int(asked.get("seed", 0))
+    count, seed = setting.config.asked.starts, setting.config.asked.seed
     if count == 1:
         return own, None
     rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
-    energy, found = setting.config["material"]["model"], [own]
+    energy, found = setting.config.material.model, [own]
     for _ in range(count - 1):
         start = scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
         found.append(replace(setting, start=start, progress=None).fitted(curves))
@@ -142,7 +140,7 @@ def from_all_starts(
 
 
 def _start(
-    tests: Sequence[Tables],
+    tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     progress: Progress | None,
     checkpoint: Checkpoint,
@@ -152,7 +150,7 @@ def _start(
     A homogeneous test is preferred: its closed form costs nothing.
     """
     fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
-    problems = {number: problem_of(tests[number]) for number in fitted}
+    problems = {number: problem_of(tests[number].tables) for number in fitted}
     closed = [number for number in fitted if problems[number].method == "closed-form"]
     number = (closed or fitted)[0]
     problem = problems[number]
@@ -162,7 +160,7 @@ def _start(
     for before in _simpler(problem):
         names, first = fit_task.start_values(before.tables, measured, constants)
         own = replace(part, tables=before.tables)
-        stage = f"start ({before.tables['material']['model']}, {len(names)} constants)"
+        stage = f"start ({before.material.model}, {len(names)} constants)"
         found = begun_stage(
             stage,
             [cheaper(own) or own],
@@ -180,11 +178,11 @@ def _start(
     return fit_task.start_values(problem.tables, measured, constants)
 
 
-def _simpler(problem: fit_task.FitProblem) -> list[fit_task.FitProblem]:
+def _simpler(problem: FitProblem) -> list[FitProblem]:
     """Problems whose constants lead to those of a fit, the neo-Hookean one first."""
-    chain: list[fit_task.FitProblem] = []
-    before = fit_task.start_problem(problem)
+    chain: list[FitProblem] = []
+    before = start_problem(problem)
     while before is not None:
         chain.insert(0, before)
-        before = fit_task.start_problem(before)
+        before = start_problem(before)
     return chain

@@ -6,31 +6,31 @@ a whole curve, and with it the constants, by more than that scatter admits.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import Fit
+from study.design.sections.calibration_design import CalibrationDesign
 from study.errors import Fault, InputError, RefusedError
 from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import in_order, problem_of, read_tests
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.staged_fit import Progress
-from study.runner.tables import Tables
-from study.setup.setup import MESH_LEVELS
+from study.runner.tables import on_mesh
 
 #: of the mesh sizes of neighboring names, and of the meshes whose constants are compared
 _RATIO = 1.5
 
 
-def zero_error(config: Tables, root: Path, found: Fit, zero: float) -> Array:
+def zero_error(config: CalibrationDesign, root: Path, found: Fit, zero: float) -> Array:
     """Change of the constants by a shift of all forces of one test.
 
     Parameters
     ----------
-    config : mapping
+    config : CalibrationDesign
         Calibration of this test alone.
     root : Path
         Data root.
@@ -44,7 +44,7 @@ def zero_error(config: Tables, root: Path, found: Fit, zero: float) -> Array:
     ndarray, shape (p,)
         MPa (exponents plain); first order, at the fitted constants.
     """
-    curves = in_order(read_tests(config["tests"], root)[0])
+    curves = in_order(read_tests(config.tests, root)[0])
     rows, shifts = [], []
     for measured, predicted in zip(curves, found.curves, strict=True):
         curve, weight = measured.measured.curve, np.asarray(measured.weight)
@@ -58,7 +58,10 @@ def zero_error(config: Tables, root: Path, found: Fit, zero: float) -> Array:
 
 
 def mesh_error(
-    config: Tables, root: Path, found: CalibrationResult, progress: Progress | None = None
+    config: CalibrationDesign,
+    root: Path,
+    found: CalibrationResult,
+    progress: Progress | None = None,
 ) -> Array:
     """Error that the mesh leaves in the constants of one test, from a second, coarser mesh.
 
@@ -68,7 +71,7 @@ def mesh_error(
 
     Parameters
     ----------
-    config : mapping
+    config : CalibrationDesign
         Calibration of this test alone.
     root : Path
         Data root.
@@ -100,19 +103,14 @@ def mesh_error(
     return np.asarray((found.fit.values - other.fit.values) / (_RATIO - 1))
 
 
-def _coarser(config: Tables) -> Tables | None:
+def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
     """Calibration of one test on a mesh that is coarser; None where there is no mesh."""
-    (test,) = config["tests"]
-    if problem_of(test).method != "inverse-fem":
+    (test,) = config.tests
+    if problem_of(test.tables).method != "inverse-fem":
         return None
-    model: Mapping[str, object] = test["model"]
-    size = test["model"].get("mesh_size_mm")
-    if size is not None:
-        model = {**model, "mesh_size_mm": _RATIO * size}
-    else:
-        level = MESH_LEVELS.index(test["model"].get("mesh") or "medium")
-        if level == 0:
-            mend = 'write mesh = "medium" or "fine" in [model]'
-            raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
-        model = {**model, "mesh": MESH_LEVELS[level - 1]}
-    return {**config, "model": model, "tests": [{**test, "model": model}]}
+    coarser = test.setup.model.coarser(_RATIO)
+    if coarser is None:
+        mend = 'write mesh = "medium" or "fine" in [model]'
+        raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
+    mesh = {"mesh": coarser.mesh, "mesh_size_mm": coarser.mesh_size_mm}
+    return replace(config, tests=(replace(test, tables=on_mesh(test.tables, **mesh)),))

@@ -15,8 +15,7 @@ from study.forward.exchange import NoAnswer
 from study.forward.external import External, Solved, steps_of
 from study.record.document import MeshDocument, SolverDocument
 from study.runner.fitting.solution import Predicted
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Tables, problem_of
 
 #: evaluations of a fit beside those of its gradients: measured on neo-Hookean to third order
 #: (4 to 12); the plan says the cost of this many

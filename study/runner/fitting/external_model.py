@@ -15,7 +15,8 @@ from study.forward import command
 from study.forward.external import External
 from study.forward.python_function import PythonFunction
 from study.measurement.data_root import locate
-from study.runner.tables import Tables
+from study.setup.section import table_of
+from study.setup.setup import Tables
 
 _WHERE = "forward.files"
 
@@ -57,7 +58,7 @@ def with_external(
     external = External.of(config)
     if external is None:
         return dict(config)
-    made = plain({k: v for k, v in config["forward"].items() if v is not None})
+    made = plain({k: v for k, v in table_of(config, "forward").items() if v is not None})
     if external.section.model == "python":
         if function is not None:
             made |= {"function": function.text, "function_version": function.version}

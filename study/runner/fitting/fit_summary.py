@@ -16,9 +16,8 @@ from study.errors import Fault, InputError
 from study.material.stability import stability
 from study.record.document import FitDocument
 from study.runner.fitting.solution import Predicted
-from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import known_height_mm
+from study.setup.setup import Setup, Tables
 
 FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
 
@@ -149,12 +148,13 @@ def _stability(
     tables: Tables, constants: Mapping[str, float], measured: Sequence[Curve]
 ) -> FitDocument:
     """Mu0 and whether the material is stable over the range that was measured."""
-    material = MaterialSection.of(tables["material"]).material(constants)
+    material = MaterialSection.of(tables).material(constants)
     if material.mu0 <= 0:
         raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
-    height = known_height_mm(tables["specimen"])
+    setup = Setup.of(tables)
+    height, is_pressed = setup.height_mm, setup.kind.compresses
     depth = max(float(curve.displacement_mm.max()) for curve in measured)
-    if height is None or tables["test"]["kind"] != "compression" or depth >= height:
+    if height is None or not is_pressed or depth >= height:
         judged = stability(material)
     else:
         judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))

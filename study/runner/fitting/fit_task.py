@@ -1,8 +1,7 @@
-"""Calibration of one material on one block: what enters it, its name, and doing it.
+"""Calibration of one material on one block, as a worker does it.
 
-Cases share a fit when everything that decides it is the same: the calibrated problem, the
-measured curve, the method and the code. A closed-form fit knows nothing of the modelling
-space or the elements, so sixteen cells may share four of them.
+A fit goes to a worker complete in itself: its problem (:mod:`study.runner.fitting.fit_problem`),
+its measured curves, and the fit that gives its start values.
 """
 
 from __future__ import annotations
@@ -18,22 +17,18 @@ from study.arrays import Array
 from study.calibration.influence import with_serial_correlation
 from study.calibration.iteration import EvaluationFailed
 from study.calibration.measured_curve import MeasuredCurve
-from study.canonical import digest
 from study.curve import Curve
-from study.errors import Fault, InputError
+from study.errors import InputError
 from study.execution.task import Received
 from study.forward import closed_form, finite_element
-from study.forward.external import External
 from study.material.registry import ENERGIES
 from study.runner.fitting.external_fit import InverseExternal
-from study.runner.fitting.external_model import named
+from study.runner.fitting.fit_problem import FitProblem
 from study.runner.fitting.fit_summary import FitResult, described, status_of
 from study.runner.fitting.solution import Predicted
 from study.runner.fitting.staged_fit import Part, Predict, staged_fit
-from study.runner.provenance import code_version
-from study.runner.tables import PROBLEM, CalibrationTable, Tables
 from study.setup.material_section import MaterialSection
-from study.setup.setup import Problem, Setup, problem_of
+from study.setup.setup import Problem, Setup, Tables, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.solution import Solution
@@ -41,131 +36,6 @@ if TYPE_CHECKING:  # it loads compiled kernels
 #: smallest load step over the largest: constants that need less are next to having no answer,
 #: and an optimizer that asks there should hear so soon
 _CUTBACKS = 0.12
-
-#: tables of a case that a calibration problem of its own may replace
-_REPLACEABLE = ("specimen", "test")
-
-
-@dataclass(frozen=True)
-class FitProblem:
-    """A calibration without its data.
-
-    Parameters
-    ----------
-    method : str
-        ``"closed-form"``, ``"inverse-fem"``, ``"external"``, ``"together"`` (several tests) or
-        ``"none"``.
-    tables : mapping
-        Those that enter, and nothing else; for several tests ``material`` and
-        ``tests``, each with its own ``method``.
-    shares_scored_problem : bool
-        Whether the calibrated test is also the one that is scored.
-    """
-
-    method: str
-    tables: Tables
-    shares_scored_problem: bool
-
-
-def fit_problem(tables: Tables) -> FitProblem:
-    """Calibration of the resolved tables of a case.
-
-    Raises
-    ------
-    InputError
-        If ``method = "analytic"`` is asked of a test that has no closed form.
-    """
-    section = CalibrationTable.of(tables)
-    own = section.problem or {}
-    scored = {k: tables[k] for k in PROBLEM if k in tables}
-    merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
-    shared = merged == scored
-    merged["material"] = _written(merged["material"])
-    external = External.of(merged)
-    method = _method(section.method, merged, external is not None)
-    if method == "closed-form":
-        merged.pop("model", None)
-        merged.pop("forward", None)
-        # its depth, steps and base do not enter
-        kept = {"kind": merged["test"]["kind"], "interface": "frictionless"}
-        entering = ["prestretch"] + ["speed_mm_per_s"] * bool(merged["material"].get("relaxation"))
-        kept |= {key: merged["test"][key] for key in entering if merged["test"].get(key)}
-        merged["test"] = kept
-    return FitProblem(method, merged, shared)
-
-
-def together(tables: Tables, tests: Sequence[Tables]) -> FitProblem:
-    """One fit to several tests, with the material and model of a case."""
-    asked = {"method": CalibrationTable.of(tables).method}
-    parts = []
-    for test in tests:
-        found = fit_problem({**tables, **test, "calibration": asked})
-        sections = {k: v for k, v in found.tables.items() if k != "material"}
-        parts.append({"method": found.method, **sections})
-    return FitProblem("together", {"material": _written(tables["material"]), "tests": parts}, False)
-
-
-def _tests_of(problem: FitProblem) -> list[tuple[str, Tables]]:
-    """List method and tables of every test of a fit."""
-    if problem.method != "together":
-        return [(problem.method, problem.tables)]
-    shared = {"material": problem.tables["material"]}
-    return [(test["method"], {**shared, **test}) for test in problem.tables["tests"]]
-
-
-def _written(material: Tables) -> dict[str, object]:
-    """Material without keys that say nothing, so that equal materials have equal names."""
-    return {k: v for k, v in material.items() if v not in (None, {}, False)}
-
-
-def _method(asked: str, tables: Tables, is_external: bool) -> str:
-    if asked == "none":
-        return "none"
-    if is_external and asked != "analytic":
-        return "external"
-    setup = Setup.of(tables)
-    homogeneous = setup.is_homogeneous
-    if asked == "analytic" and not homogeneous:
-        rule = "method = 'analytic' needs compression with both faces frictionless"
-        raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
-    if asked == "inverse-fem" and not setup.has_no_elements:
-        return "inverse-fem"
-    return "closed-form" if homogeneous else "inverse-fem"
-
-
-def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
-    """Name of a fit: a hash of the problem, the data and the code.
-
-    Parameters
-    ----------
-    measured : sequence of Curve
-        The averaged curves that are fitted.
-    """
-    data = [curve.name for curve in measured]
-    return digest([problem.method, named(problem.tables), data, code_version()], 32)
-
-
-def start_problem(problem: FitProblem) -> FitProblem | None:
-    """Fit of the same test whose constants start this one: neo-Hookean, or one order lower.
-
-    A third-order polynomial that starts from the neo-Hookean constant alone walks into
-    constants that soften without end. None where there is nothing to wait for: the fit is
-    neo-Hookean or linear itself, has a closed form, or its start is given. Start values are
-    thus a function of the case alone.
-    """
-    section = problem.tables["material"]
-    simulated = any(method == "inverse-fem" for method, _ in _tests_of(problem))
-    if not simulated or section.get("constants"):
-        return None
-    simpler = ENERGIES[section["model"]].simpler(int(section.get("order") or 1))
-    if simpler is None:
-        return None
-    kept = {k: v for k, v in section.items() if k not in ("order", "constants")}
-    model, order = simpler
-    material = _written({**kept, "model": model} | ({} if order is None else {"order": order}))
-    return FitProblem(
-        problem.method, {**problem.tables, "material": material}, problem.shares_scored_problem
-    )
 
 
 @dataclass(frozen=True)
@@ -260,7 +130,7 @@ def fitted(task: FitTask) -> FitResult:
 
 def parts_of(task: FitTask) -> list[Part]:
     """Parts of a fit, each with the measured curves that belong to it."""
-    tests = _tests_of(task.problem)
+    tests = task.problem.tests
     data = [
         MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
         for k, curve in enumerate(task.measured)
@@ -278,16 +148,14 @@ def start_values(
     Higher constants start at zero: those of the closed form soften so much that a bonded
     specimen cannot be solved with them.
     """
-    section = tables["material"]
-    known = MaterialSection.of(section)
+    known = MaterialSection.of(tables)
     names, fading = known.calibrated_names, known.starts_of_relaxation()
-    given = section.get("constants")
-    if given:
-        return names, np.array([float({**given, **fading}[n]) for n in names])
+    if known.constants:
+        return names, np.array([float({**known.constants, **fading}[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
         neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
-    energy, shear_modulus = ENERGIES[section["model"]], 2 * float(neo_hookean["C10"])
+    energy, shear_modulus = ENERGIES[known.model], 2 * float(neo_hookean["C10"])
     own = [name for name in names if name not in fading]
     values = {**neo_hookean, **energy.starting_values(own, shear_modulus), **fading}
     return names, np.array([values.get(n, 0.0) for n in names])
@@ -303,7 +171,7 @@ def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequenc
 
 def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
     """Model of a homogeneous test, for the optimizer."""
-    setup, section = Setup.of(tables), MaterialSection.of(tables["material"])
+    setup, section = Setup.of(tables), MaterialSection.of(tables)
 
     def predict(values: Array) -> list[Curve]:
         constants = dict(zip(names, values.tolist(), strict=True))

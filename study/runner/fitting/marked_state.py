@@ -13,9 +13,10 @@ from study.forward.finite_element import load_compiled, solve
 from study.measurement.marker_section import MarkerSpec
 from study.record.document import MarkerDocument, Quantity
 from study.runner.fitting.solution import Predicted
-from study.runner.tables import Tables
+from study.runner.tables import with_table
 from study.setup.geometry import Block
-from study.setup.setup import problem_of
+from study.setup.section import table_of
+from study.setup.setup import Tables, problem_of
 from study.shape_validation.marker_states import read_markers
 from study.shape_validation.plate_fit import plate_fits
 
@@ -43,12 +44,11 @@ def predicted_markers(
     """
     from study.fem.solver.prescribed_motion import NoEquilibrium
 
-    began, spec = time.perf_counter(), MarkerSpec.from_dict(tables["markers"])
-    test = {**tables["test"], "displacement_mm": depth_mm}
-    problem = problem_of({**tables, "test": test}, constants)
+    began, spec = time.perf_counter(), MarkerSpec.from_dict(table_of(tables, "markers"))
+    problem = problem_of(with_table(tables, "test", displacement_mm=depth_mm), constants)
     if not isinstance(problem.specimen, Block):
         raise InputError(Fault("specimen.shape", "markers lie in a block", 'write "block"'))
-    markers = read_markers(spec, Path(tables["markers"]["path"]), problem.specimen)
+    markers = read_markers(spec, Path(str(table_of(tables, "markers")["path"])), problem.specimen)
     load_compiled(problem)
     solution = solve(problem, gradients=False)
     if solution.status != "converged":
@@ -68,7 +68,7 @@ def predicted_markers(
 
 def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantity]:
     """Errors of the markers, with the plate that the study asks for, mm."""
-    plate = MarkerSpec.from_dict(tables["markers"]).plate
+    plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
     fits = [fit for fit in found["fits"] if fit["plate"] == plate]
     every = [fit["error_mm"] for fit in fits if not fit["fitted"].startswith("layers")]
     others = [fit["error_mm"] for fit in fits if fit["fitted"].startswith("layers")]

@@ -26,8 +26,8 @@ from study.runner.fitting import fit_task
 from study.runner.fitting.fit_summary import FitResult, status_of
 from study.runner.fitting.fit_task import FitTask
 from study.runner.fitting.staged_fit import Checkpoint, Part, Predict, single_stage
-from study.runner.tables import Tables
 from study.setup.material_section import MaterialSection
+from study.setup.setup import Tables
 
 #: points below which residuals say nothing of their correlation
 _FEWEST = 8
@@ -156,7 +156,7 @@ def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocum
         "message": fit.message,
         "names": list(fit.names),
         "values": constants,
-        "mu0": float(MaterialSection.of(tables["material"]).material(constants).mu0),
+        "mu0": float(MaterialSection.of(tables).material(constants).mu0),
         "identifiable": fit.converged,
         "reason": "" if fit.converged else fit.status.sentence,
         "evaluations": int(fit.evaluations),

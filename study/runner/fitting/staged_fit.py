@@ -23,9 +23,8 @@ from study.calibration.iteration import EvaluationFailed, Iteration, Status
 from study.curve import Curve
 from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler
-from study.runner.tables import Tables
-from study.setup.quantity import finite
-from study.setup.setup import Setup, known_height_mm
+from study.runner.tables import on_mesh
+from study.setup.setup import MESH_LEVELS, Setup, Tables
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -266,24 +265,21 @@ def cheaper(part: Part) -> Part | None:
     """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None
-    model = dict(part.tables["model"])
-    if model.get("space") == "3d" and not Setup.of(part.tables).is_whole:
-        model["space"] = "axisymmetric"
-    elif not _coarsened(model, part.tables["specimen"]):
-        return None
-    return replace(part, tables={**part.tables, "model": model})
+    setup = Setup.of(part.tables)
+    if setup.model.space == "3d" and not setup.is_whole:
+        return replace(part, tables=on_mesh(part.tables, space="axisymmetric"))
+    coarse = _coarse(setup)
+    return None if coarse is None else replace(part, tables=on_mesh(part.tables, **coarse))
 
 
-def _coarsened(model: dict[str, object], specimen: Mapping[str, object]) -> bool:
-    """Put a coarse mesh into ``model``; False where it has one already."""
-    size = model.get("mesh_size_mm")
+def _coarse(setup: Setup) -> dict[str, object] | None:
+    """Return the keys of a coarse mesh; None where it is one already, or too few are left."""
+    size = setup.model.mesh_size_mm
     if size is None:
-        coarse = model.get("mesh", "medium") == "coarse"
-        model["mesh"] = "coarse"
-        return not coarse
-    height, coarser = known_height_mm(specimen), _COARSER * finite(size)
-    model["mesh_size_mm"] = coarser
-    return height is not None and height / coarser >= _FEW
+        return {"mesh": "coarse"} if setup.model.level < len(MESH_LEVELS) - 1 else None
+    coarser, height = _COARSER * size, setup.height_mm
+    few = height is None or height / coarser < _FEW
+    return None if few else {"mesh_size_mm": coarser}
 
 
 class StageDocument(TypedDict):

@@ -114,7 +114,7 @@ class CaseSeries:
         sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
                  for r in records]  # fmt: skip
         elements = [int(record.mesh.get("elements", 0)) for record in records]
-        return tuple(series_sizes(sizes, elements, self.base.case.config, anchor=0))
+        return tuple(series_sizes(sizes, elements, self.base.case.setup, anchor=0))
 
     def half_width(
         self, values: Sequence[float], sizes: Sequence[float], formal: float
@@ -210,7 +210,7 @@ class CaseSeries:
         qoi = spec.qoi if spec.qoi in values else next(iter(values))
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         asked = [base_size_mm(job.case) for job, _ in self.good]
-        sizes = series_sizes(asked, elements, self.base.case.config)
+        sizes = series_sizes(asked, elements, self.base.case.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
         return combined(facts, qoi, results, spec.tolerance, said)
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from study.analysis.convergence.grid_convergence import ConvergenceResult, grid_convergence
 from study.runner.numerical.curve_quantities import QUANTITIES
-from study.runner.numerical.solve_task import Solver, SolveResult, SolveTask, solutions, steps_of
-from study.runner.tables import Tables
+from study.runner.numerical.solve_task import Solver, SolveResult, SolveTask, solutions
+from study.setup.setup import Setup, Tables
 
 #: How many load steps replace one.
 STEPS = (1, 2, 4)
@@ -57,7 +57,7 @@ def other_sources(
 ) -> tuple[list[ErrorSource], list[str]]:
     """Errors of load steps and tolerance for every quantity, and which solutions failed."""
     results = solutions(solve, source_tasks(tables, size_mm))
-    count = steps_of(tables)
+    count = Setup.of(tables).test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
     looser = list(zip(LOOSER, [results[0], *results[len(STEPS) :]], strict=True))
     rows, said = [], []

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 from study.design.spec import Case
 from study.material.material import Material
-from study.runner.tables import Tables
-from study.setup.geometry import Cylinder, Enclosed
-from study.setup.setup import Problem, problem_of
+from study.runner.tables import with_placeholder
+from study.setup.geometry import Cylinder, Enclosed, Flat
+from study.setup.setup import Problem, Setup
 from study.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
 
 if TYPE_CHECKING:
@@ -60,10 +60,8 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 def formal_of_case(job: CaseJob) -> FormalOrder:
     """Formal order of a case whose constants are not known yet."""
-    config = job.case.config
-    section = {**config["material"], "model": "neo-hookean", "order": None}
     depth = job.depth_mm if job.directions else 1.0
-    return formal_order(problem_of({**config, "material": section}, {"C10": 1.0}, depth))
+    return formal_order(with_placeholder(job.case.config, depth))
 
 
 def _limits(problem: Problem) -> list[tuple[float, str]]:
@@ -132,20 +130,15 @@ def _edge_size(problem: Problem) -> float:
     return float(mesh_size(problem.setup))
 
 
-def edge_rules(config: Tables) -> bool:
+def edge_rules(setup: Setup) -> bool:
     """Whether all error comes from a sharp edge around which every mesh looks the same.
 
     The size at the edge is the size of the mesh then: how many elements lie elsewhere says
     nothing of it.
     """
-    test, model = config.get("test") or {}, config.get("model") or {}
-    pressed = test.get("indenter") or {}
-    return (
-        test.get("kind") == "indentation"
-        and pressed.get("shape") == "flat"
-        and not pressed.get("edge_radius_mm")
-        and model.get("space", "axisymmetric") == "axisymmetric"
-    )
+    pressed = setup.test.indenter
+    sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
+    return sharp and setup.model.space == "axisymmetric"
 
 
 def clamped_corner(nu: float) -> float:
@@ -177,6 +170,4 @@ def base_size_mm(case: Case) -> float:
     """Element size of a case, named or given, in mm."""
     from study.fem.mesh.mesher import mesh_size
 
-    section = {**case.config["material"], "model": "neo-hookean", "order": None}
-    config = {**case.config, "material": section}
-    return float(mesh_size(problem_of(config, {"C10": 1.0}).setup))
+    return float(mesh_size(with_placeholder(case.config).setup))

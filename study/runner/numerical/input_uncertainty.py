@@ -16,7 +16,7 @@ import numpy as np
 from study.arrays import Array
 from study.design.spec import Case
 from study.errors import Fault, InputError
-from study.measurement.section import MeasurementSpec, Range
+from study.measurement.section import Range
 from study.record.record import Record
 from study.runner.case_task import Origin
 from study.runner.cost import Costs
@@ -24,8 +24,9 @@ from study.runner.expansion import case_job
 from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import force_at_places
 from study.runner.numerical.study_refinement import every_cell
-from study.runner.tables import CalibrationTable, Tables
-from study.setup.setup import known_height_mm
+from study.runner.tables import CalibrationTable, measurements_of, with_table
+from study.setup.section import table_of
+from study.setup.setup import Tables, known_height_mm
 
 #: levels of the factors that are no discretization
 Physics = tuple[tuple[str, str], ...]
@@ -86,7 +87,7 @@ def _moved(case: Case, key: str, amount: float) -> Case:
     own = CalibrationTable.of(config).problem
     if own and key.split(".")[0] in own:
         inner = shifted(_fixed_range(own), key, amount)
-        config = {**config, "calibration": {**config["calibration"], "problem": inner}}
+        config = with_table(config, "calibration", problem=inner)
     return varied(case, config, PURPOSE)
 
 
@@ -103,27 +104,27 @@ def shifted(config: Tables, key: str, amount: float) -> Tables:
 
 
 def _shifted(section: Tables, path: Sequence[str], amount: float, key: str) -> Tables:
-    if len(path) > 1 and isinstance(section.get(path[0]), Mapping):
-        inner = _shifted(section[path[0]], path[1:], amount, key)
-        return {**section, path[0]: inner}
+    inner = table_of(section, path[0])
+    if len(path) > 1 and inner:
+        return {**section, path[0]: _shifted(inner, path[1:], amount, key)}
     constants = section.get("constants")
     if isinstance(constants, Mapping) and path[-1] in constants:
         return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
     for suffix in _SUFFIXES:
         name = path[-1] + suffix
-        if isinstance(section.get(name), (int, float)):
-            return {**section, name: float(section[name]) + amount}
+        value = section.get(name)
+        if isinstance(value, (int, float)):
+            return {**section, name: float(value) + amount}
     rule = "has no value in the design that could be uncertain"
     raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
 
 
 def _fixed_range(config: Tables) -> Tables:
     """Say the measured range in mm, so that another height does not move it."""
-    spec, height = config.get("measurements"), known_height_mm(config.get("specimen") or {})
-    if spec is None or height is None:
+    made, height = measurements_of(config), known_height_mm(table_of(config, "specimen"))
+    if made is None or height is None or made.range is None:
         return config
-    made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
-    if made.range is None or made.range.kind == "mm":
+    if made.range.kind == "mm":
         return config
     low, high = made.range.in_mm(height)
     return {**config, "measurements": replace(made, range=Range("mm", low, high))}

@@ -14,8 +14,7 @@ from study.runner.numerical.error_sources import ErrorSource, one_table, other_s
 from study.runner.numerical.formal_order import FormalOrder, edge_rules
 from study.runner.numerical.refinement import FEWEST, Budget, Level, Outlook, Series
 from study.runner.numerical.solve_task import Solver
-from study.runner.tables import Tables
-from study.setup.setup import problem_of
+from study.setup.setup import Setup, Tables, problem_of
 
 Values = Mapping[str, tuple[Sequence[float], str]]
 
@@ -49,24 +48,23 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
     return kept, said
 
 
-def representative_sizes(levels: Sequence[Level], tables: Tables) -> list[float]:
+def representative_sizes(levels: Sequence[Level], setup: Setup) -> list[float]:
     """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.elements for level in levels], tables)
+    return series_sizes(sizes, [level.elements for level in levels], setup)
 
 
 def series_sizes(
     sizes: Sequence[float],
     elements: Sequence[int],
-    tables: Tables,
+    setup: Setup,
     *,
     anchor: int = -1,
 ) -> list[float]:
     """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(tables):
+    if edge_rules(setup):
         return list(sizes)
-    space = str(tables["model"].get("space", "axisymmetric"))
-    return by_elements(sizes, elements, space, anchor=anchor)
+    return by_elements(sizes, elements, setup.model.space, anchor=anchor)
 
 
 def by_elements(
@@ -127,7 +125,7 @@ def _bound(result: ConvergenceResult) -> float:
 
 
 def outlook(
-    levels: Sequence[Level], tables: Tables, wanted: float | None, formal: float | None
+    levels: Sequence[Level], setup: Setup, wanted: float | None, formal: float | None
 ) -> Outlook:
     """Whether every quantity has the accuracy that its problem asks for, else the size it takes.
 
@@ -135,8 +133,8 @@ def outlook(
     ----------
     levels : sequence of Level
         Meshes so far.
-    tables : mapping
-        Resolved problem.
+    setup : Setup
+        What is refined.
     wanted : float or None
         Uncertainty over the value.
     formal : float or None
@@ -145,7 +143,7 @@ def outlook(
     kept, _ = usable(levels)
     if len(kept) < FEWEST or wanted is None:
         return Outlook(False)
-    sizes = representative_sizes(kept, tables)
+    sizes = representative_sizes(kept, setup)
     results = judged(sizes, curve_values(kept), formal)
     sizes_needed = [size_needed(r, wanted) for r in results.values()]
     known = [size for size in sizes_needed if size is not None]
@@ -177,7 +175,7 @@ def series_of(
     from study.fem.mesh.mesher import mesh_size
 
     first = float(mesh_size(problem_of(tables).setup))
-    seen = partial(outlook, tables=tables, wanted=spec.tolerance, formal=formal.order)
+    seen = partial(outlook, setup=Setup.of(tables), wanted=spec.tolerance, formal=formal.order)
     return Series(tables, spec, first, budget or Budget(), seen, levels_of or {})
 
 
@@ -303,7 +301,7 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
     fraction, coarsest = SOLVER_TOLERANCE, kept[0]
     if tolerance and (main := function(kept[-1].curve)):
         fraction = tolerance / abs(main)
-    sizes = representative_sizes(kept, series.tables)
+    sizes = representative_sizes(kept, series.setup)
     results = judged(sizes, curve_values(kept), formal.order, fraction)
     found = combined(facts, series.spec.qoi, results, series.spec.tolerance, said)
     given = given_mesh(found.main)

@@ -18,16 +18,16 @@ import numpy as np
 
 from study.analysis.convergence.grid_convergence import grid_convergence
 from study.arrays import Array
+from study.design.sections.calibration_design import CalibrationDesign
 from study.runner.calibration.measured_tests import in_order, parts_of, read_tests
 from study.runner.calibration.search import bounds_of
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Checkpoint, Part, Progress, single_stage
 from study.runner.numerical.formal_order import formal_order
 from study.runner.numerical.series_uncertainty import MIN_ORDER, TWO_MESH_FACTOR
-from study.runner.numerical.solve_task import steps_of
 from study.runner.response import scale_of
-from study.runner.tables import Tables, on_mesh
-from study.setup.setup import MESH_LEVELS, problem_of
+from study.runner.tables import on_mesh, with_table
+from study.setup.setup import MESH_LEVELS, Model, Setup, problem_of
 
 if TYPE_CHECKING:
     from study.calibration.fit import Fit
@@ -103,7 +103,7 @@ class NumericalBound:
 
 
 def numerical_bound(
-    config: Tables, root: Path, known: Fit, progress: Progress | None = None
+    config: CalibrationDesign, root: Path, known: Fit, progress: Progress | None = None
 ) -> NumericalBound:
     """Fit again on other meshes and with more load steps, and judge every constant.
 
@@ -111,8 +111,8 @@ def numerical_bound(
 
     Parameters
     ----------
-    config : mapping
-        Of the calibration.
+    config : CalibrationDesign
+        The calibration.
     root : Path
         Data root.
     known : Fit
@@ -127,12 +127,12 @@ def numerical_bound(
     """
     names, start = known.names, known.values
     bounds = bounds_of(config, names)
-    parts = parts_of(config["tests"], in_order(read_tests(config["tests"], root)[0]))
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
         return NumericalBound(names, (), np.zeros((0, len(names))), zero, zero)
-    own, levels = _levels(simulated[0].tables)
+    own, levels = _levels(Setup.of(simulated[0].tables).model)
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
     made.append([_with_more_steps(part) for part in parts])
@@ -159,19 +159,16 @@ def numerical_bound(
     return NumericalBound(names, sizes, values, mesh, steps)
 
 
-def _levels(tables: Tables) -> tuple[int, tuple[int, ...]]:
+def _levels(model: Model) -> tuple[int, tuple[int, ...]]:
     """Level of the fit's mesh (0 fine or given, 2 coarse), and levels to fit on, coarse to fine."""
-    if tables["model"].get("mesh_size_mm") is not None:
-        return 0, (1, 0, -1)
-    level = len(MESH_LEVELS) - 1 - MESH_LEVELS.index(tables["model"].get("mesh") or "medium")
-    return level, (2, 1, 0)
+    return (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
 
 
 def _on_level(part: Part, level: int) -> Part:
     """Put a part on a mesh; a given size is multiplied, a name is replaced."""
     if part.method != "inverse-fem":
         return part
-    size = part.tables["model"].get("mesh_size_mm")
+    size = Setup.of(part.tables).model.mesh_size_mm
     if size is not None:
         changes: dict[str, object] = {"mesh_size_mm": size * _RATIO**level}
     else:
@@ -180,9 +177,8 @@ def _on_level(part: Part, level: int) -> Part:
 
 
 def _with_more_steps(part: Part) -> Part:
-    tables = part.tables
-    test = {**tables["test"], "steps": _MORE_STEPS * steps_of(tables)}
-    return replace(part, tables={**tables, "test": test})
+    steps = _MORE_STEPS * Setup.of(part.tables).test.steps
+    return replace(part, tables=with_table(part.tables, "test", steps=steps))
 
 
 def _order(part: Part, names: tuple[str, ...], values: Array) -> float:

@@ -13,11 +13,12 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from study.curve import Curve
 from study.runner.numerical.solve_task import Solver, SolveResult, SolveTask, solutions
-from study.runner.tables import Tables
+from study.setup.setup import Setup, Tables
 
 if TYPE_CHECKING:
     from study.design.study_file import Converge
@@ -161,7 +162,7 @@ class Series:
     Parameters
     ----------
     tables : mapping
-        Resolved problem.
+        Document of the problem.
     spec : Converge
         Ratio, number of meshes, wanted accuracy.
     first_mm : float
@@ -182,6 +183,11 @@ class Series:
     levels_of: Mapping[str, str] = field(default_factory=dict)
     levels: list[Level] = field(default_factory=list)
     stopped: str = ""
+
+    @cached_property
+    def setup(self) -> Setup:
+        """Problem that is refined."""
+        return Setup.of(self.tables)
 
     @property
     def good(self) -> list[Level]:
@@ -221,7 +227,7 @@ class Series:
         last = self.good[-1]
         if needed_mm is None or needed_mm >= last.mesh_size_mm:
             return ""
-        space = self.tables["model"].get("space", "axisymmetric")
+        space = self.setup.model.space
         power = (2 if space == "axisymmetric" else 3) * _TIME_EXPONENT[space]
         seconds = last.result.seconds * (last.mesh_size_mm / needed_mm) ** power
         if not self.budget.refuses(seconds, None):
@@ -236,7 +242,7 @@ class Series:
         known = [level.result for level in self.good if level.result.dofs > 0]
         if not known:
             return Predictions()
-        last, space = known[-1], self.tables["model"].get("space", "axisymmetric")
+        last, space = known[-1], self.setup.model.space
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
         if len(known) > 1 and known[-2].dofs < last.dofs:

@@ -16,7 +16,8 @@ from study.record.store import Store
 from study.runner.expansion import case_job
 from study.runner.job import CaseJob, Work
 from study.runner.numerical.formal_order import base_size_mm
-from study.runner.tables import CalibrationTable, Tables, on_mesh
+from study.runner.tables import on_mesh, with_both
+from study.setup.setup import Setup, Tables
 
 #: what is kept in a record of its attempts, under this name
 RETRIES = "retries"
@@ -147,11 +148,6 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
 
 def _with_steps(tables: Tables) -> tuple[Tables, str]:
     """Copy tables with smaller load steps, in the problem of the calibration too."""
-    old = int(tables["test"].get("steps") or 1)
+    old = Setup.of(tables).test.steps
     new = STEPS_FACTOR * old
-    made = {**tables, "test": {**tables["test"], "steps": new}}
-    own = CalibrationTable.of(tables).problem
-    if own and own.get("test"):
-        problem = {**own, "test": {**own["test"], "steps": new}}
-        made["calibration"] = {**tables["calibration"], "problem": problem}
-    return made, f"{new} load steps instead of {old}"
+    return with_both(tables, "test", steps=new), f"{new} load steps instead of {old}"

@@ -16,14 +16,11 @@ from study.forward import finite_element
 from study.forward.external import External
 from study.forward.finite_element import load_compiled
 from study.runner.provenance import code_version
-from study.runner.tables import PROBLEM, Tables, on_mesh
-from study.setup.setup import problem_of
+from study.runner.tables import PROBLEM, on_mesh, with_table
+from study.setup.setup import Setup, Tables, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels
     from study.fem.solver.options import Options
-
-#: load steps of a test that does not say them
-_USUAL_STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class SolveTask:
             How much the solver's tolerance is multiplied by.
         """
         problem = {name: tables[name] for name in PROBLEM if name in tables}
-        problem["test"] = {**problem["test"], "steps": steps_of(tables) * more_steps}
+        problem = with_table(problem, "test", steps=Setup.of(tables).test.steps * more_steps)
         return cls(on_mesh(problem, mesh=None, mesh_size_mm=size_mm), looser, more_steps)
 
     @property
@@ -83,11 +80,6 @@ class SolveTask:
     def from_json(cls, document: Received) -> SolveTask:
         """Inverse of :meth:`to_json`."""
         return cls(document["tables"], float(document["looser"]), int(document["more_steps"]))
-
-
-def steps_of(tables: Tables) -> int:
-    """Count the load steps of a problem."""
-    return int(tables["test"].get("steps") or _USUAL_STEPS)
 
 
 def _no_curve() -> Curve:

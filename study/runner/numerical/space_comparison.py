@@ -15,9 +15,9 @@ from study.runner.job import CaseJob, Work
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.solve_task import SolveResult, SolveTask
 from study.runner.numerical.study_refinement import meshed_cells
-from study.runner.tables import Tables
-from study.setup.material_section import MaterialSection
-from study.setup.setup import specimen_of
+from study.runner.tables import with_table
+from study.setup.geometry import Block
+from study.setup.setup import Setup, Tables
 
 SPACES = ("axisymmetric", "3d")
 
@@ -77,7 +77,7 @@ def in_blocks(work: Work) -> list[CaseJob]:
     """List the cells whose specimen has no axis, in the first block of the study."""
     cells = meshed_cells(work)
     ours = [job for job in cells if "forward" not in job.case.config]
-    return [job for job in ours if job.case.config["specimen"]["shape"] == "block"]
+    return [job for job in ours if isinstance(job.case.setup.specimen, Block)]
 
 
 def _chosen(
@@ -89,7 +89,7 @@ def _chosen(
         kinds.setdefault(_levels(job), []).append(job)
     for levels, jobs in kinds.items():
         flat, solid = (
-            [job for job in jobs if job.case.config["model"]["space"] == space] for space in SPACES
+            [job for job in jobs if job.case.setup.model.space == space] for space in SPACES
         )
         if flat and solid:
             yield dict(levels), (min(flat, key=_preference), min(solid, key=_preference))
@@ -103,22 +103,15 @@ def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
 
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:
-    material = job.case.config["material"]
-    names = MaterialSection.of(material).calibrated_names
-    return len(names), str(material["model"]), base_size_mm(job.case)
+    material = job.case.material
+    return len(material.calibrated_names), material.model, base_size_mm(job.case)
 
 
 def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
-    config = job.case.config
-    depth = config["test"].get("displacement_mm")
-    if depth is None:
-        depth = job.depth_mm
-    changed = {
-        **config,
-        "specimen": _equivalent_cylinder(config["specimen"]),
-        "material": {**config["material"], "constants": dict(constants)},
-        "test": {**config["test"], "displacement_mm": depth},
-    }
+    depth = job.case.setup.test.displacement_mm
+    changed = {**job.case.config, "specimen": _equivalent_cylinder(job.case.setup)}
+    changed = with_table(changed, "material", constants=dict(constants))
+    changed = with_table(changed, "test", displacement_mm=job.depth_mm if depth is None else depth)
     return SolveTask.of(changed, base_size_mm(job.case))
 
 
@@ -129,12 +122,12 @@ def _constants(record: Record | None) -> dict[str, float]:
     return record.fits[0]["values"]
 
 
-def _equivalent_cylinder(block: Tables) -> Tables:
+def _equivalent_cylinder(setup: Setup) -> Tables:
     """Cylinder of the same cross-section and height."""
     from study.fem.mesh.structured import equivalent_radius
 
-    radius = equivalent_radius(specimen_of(block))
-    return {"shape": "cylinder", "radius_mm": radius, "height_mm": block["height_mm"]}
+    radius = equivalent_radius(setup.specimen)
+    return {"shape": "cylinder", "radius_mm": radius, "height_mm": setup.height_mm}
 
 
 @dataclass(frozen=True)
@@ -169,7 +162,7 @@ def compared(pair: Pair, flat: SolveResult, solid: SolveResult) -> SpaceComparis
     row = SpaceComparison(
         pair.levels,
         (flat.dofs, solid.dofs),
-        float(pair.tasks[0].tables["test"]["displacement_mm"]),
+        Setup.of(pair.tasks[0].tables).test.depth_mm,
     )
     failed = [result.message for result in (flat, solid) if not result.converged]
     if failed:

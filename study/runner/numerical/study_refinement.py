@@ -26,7 +26,9 @@ from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import CaseSeries
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.refinement import FEWEST
-from study.runner.tables import CalibrationTable, Tables, on_mesh
+from study.runner.tables import CalibrationTable, on_mesh
+from study.setup.section import table_of
+from study.setup.setup import Tables
 
 PURPOSE: Final = "refinement"
 
@@ -185,14 +187,16 @@ def refined(case: Case, size_mm: float) -> Case:
 def discretization_key(tables: Tables) -> str:
     """Name of a kind of discretization: cells that share it share their mesh error."""
     apart = ("mesh_ratio", "mesh_seed")
-    return case_id({k: v for k, v in tables["model"].items() if k not in apart})
+    return case_id({k: v for k, v in table_of(tables, "model").items() if k not in apart})
 
 
 def _column(tables: Tables) -> str:
     """Name of a column: everything but the mesh, that of the calibration left out too."""
     own = CalibrationTable.of(tables).problem or {}
     rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
-    return digest([plain(rest), _meshless(tables["model"]), _meshless(own.get("model") or {})])
+    return digest(
+        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(own, "model"))]
+    )
 
 
 def _meshless(model: Tables) -> dict[str, object]:

@@ -13,41 +13,55 @@ from study.execution.loky import Loky
 from study.execution.task import Received, Task
 from study.forward import finite_element
 from study.runner.numerical.solve_task import SolveResult
-from study.runner.tables import Tables
 from study.runner.virtual.truth import Truth
-from study.setup.setup import Setup, problem_of
+from study.setup.geometry import Block, Enclosed
+from study.setup.section import table_of
+from study.setup.setup import Setup, Tables, problem_of
 
 #: plates of a reference curve for a design of a single test
 _BONDED = {"interface": "bonded", "base": "bonded"}
 
 
 def reference_curve(
-    tables: Tables, material: Truth, poisson_ratio: float, *, as_designed: bool = False
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    *,
+    as_designed: bool = False,
+    virtual: Virtual | None = None,
 ) -> Curve:
     """Solve for the reference force and its gradient, in a worker of one thread.
 
     Parameters
     ----------
     tables : mapping
-        Resolved tables of a cell; ``virtual`` says how it is solved.
+        Document of a cell.
     material : Truth
         What the specimens are made of.
     poisson_ratio : float
         Of that material.
     as_designed : bool
         Whether the test is that of the tables; otherwise the plates are bonded.
+    virtual : Virtual, optional
+        How it is solved.
 
     Raises
     ------
     InputError
         If the solver stops.
     """
-    task = _task(tables, material, poisson_ratio, as_designed=as_designed)
+    task = _task(tables, material, poisson_ratio, as_designed, virtual)
     return _solved(task, "the reference curve")
 
 
 def reference_error(
-    tables: Tables, material: Truth, poisson_ratio: float, curve: Curve, *, as_designed: bool
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    curve: Curve,
+    *,
+    as_designed: bool,
+    virtual: Virtual | None = None,
 ) -> float:
     """Largest change of the reference force on the next coarser mesh, over the largest force.
 
@@ -55,7 +69,7 @@ def reference_error(
 
     Parameters
     ----------
-    tables, material, poisson_ratio, as_designed
+    tables, material, poisson_ratio, as_designed, virtual
         Of :func:`reference_curve`.
     curve : Curve
         What it found.
@@ -65,7 +79,7 @@ def reference_error(
     InputError
         If the solver stops.
     """
-    task = _task(tables, material, poisson_ratio, as_designed=as_designed)
+    task = _task(tables, material, poisson_ratio, as_designed, virtual)
     coarser = replace(task, refined=task.refined - 1, gradients=False)
     other = _solved(coarser, "the reference curve on the next coarser mesh")
     change = other.force_at(curve.displacement_mm) - curve.force_N
@@ -73,20 +87,20 @@ def reference_error(
 
 
 def _task(
-    tables: Tables, material: Truth, poisson_ratio: float, *, as_designed: bool
+    tables: Tables, material: Truth, poisson_ratio: float, as_designed: bool, asked: Virtual | None
 ) -> ReferenceTask:
-    virtual = tables.get("virtual") or Virtual()
-    test = {**tables["test"], **({} if as_designed else _BONDED), "steps": virtual.steps}
+    virtual, setup = asked or Virtual(), Setup.of(tables)
     # the grid runs a little past the range, as a real test does
-    test["displacement_mm"] = 1.03 * float(tables["test"]["displacement_mm"])
-    finer = as_designed and not virtual.chooses_mesh and not Setup.of(tables).is_homogeneous
+    changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
+    test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
+    finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
     return ReferenceTask(
         {
             "specimen": tables["specimen"],
             "test": test,
             "material": {"model": material.model, "constants": dict(material.constants),
                          "poisson_ratio": poisson_ratio},
-            "model": _reference_model(tables, virtual, as_designed),
+            "model": _reference_model(setup, virtual, as_designed),
         },
         int(finer),
     )  # fmt: skip
@@ -101,24 +115,25 @@ def _solved(task: ReferenceTask, what: str) -> Curve:
     return found.curve
 
 
-def _reference_model(tables: Tables, virtual: Virtual, as_designed: bool) -> dict[str, object]:
+def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[str, object]:
     """3D where the specimen is no body of revolution and that matters; the mesh of ``[virtual]``.
 
     Without one, and where every test is as the design has it, the mesh is the finest that the
     design uses, to be made finer still.
     """
-    shape, is_indented = tables["specimen"]["shape"], tables["test"]["kind"] == "indentation"
-    solid = shape in ("surface", "brain") or (shape == "block" and is_indented)
+    specimen, own = setup.specimen, setup.model
+    corners = isinstance(specimen, Block) and setup.kind.takes_indenter
+    solid = isinstance(specimen, Enclosed) or corners
     order = virtual.element_order
-    found = {"space": "3d" if solid else "axisymmetric", "element_order": order}
-    ratio = {"mesh_ratio": tables["model"].get("mesh_ratio")}
+    found: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
+    ratio = {"mesh_ratio": own.mesh_ratio}
     if virtual.mesh_size_mm is not None:
         return found | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
     if virtual.mesh is not None:
         return found | ratio | {"mesh": virtual.mesh}
     if not as_designed:
         return {**found, "mesh": "fine"}
-    return found | ratio | {k: tables["model"].get(k) for k in ("mesh", "mesh_size_mm")}
+    return found | ratio | {"mesh": own.mesh, "mesh_size_mm": own.mesh_size_mm}
 
 
 @dataclass(frozen=True)

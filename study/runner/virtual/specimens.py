@@ -39,9 +39,10 @@ from study.measurement.section import MeasurementSpec
 from study.record.atomic_files import write_atomic
 from study.runner import provenance
 from study.runner.job import TRUTH_SUFFIX
-from study.runner.tables import CalibrationTable, Tables
+from study.runner.tables import CalibrationTable, measurements_of
 from study.runner.virtual.reference import reference_curve, reference_error
 from study.runner.virtual.truth import TRUTHS, truth
+from study.setup.setup import Setup, Tables
 from study.units import parse
 
 #: constants of the usual truth, MPa
@@ -105,7 +106,7 @@ def usual_generator(
 ) -> Generator:
     """Numbers that suit a design: an indentation is measured with a smaller load cell."""
     usual = Generator(seed=design.seed, truth=truth_name)
-    if any(c["test"]["kind"] == "indentation" for _, c in _sources(design)):
+    if any(Setup.of(c).kind.takes_indenter for _, c in _sources(design)):
         usual = replace(
             usual, noise_N=0.0, noise_share=0.003, zero_share=0.002, position_mm=0.005, repeats=1
         )
@@ -140,14 +141,13 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     written = []
     several = len(sources) > 1
     for number, (spec, config) in enumerate(sources):
-        solved = {**config, "virtual": design.virtual}
-        given = (solved, truth(generator.truth), generator.poisson_ratio)
-        reference = reference_curve(*given, as_designed=several)
+        given = (config, truth(generator.truth), generator.poisson_ratio)
+        reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
         stated = {}
         if design.virtual is not None:
-            change = reference_error(*given, reference, as_designed=several)
+            change = reference_error(*given, reference, as_designed=several, virtual=design.virtual)
             stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
-        weighs = config["test"].get("gravity") is not None
+        weighs = Setup.of(config).test.gravity is not None
         which = number if several else None
         tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
@@ -172,29 +172,29 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     for treatment in design.treatments:
         own = CalibrationTable.of(treatment.config).problem or {}
         for config in (treatment.config, own):
-            spec = config.get("measurements")
+            spec = measurements_of(config)
             if spec is None:
                 continue
             _depth(config)
             name = str(spec.file or spec.files)
             if name in found:  # every treatment reads its own range from the same file
                 deepest = max(config, found[name][1], key=_depth)
-                finest = min(found[name][1]["model"], config["model"], key=_coarseness)
-                config = {**deepest, "model": finest}
-                spec = config["measurements"]
+                finest = min(found[name][1], config, key=_coarseness)
+                config = {**deepest, "model": finest["model"]}
+                spec = measurements_of(config) or spec
             found[name] = (spec, config)
     return list(found.values())
 
 
-def _coarseness(model: Tables) -> tuple[float, int]:
+def _coarseness(tables: Tables) -> tuple[float, int]:
     """Order of meshes: a given size, else the named level."""
-    size = model.get("mesh_size_mm")
-    named = ("fine", "medium", "coarse").index(model.get("mesh") or "medium")
-    return (np.inf if size is None else float(size), named)
+    model = Setup.of(tables).model
+    size = model.mesh_size_mm
+    return (np.inf if size is None else size, model.level)
 
 
 def _depth(config: Tables) -> float:
-    depth = config["test"]["displacement_mm"]
+    depth = Setup.of(config).test.displacement_mm
     if depth is None:
         rule = "is missing: measurements that are yet to be made cannot say how far a test goes"
         raise InputError(Fault("test.displacement", rule, 'write displacement = "10 mm"'))

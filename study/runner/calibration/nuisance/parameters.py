@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
+from study.design.sections.calibration_design import CalibratedTest
 from study.errors import Fault, InputError
 from study.runner.calibration.measured_tests import FitCurve
-from study.runner.tables import Tables
+from study.setup.section import table_of
+from study.setup.setup import Tables
 
 OFFSET = "displacement_offset"
 ZERO = "force_zero"
@@ -58,14 +60,14 @@ class NuisanceParameter:
 
 
 def parameters_of(
-    tests: Sequence[Tables], curves: Sequence[FitCurve]
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
 ) -> tuple[NuisanceParameter, ...]:
     """Nuisance parameters of a fit.
 
     Parameters
     ----------
-    tests : sequence of mapping
-        Of the calibration, each with ``nuisance``.
+    tests : sequence of CalibratedTest
+        All of the calibration.
     curves : sequence of FitCurve
         Fitted, in the order of the fit.
 
@@ -76,8 +78,8 @@ def parameters_of(
     """
     units: dict[tuple[str, str], list[int]] = {}
     for place, curve in enumerate(curves):
-        for key, asked in tests[curve.test].get("nuisance", {}).items():
-            units.setdefault((key, _unit(asked["each"], curve)), []).append(place)
+        for key, asked in tests[curve.test].nuisance.items():
+            units.setdefault((key, _unit(asked.each, curve)), []).append(place)
     count = {key: sum(other == key for other, _ in units) for key, _ in units}
     return tuple(
         _parameter(tests, curves, key, key if count[key] == 1 else f"{key} [{unit}]", places)
@@ -90,19 +92,23 @@ def _unit(each: str, curve: FitCurve) -> str:
 
 
 def _parameter(
-    tests: Sequence[Tables], curves: Sequence[FitCurve], key: str, name: str, places: list[int]
+    tests: Sequence[CalibratedTest],
+    curves: Sequence[FitCurve],
+    key: str,
+    name: str,
+    places: list[int],
 ) -> NuisanceParameter:
     own = [tests[curves[place].test] for place in places]
-    asked = own[0]["nuisance"][key]
+    asked = own[0].nuisance[key]
     expected = [_expected(test, key) for test in own]
     if max(expected) - min(expected) > 1e-12 * max(map(abs, expected)):
         rule = "differs between the tests that share it"
         raise InputError(Fault(f"nuisance.{key}", rule, 'write each = "test"'))
-    uncertainty = asked["uncertainty"]
-    if asked["relative"]:
+    uncertainty = asked.uncertainty
+    if asked.relative and uncertainty is not None:
         uncertainty = uncertainty * abs(expected[0])
     found = NuisanceParameter(
-        name, key, expected[0], uncertainty, asked["treat"] == "fitted", tuple(places)
+        name, key, expected[0], uncertainty, asked.treat == "fitted", tuple(places)
     )
     if key == "material.poisson_ratio" and expected[0] + found.step >= 0.5:
         rule = f"{expected[0]:g} with an uncertainty of {found.step:g} reaches 0.5"
@@ -111,16 +117,15 @@ def _parameter(
     return found
 
 
-def _expected(test: Tables, key: str) -> float:
-    if key in (OFFSET, ZERO):
-        return float(test["nuisance"][key]["value"])
-    if key == FRICTION:
-        if test["test"]["kind"] != "compression" or test["specimen"]["shape"] == "homogeneous":
-            rule = "is that of two plates, and this is no compression of a specimen between them"
-            mend = "declare it in the [[tests]] that have plates: nuisance = { friction = ... }"
-            raise InputError(Fault("nuisance.friction", rule, mend))
-        return float(test["nuisance"][key]["value"])
-    table, name = _located(test, key)
+def _expected(test: CalibratedTest, key: str) -> float:
+    if key == FRICTION and (test.setup.has_no_elements or not test.setup.kind.compresses):
+        rule = "is that of two plates, and this is no compression of a specimen between them"
+        mend = "declare it in the [[tests]] that have plates: nuisance = { friction = ... }"
+        raise InputError(Fault("nuisance.friction", rule, mend))
+    value = test.nuisance[key].value
+    if value is not None:
+        return value
+    table, name = _located(test.tables, key)
     return float(cast(float, table[name]))
 
 
@@ -129,8 +134,7 @@ def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
     *path, last = key.split(".")
     table: Mapping[str, object] = test
     for part in path:
-        inner = table.get(part)
-        table = inner if isinstance(inner, Mapping) else {}
+        table = table_of(table, part)
     last = "height" if key == "specimen.length" else last
     for suffix in _SUFFIXES:
         value = table.get(last + suffix)
@@ -144,10 +148,10 @@ def moved(test: Tables, key: str, amount: float) -> Tables:
     """Copy of the tables of a test with one input changed."""
     table, name = _located(test, key)
     *path, _ = key.split(".")
-    changed: Tables = {**table, name: float(cast(float, table[name])) + amount}
+    changed: Mapping[str, object] = {**table, name: float(cast(float, table[name])) + amount}
     for depth in range(len(path), 0, -1):
-        outer: Tables = test
+        outer: Mapping[str, object] = test
         for part in path[: depth - 1]:
-            outer = outer[part]
+            outer = table_of(outer, part)
         changed = {**outer, path[depth - 1]: changed}
     return changed

@@ -15,6 +15,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibratedTest
 from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.nuisance.parameters import (
     FRICTION,
@@ -25,7 +26,8 @@ from study.runner.calibration.nuisance.parameters import (
 )
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
-from study.runner.tables import Tables
+from study.runner.tables import with_table
+from study.setup.setup import Tables
 
 #: standard uncertainties that an offset may reach
 REACH = 4.0
@@ -87,8 +89,8 @@ class Predictions:
     ----------
     parts : sequence of Part
         Tests with their curves.
-    tests : sequence of mapping
-        Resolved tables of the test of every part.
+    tests : sequence of CalibratedTest
+        Test of every part.
     names : sequence of str
         Constants.
     parameters : sequence of NuisanceParameter
@@ -98,7 +100,7 @@ class Predictions:
     def __init__(
         self,
         parts: Sequence[Part],
-        tests: Sequence[Tables],
+        tests: Sequence[CalibratedTest],
         names: Sequence[str],
         parameters: Sequence[NuisanceParameter],
     ) -> None:
@@ -159,14 +161,13 @@ class Predictions:
     ) -> _Homogeneous | _Simulated:
         name = (number, plate, "" if one is None else one.key, sign)
         if name not in self._made:
-            tables = self._tests[number]
+            tables = self._tests[number].tables
             if one is not None:
                 tables = moved(tables, one.key, sign * one.step)
             if plate:
-                test = {**tables["test"], "interface": plate, "base": plate}
-                tables = {**tables, "test": test}
-            reached = {**tables["test"], "displacement_mm": self._depth(part)}
-            problem = problem_of({**tables, "test": reached})
+                tables = with_table(tables, "test", interface=plate, base=plate)
+            reached = with_table(tables, "test", displacement_mm=self._depth(part))
+            problem = problem_of(reached)
             if problem.method == "closed-form":
                 self._made[name] = _Homogeneous(problem.tables, self._names)
             else:

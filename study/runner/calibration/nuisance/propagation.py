@@ -23,6 +23,7 @@ from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.nuisance import NuisanceEstimate
 from study.calibration.prior import Prior, pseudo_jacobian
 from study.curve import Curve
+from study.design.sections.calibration_design import CalibratedTest
 from study.runner.calibration.measured_tests import FitCurve
 from study.runner.calibration.nuisance.parameters import (
     OFFSET,
@@ -31,7 +32,6 @@ from study.runner.calibration.nuisance.parameters import (
 )
 from study.runner.calibration.nuisance.predictions import Predictions, reach_of
 from study.runner.fitting.staged_fit import TOLERANCES, Part
-from study.runner.tables import Tables
 
 #: change of the noise, relative, at which pseudo-observations have their weight
 _SETTLED = 1e-3
@@ -84,7 +84,7 @@ class _Task:
 def with_nuisance(
     found: Fit,
     parts: Sequence[Part],
-    tests: Sequence[Tables],
+    tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     bounds: Sequence[tuple[float, float]] | None = None,
 ) -> Fit:
@@ -96,8 +96,8 @@ def with_nuisance(
         With every nuisance parameter at its expected value; where the search starts.
     parts : sequence of Part
         Tests of the fit.
-    tests : sequence of mapping
-        All tests of the calibration, resolved, with ``nuisance``.
+    tests : sequence of CalibratedTest
+        All tests of the calibration.
     curves : sequence of FitCurve
         Fitted, in the order of the parts.
     bounds : sequence of (low, high), optional
@@ -139,7 +139,7 @@ def with_nuisance(
 
 def predicted(
     parts: Sequence[Part],
-    tests: Sequence[Tables],
+    tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     names: Sequence[str],
     values: Array,
