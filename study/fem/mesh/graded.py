@@ -376,8 +376,8 @@ def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
     Parameters
     ----------
     points, planes : ndarray, shape (n, dim), and list of (int, float)
-        Overwritten; axis from 0 and coordinate of each plane, which points within 1e-8 of the extent
-        belong to.
+        Overwritten; axis from 0 and coordinate of each plane. Points within 1e-8 of the extent
+        belong to one.
     """
     extent = np.ptp(points, axis=0).max()
     for axis, value in planes:
