@@ -155,7 +155,7 @@ def smallest_stiffness(system: System, state: State) -> float:
     system : System
         Its tangent is assembled and factorized here.
     state : State
-        With the active sets of its contact.
+        Converged.
 
     Returns
     -------
