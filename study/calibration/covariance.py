@@ -99,13 +99,37 @@ def uncertainty(
 
 
 def influence(jacobian: Array, force: Array) -> Array:
-    """Largest change of a force by every parameter, over the largest force; both weighted."""
+    """Largest change of a force by every parameter, over the largest force; both weighted.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (n, p)
+        Derivative of the weighted force.
+    force : ndarray, shape (n,)
+        Weighted force.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        In 1 over the unit of each parameter.
+    """
     largest = np.abs(jacobian).max(axis=0, initial=0.0)
     return np.asarray(largest / np.abs(force).max())
 
 
 def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
-    """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient."""
+    """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (n, p)
+        Derivative of the weighted residual.
+
+    Returns
+    -------
+    inverse : ndarray, shape (p, p)
+    rank : int
+    """
     p = jacobian.shape[1]
     norms = np.linalg.norm(jacobian, axis=0)
     if p == 0 or jacobian.shape[0] < p or not np.all(norms > 0):
@@ -120,7 +144,15 @@ def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
 
 
 def scaled_condition(jacobian: Array, values: Array) -> float:
-    """cond(J diag(theta)): sensitivity to relative changes; a zero constant counts as one."""
+    """cond(J diag(theta)): sensitivity to relative changes; a zero constant counts as one.
+
+    Parameters
+    ----------
+    jacobian : ndarray, shape (n, p)
+        Derivative of the weighted residual.
+    values : ndarray, shape (p,)
+        theta, the estimates.
+    """
     if jacobian.size == 0:
         return 1.0
     scaled = jacobian * np.where(values == 0, 1.0, values)
@@ -129,7 +161,15 @@ def scaled_condition(jacobian: Array, values: Array) -> float:
 
 
 def student_t(degrees_of_freedom: int, level: float = 0.95) -> float:
-    """Two-sided quantile of Student's t; NaN without degrees of freedom."""
+    """Two-sided quantile of Student's t; NaN without degrees of freedom.
+
+    Parameters
+    ----------
+    degrees_of_freedom : int
+        Of the error variance.
+    level : float
+        Share of the distribution between both quantiles.
+    """
     if degrees_of_freedom <= 0:
         return float("nan")
     from scipy.special import stdtrit
@@ -144,6 +184,15 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
     wider than twice the value of a constant, unless half of it changes no force by more than 1 %
     of the largest: such a constant is known to be as good as zero. A correlation beyond 0.95
     or a scaled condition number above 100 is only a caution.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the constants.
+    values : ndarray, shape (p,)
+        Estimates, in the order of the names.
+    known : Uncertainty
+        Of these estimates; NaN in its correlation for a constant held by a bound.
 
     Returns
     -------

@@ -196,7 +196,19 @@ def residual_function(
     names: Sequence[str],
     priors: Sequence[Prior] = (),
 ) -> Function:
-    """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them."""
+    """Weighted residual of the fitted curves and its Jacobian, as the optimizer wants them.
+
+    Parameters
+    ----------
+    predict, measured, names, priors
+        As for :func:`fit`.
+
+    Returns
+    -------
+    callable
+        Constants (p,) -> residual (n,) and Jacobian (n, p): a row for each point of a fitted curve
+        whose weight is above zero, then one for each prior.
+    """
     return _Model(predict, measured, tuple(names), tuple(priors))
 
 
@@ -307,6 +319,15 @@ def aicc(rss: float, n: int, parameters: int) -> float:
 
     The error variance counts as a parameter. Infinite where ``n`` is too small for it.
 
+    Parameters
+    ----------
+    rss : float
+        Weighted sum of squared residuals.
+    n : int
+        Fitted points.
+    parameters : int
+        Fitted constants.
+
     Examples
     --------
     >>> round(aicc(2.0, 20, 3), 4)
@@ -318,7 +339,17 @@ def aicc(rss: float, n: int, parameters: int) -> float:
 
 
 def small_sample_aic(deviance: float, n: int, k: int) -> float:
-    """Criterion of Hurvich and Tsai 1989 from -2 log likelihood of n points and k parameters."""
+    """Criterion of Hurvich and Tsai 1989 from -2 log likelihood of n points and k parameters.
+
+    Parameters
+    ----------
+    deviance : float
+        -2 log likelihood at its maximum; a common constant may be left out.
+    n : int
+        Points; the criterion is infinite up to k + 1 of them.
+    k : int
+        Fitted parameters, those of the errors included.
+    """
     if n - k - 1 <= 0:
         return math.inf
     return deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1)

@@ -94,10 +94,8 @@ def size(influence: Array, residual: Array) -> float:
 
     Parameters
     ----------
-    influence : ndarray, shape (p,)
-        Norm of each column of the Jacobian times the parameter.
-    residual : ndarray, shape (n,)
-        Residual.
+    influence, residual : ndarray, shapes (p,) and (n,)
+        Norm of each column of the Jacobian times the parameter; residual.
     """
     length, left = length_of(influence), float(np.linalg.norm(residual))
     return length if length > EPS * left else left
@@ -212,7 +210,13 @@ Function = Callable[[Array], tuple[Array, Array]]
 
 
 def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
-    """Call a function for its residual and Jacobian; None where there is no finite answer."""
+    """Call a function for its residual and Jacobian; None where there is no finite answer.
+
+    Parameters
+    ----------
+    function, x
+        As :func:`study.calibration.levenberg_marquardt` takes them; ``x`` of shape (p,).
+    """
     if not np.all(np.isfinite(x)):
         return None
     try:
@@ -234,6 +238,11 @@ def checked_bounds(
     start: Array, bounds: Sequence[tuple[float, float]] | None
 ) -> tuple[Array, Array]:
     """Check a start against its bounds and return them as two arrays.
+
+    Parameters
+    ----------
+    start, bounds
+        Values (p,), and a pair (low, high) for each; None where there are no bounds.
 
     Raises
     ------
@@ -268,7 +277,7 @@ def finite_difference(
     relative_step: float | None = None,
     base: Array | None = None,
 ) -> Array:
-    """Jacobian of a function that has no gradient, by differences.
+    """Jacobian of a function that has no gradient, by differences, shape (n, p).
 
     Parameters
     ----------
@@ -283,10 +292,6 @@ def finite_difference(
         balance truncation with rounding of a function exact to eps.
     base : ndarray, shape (n,), optional
         ``function(x)`` if it is known already (forward differences).
-
-    Returns
-    -------
-    ndarray, shape (n, p)
     """
     point = np.asarray(x, dtype=float)
     eps = float(np.finfo(float).eps)
@@ -364,8 +369,8 @@ def turned(before: Array, after: Array, step: Array) -> bool:
 
     Parameters
     ----------
-    before, after : ndarray, shape (p,)
-        Gradient of the cost at both ends.
+    before, after, step : ndarray, shape (p,)
+        Gradient of the cost at both ends, and the way between them.
     """
     return float(before @ step) < 0 < float(after @ step)
 
@@ -379,12 +384,10 @@ def step_along(
     ----------
     jacobian, residual : ndarray, shapes (n, p) and (n,)
         On either side.
-    scale : ndarray, shape (p,)
-        Scale of the parameters.
+    scale, jump : ndarray, shape (p,)
+        Scale of the parameters, and difference of the gradients on both sides.
     held : ndarray of bool, shape (p,)
         Parameters that do not move.
-    jump : ndarray, shape (p,)
-        Difference of the gradients on both sides.
     """
     free, step = ~held, np.zeros(scale.size)
     if np.count_nonzero(free) < 2:

@@ -151,6 +151,11 @@ def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
 def akaike_weights(aicc: Mapping[str, float]) -> dict[str, float]:
     """Share of the evidence that each model has (Burnham and Anderson 2002, sec. 2.9).
 
+    Parameters
+    ----------
+    aicc : mapping of str to float
+        By the name of the model. One that is not finite gets 0; all get NaN where none is finite.
+
     Examples
     --------
     >>> weights = akaike_weights({"one": 10.0, "two": 12.0})

@@ -44,7 +44,18 @@ class MeasuredCurve:
 
 
 def curve_faults(measured: MeasuredCurve) -> list[Fault]:
-    """Say what of a curve cannot be fitted."""
+    """Say what of a curve cannot be fitted.
+
+    Parameters
+    ----------
+    measured : MeasuredCurve
+        Its force must also resist where its role is ``fit``.
+
+    Returns
+    -------
+    list of Fault
+        Empty where nothing is wrong.
+    """
     d, force = measured.curve.displacement_mm, measured.curve.force_N
     where = f"curve {measured.label!r}"
     if d.size == 0 or d.shape != force.shape:

@@ -42,13 +42,29 @@ class Prior:
 
 
 def pseudo_rows(priors: Sequence[Prior], names: Sequence[str], values: Array) -> Array:
-    """Residuals of the pseudo-observations, shape (k,)."""
+    """Residuals of the pseudo-observations, shape (k,).
+
+    Parameters
+    ----------
+    priors : sequence of Prior
+        Each of a parameter among the names.
+    names : sequence of str
+        Fitted parameters.
+    values : ndarray, shape (p,)
+        In the order of the names, each in its own unit.
+    """
     place = {name: i for i, name in enumerate(names)}
     return np.array([one.weight * (values[place[one.name]] - one.mean) for one in priors])
 
 
 def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
-    """Return their derivative by the parameters, shape (k, p)."""
+    """Return the derivative of :func:`pseudo_rows` by the parameters, shape (k, p).
+
+    Parameters
+    ----------
+    priors, names
+        As for :func:`pseudo_rows`.
+    """
     rows = np.zeros((len(priors), len(names)))
     for row, one in zip(rows, priors, strict=True):
         row[list(names).index(one.name)] = one.weight

@@ -227,6 +227,13 @@ def intervals(
 def effective_rows(rows: int, correlation: float) -> float:
     """Independent rows worth as much as correlated ones for a mean.
 
+    Parameters
+    ----------
+    rows : int
+        Recorded rows.
+    correlation : float
+        Of neighboring rows, below 1; a negative one or NaN counts as none.
+
     Examples
     --------
     >>> round(effective_rows(60, 0.5), 9)

@@ -72,7 +72,13 @@ class Linearization:
 
 
 def length_of(vector: Array) -> float:
-    """Euclidean length without overflow or underflow of the squares."""
+    """Euclidean length without overflow or underflow of the squares.
+
+    Parameters
+    ----------
+    vector : ndarray, shape (n,)
+        Of any magnitude.
+    """
     return math.hypot(*vector)
 
 
@@ -82,6 +88,19 @@ def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
     The step p minimizes |J p + r|^2 + damping |D p|^2; damping solves |D p| = radius to 10 %
     by Hebden's iteration (More 1978, sec. 5), safeguarded by a bracket. The iteration sees
     lengths over the gradient's, so that no magnitude of the residual overflows in it.
+
+    Parameters
+    ----------
+    linear : Linearization
+        Of the parameters that may move.
+    radius : float
+        Of the trust region, in the scaled length ``|D p|``.
+
+    Returns
+    -------
+    step : ndarray, shape (p,)
+    damping : float
+        0 for the full step.
     """
     if linear.full_length <= 1.1 * radius:
         return linear.full_step, 0.0

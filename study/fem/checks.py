@@ -22,6 +22,11 @@ LARGEST_MM = 1e4
 def check(problem: Problem) -> None:
     """Refuse a problem that has no answer.
 
+    Parameters
+    ----------
+    problem : Problem
+        Everything in mm and MPa; a surface is read from its file.
+
     Raises
     ------
     InputError
@@ -72,6 +77,11 @@ def instability(problem: Problem) -> str:
     """Sentence about constants that are unstable within the test; empty where they are not.
 
     Only failure in uniaxial loading counts: the other modes are reached locally at most.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its material is judged at the stretches of its test.
     """
     material, setup = problem.material, problem.setup
     if material.small_strain:

@@ -51,12 +51,26 @@ def memory_MB(unknowns: float, *, solid: bool) -> float:  # noqa: N802
 
     Measured with quadratic elements and factors in single precision, linear ones take less: see
     ``test_memory_is_predicted``.
+
+    Parameters
+    ----------
+    unknowns : float
+        Free displacements and pressures.
+    solid : bool
+        Whether the mesh is in 3D, where memory grows faster than the unknowns.
     """
     return float(_LIBRARIES_MB + (0.27e-3 * unknowns**1.3 if solid else 3e-3 * unknowns))
 
 
 def too_large(unknowns: float, there_MB: float, *, solid: bool = True) -> str:  # noqa: N803
     """Say that a problem does not fit into memory; empty where it does.
+
+    Parameters
+    ----------
+    unknowns, solid
+        As for :func:`memory_MB`.
+    there_MB : float
+        Memory of the machine, of which four fifths may be taken; infinite where it is not known.
 
     Examples
     --------
@@ -79,7 +93,13 @@ def machine_MB() -> float:  # noqa: N802
 
 
 def size_faults(setup: Setup) -> Iterator[Fault]:
-    """Say where a mesh would need more memory than there is, and which size would fit."""
+    """Say where a mesh would need more memory than there is, and which size would fit.
+
+    Parameters
+    ----------
+    setup : Setup
+        Whose ``mesh_size_mm``, or named mesh, is judged by the memory of this machine.
+    """
     there, solid = machine_MB(), setup.model.space == "3d"
     rule = too_large(expected_unknowns(setup), there, solid=solid)
     if not rule:
@@ -103,7 +123,13 @@ def size_faults(setup: Setup) -> Iterator[Fault]:
 
 
 def expected_unknowns(setup: Setup) -> float:
-    """Unknowns that a mesh will have; within a factor of 1.5 where there are many."""
+    """Unknowns that a mesh will have; within a factor of 1.5 where there are many.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of a cylinder, a block or a surface, whose file is read.
+    """
     if isinstance(setup.specimen, Enclosed):
         return inside(setup)
     model, cells = setup.model, expected_cells(setup)
@@ -242,7 +268,15 @@ def _iteration(setup: Setup, dofs: float) -> float:
 
 
 def unknowns(setup: Setup, mesh: Mesh) -> int:
-    """Free displacements and pressures of a problem on a mesh, without discretizing it."""
+    """Free displacements and pressures of a problem on a mesh, without discretizing it.
+
+    Parameters
+    ----------
+    setup : Setup
+        Tells the elements, and what is held.
+    mesh : Mesh
+        Made for this setup.
+    """
     model, dim, cells = setup.model, mesh.points.shape[1], mesh.cells
     vertices, n = len(mesh.points), len(cells)
     tensor, quadratic = model.element_shape == "tensor", model.element_order == "quadratic"

@@ -30,7 +30,13 @@ _SAMPLES = 80
 
 
 def expected_cells(setup: Setup) -> float:
-    """Cells that a mesh will have: the density of elements is integrated."""
+    """Cells that a mesh will have: the density of elements is integrated.
+
+    Parameters
+    ----------
+    setup : Setup
+        Of a cylinder or a block.
+    """
     grading = setup.grading
     if isinstance(grading, AroundContact):
         return _under_indenter(setup, grading.indenter)

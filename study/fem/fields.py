@@ -73,6 +73,11 @@ class Fields:
 def fields(solution: Solution) -> Fields:
     """Fields of the last requested step that converged.
 
+    Parameters
+    ----------
+    solution : Solution
+        Of a run by finite elements: its system and last state stand in ``warm``.
+
     Raises
     ------
     InputError
@@ -106,6 +111,13 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
     them. Cells carry ``J``, ``mean_stress_MPa`` (negative in compression), ``cauchy_stress_MPa``
     and ``von_mises_MPa``.
 
+    Parameters
+    ----------
+    solution : Solution
+        As for :func:`fields`.
+    path : str or Path
+        File to write, overwritten where there is one.
+
     Raises
     ------
     InputError
@@ -136,7 +148,23 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
 
 
 def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
-    """Cauchy stress at every quadrature point, the pressure as it was solved for, MPa."""
+    """Cauchy stress at every quadrature point, the pressure as it was solved for, MPa.
+
+    Parameters
+    ----------
+    system : System
+        Its material gives the stress but for the mean.
+    state : State
+        Its pressures give the mean stress.
+    F : ndarray, shape (3, 3, n_elements, n_quadrature)
+        Deformation gradients of the state.
+    J : ndarray, shape (n_elements, n_quadrature)
+        Volume ratios of the state; 1 + tr(eps) at small strain.
+
+    Returns
+    -------
+    ndarray, shape (3, 3, n_elements, n_quadrature)
+    """
     nominal = first_piola(system.material, F)
     small = system.small_strain
     stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J

@@ -57,11 +57,27 @@ class Compressibility:
 
 
 def bulk_from_poisson(mu0: float, poisson_ratio: float) -> float:
-    """K in MPa from the initial shear modulus and Poisson's ratio."""
+    """K in MPa from the initial shear modulus and Poisson's ratio.
+
+    Parameters
+    ----------
+    mu0 : float
+        Initial shear modulus, MPa.
+    poisson_ratio : float
+        Initial one, above -1 and below 0.5.
+    """
     return 2 * mu0 * (1 + poisson_ratio) / (3 * (1 - 2 * poisson_ratio))
 
 
 def poisson_from_bulk(mu0: float, bulk_modulus: float) -> float:
-    """Poisson's ratio from the initial shear modulus and K (infinite K gives 0.5)."""
+    """Poisson's ratio from the initial shear modulus and K (infinite K gives 0.5).
+
+    Parameters
+    ----------
+    mu0 : float
+        Initial shear modulus, MPa.
+    bulk_modulus : float
+        K in MPa.
+    """
     ratio = mu0 / bulk_modulus
     return (3 - 2 * ratio) / (2 * (3 + ratio))

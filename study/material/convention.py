@@ -58,7 +58,17 @@ def abaqus_logarithmic(keyword: str, constants: Mapping[str, float], bulk: float
 
 
 def febio_hyperelastic(keyword: str, constants: Mapping[str, float], bulk: float) -> Converted:
-    """Return an uncoupled hyperelastic material of FEBio, with what differs there in volume."""
+    """Return an uncoupled hyperelastic material of FEBio, with what differs there in volume.
+
+    Parameters
+    ----------
+    keyword : str
+        Type of the material there.
+    constants : mapping of str to float
+        As FEBio names them, without its bulk modulus k: MPa, exponents plain.
+    bulk : float
+        K in MPa; infinite if incompressible, which FEBio cannot say.
+    """
     if math.isinf(bulk):
         note = "k must be finite there: choose about 1000 mu0"
         return Converted("febio", keyword, dict(constants), note)

@@ -27,7 +27,13 @@ _APART = 1e-4
 
 
 def always_elliptic(material: Material) -> bool:
-    """Whether an energy is known to keep its ellipticity at every stretch; False says nothing."""
+    """Whether an energy is known to keep its ellipticity at every stretch; False says nothing.
+
+    Parameters
+    ----------
+    material : Material
+        Of any energy but one whose volume change belongs to all of it.
+    """
     return material.small_strain or material.isochoric.always_elliptic(material.constants)
 
 

@@ -362,7 +362,15 @@ class DeclaredConstants(Energy):
 
 
 def no_counterpart(convention: str, constants: Constants) -> InputError:
-    """Return the error of a code that has no such energy."""
+    """Return the error of a code that has no such energy.
+
+    Parameters
+    ----------
+    convention : str
+        Name of the code.
+    constants : mapping of str to float
+        Whose names the message lists.
+    """
     return InputError(
         Fault("convention", f"{convention} has no energy with {', '.join(constants)}")
     )

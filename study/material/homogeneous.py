@@ -70,27 +70,70 @@ class Response:
 
 
 def uniaxial(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa under uniaxial load, sides free (V01, V04)."""
+    """Nominal stress in MPa under uniaxial load, sides free (V01, V04).
+
+    Parameters
+    ----------
+    material : Material
+        With numbers.
+    stretch : array_like
+        In the loaded direction, positive; stresses have its shape.
+    """
     return _shaped(response(material, UNIAXIAL, stretch).stress, stretch)
 
 
 def equibiaxial(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa under two equal stretches (V02)."""
+    """Nominal stress in MPa under two equal stretches (V02).
+
+    Parameters
+    ----------
+    material : Material
+        With numbers.
+    stretch : array_like
+        In both loaded directions, positive; stresses have its shape.
+    """
     return _shaped(response(material, EQUIBIAXIAL, stretch).stress, stretch)
 
 
 def planar(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa in planar tension (pure shear): l, 1, free (V03)."""
+    """Nominal stress in MPa in planar tension (pure shear): l, 1, free (V03).
+
+    Parameters
+    ----------
+    material : Material
+        With numbers.
+    stretch : array_like
+        In the loaded direction, positive; stresses have its shape.
+    """
     return _shaped(response(material, PLANAR, stretch).stress, stretch)
 
 
 def confined(material: Material, stretch: ArrayLike) -> Array:
-    """Nominal stress in MPa in confined compression: l, 1, 1 (V06)."""
+    """Nominal stress in MPa in confined compression: l, 1, 1 (V06).
+
+    Parameters
+    ----------
+    material : Material
+        With numbers, not incompressible.
+    stretch : array_like
+        In the loaded direction, positive; stresses have its shape.
+    """
     return _shaped(response(material, CONFINED, stretch).stress, stretch)
 
 
 def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array]:
-    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included."""
+    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included.
+
+    Parameters
+    ----------
+    material, stretch
+        As for :func:`uniaxial`.
+
+    Returns
+    -------
+    dict of str to ndarray
+        By the name of the constant, each of the shape of ``stretch``: MPa over the constant's unit.
+    """
     gradient = response(material, UNIAXIAL, stretch).gradient
     return {name: _shaped(value, stretch) for name, value in gradient.items()}
 

@@ -36,6 +36,11 @@ _UNITS = "Units: mm, N, s, MPa."
 def material_name(text: str) -> str:
     """Return a name that both programs take: letters, digits and underscores, a letter first.
 
+    Parameters
+    ----------
+    text : str
+        Any title; 60 characters of it count.
+
     Examples
     --------
     >>> material_name("2 mm gel"), material_name("ecoflex-10")

@@ -51,6 +51,11 @@ MODELS: tuple[str, ...] = tuple(ENERGIES)
 def energy_named(model: str) -> Energy:
     """Find an energy by its name.
 
+    Parameters
+    ----------
+    model : str
+        As a study file says it, one of :data:`MODELS`.
+
     Raises
     ------
     InputError
@@ -97,13 +102,24 @@ def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
 
 
 def is_constant(name: str) -> bool:
-    """Whether any energy, or a relaxation, has a constant of this name."""
+    """Whether any energy, or a relaxation, has a constant of this name.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``C10``, ``mu2`` or ``share1``.
+    """
     known = any(energy.has_constant(name) for energy in ENERGIES.values())
     return known or is_of_relaxation(name)
 
 
 def is_constant_key(key: str) -> bool:
     """Whether a study file may write this key for a constant of any energy.
+
+    Parameters
+    ----------
+    key : str
+        Of the table of a material; ``mu`` and ``alpha`` of Ogden's energy hold lists.
 
     Examples
     --------
@@ -117,12 +133,17 @@ def is_constant_key(key: str) -> bool:
 def is_dimensionless(name: str) -> bool:
     """Whether a constant, or its key in a study file, is a plain number in an energy that has it.
 
+    A share or time of relaxation counts as one too: neither is a modulus.
+
+    Parameters
+    ----------
+    name : str
+        Of the constant, or of its key; one that no energy has is no plain number.
+
     Examples
     --------
     >>> is_dimensionless("alpha2"), is_dimensionless("mu2")
     (True, False)
-
-    A share or time of relaxation counts as one too: neither is a modulus.
     """
     if is_of_relaxation(name):
         return True
@@ -132,6 +153,11 @@ def is_dimensionless(name: str) -> bool:
 
 def unit_shown(name: str) -> str:
     """Return the unit in which people are told a constant: kPa, s, or none of a plain number.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``C10``; one that no energy has counts as a modulus.
 
     Examples
     --------

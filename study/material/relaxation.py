@@ -43,17 +43,34 @@ class RelaxationTerm:
 
 
 def share_name(number: int) -> str:
-    """Name of the share of a term, counted from 1."""
+    """Name of the share of a term, counted from 1.
+
+    Parameters
+    ----------
+    number : int
+        From 1 to 9.
+    """
     return f"share{number}"
 
 
 def time_name(number: int) -> str:
-    """Name of the time of a term, counted from 1."""
+    """Name of the time of a term, counted from 1.
+
+    Parameters
+    ----------
+    number : int
+        From 1 to 9.
+    """
     return f"time{number}"
 
 
 def is_share(name: str) -> bool:
     """Whether a constant is the share of a term.
+
+    Parameters
+    ----------
+    name : str
+        Of any constant.
 
     Examples
     --------
@@ -65,28 +82,57 @@ def is_share(name: str) -> bool:
 
 
 def is_time(name: str) -> bool:
-    """Whether a constant is the time of a term, in s."""
+    """Whether a constant is the time of a term, in s.
+
+    Parameters
+    ----------
+    name : str
+        Of any constant.
+    """
     found = _NAME.fullmatch(name)
     return found is not None and found[1] == "time"
 
 
 def is_of_relaxation(name: str) -> bool:
-    """Whether a constant belongs to a term and not to the energy."""
+    """Whether a constant belongs to a term and not to the energy.
+
+    Parameters
+    ----------
+    name : str
+        Of any constant.
+    """
     return _NAME.fullmatch(name) is not None
 
 
 def shares(terms: Iterable[RelaxationTerm]) -> Array:
-    """Shares of all terms, shape (terms,)."""
+    """Shares of all terms, shape (terms,).
+
+    Parameters
+    ----------
+    terms : iterable of RelaxationTerm
+        Of one material, in the order of its constants.
+    """
     return np.array([term.share for term in terms], float)
 
 
 def times(terms: Iterable[RelaxationTerm]) -> Array:
-    """Return the times of all terms in s, shape (terms,)."""
+    """Return the times of all terms in s, shape (terms,).
+
+    Parameters
+    ----------
+    terms : iterable of RelaxationTerm
+        Of one material, in the order of its constants.
+    """
     return np.array([term.time_s for term in terms], float)
 
 
 def long_term_share(terms: Iterable[RelaxationTerm]) -> float:
     """Share of the stress that never fades.
+
+    Parameters
+    ----------
+    terms : iterable of RelaxationTerm
+        Of one material; 1 is left without any.
 
     Examples
     --------

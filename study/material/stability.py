@@ -59,7 +59,15 @@ class StabilityResult:
 
 
 def stable_in(mode: Mode, material: Material, stretches: ArrayLike) -> bool:
-    """Whether Drucker's criterion holds in one mode; parameters as in :func:`stability`."""
+    """Whether Drucker's criterion holds in one mode.
+
+    Parameters
+    ----------
+    mode : Mode
+        Of loading.
+    material, stretches
+        As for :func:`stability`.
+    """
     given = np.append(np.asarray(stretches, float).ravel(), 1.0)
     return _limit(material, mode, float(given.min()), float(given.max())) is None
 
@@ -104,7 +112,17 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
 
 
 def tangent(material: Material, mode: Mode, stretch: ArrayLike) -> Array:
-    """Incompressible tangent D along a loading mode, MPa, shape (2, 2, n)."""
+    """Incompressible tangent D along a loading mode, MPa, shape (2, 2, n).
+
+    Parameters
+    ----------
+    material : Material
+        Of an isochoric energy; K does not enter.
+    mode : Mode
+        With free directions, so that the volume is kept.
+    stretch : array_like, shape (n,)
+        In the loaded direction, positive.
+    """
     x = np.log(np.atleast_1d(np.asarray(stretch, float)))
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
     bar = np.exp(a[:, None] * x - v[:, None] * x * a.sum() / v.sum())
@@ -163,7 +181,17 @@ def check(
 
 
 def surface_warning(material: Material, mode: str, stretch: float) -> str:
-    """Sentence if a compression goes beyond Biot's surface instability; empty otherwise."""
+    """Sentence if a compression goes beyond Biot's surface instability; empty otherwise.
+
+    Parameters
+    ----------
+    material : Material
+        One of small strain has no such instability.
+    mode : str
+        Key of :data:`BIOT_LIMITS`; other modes have no limit.
+    stretch : float
+        Smallest one in the loaded direction.
+    """
     limit = BIOT_LIMITS.get(mode, 0.0)
     if material.small_strain or stretch >= limit:
         return ""

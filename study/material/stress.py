@@ -47,6 +47,13 @@ def strain_energy(material: Material, F: Array) -> Array:
 def first_piola(material: Material, F: Array) -> Array:
     """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...).
 
+    Parameters
+    ----------
+    material : Material
+        With K where it is finite; the isochoric stress alone otherwise.
+    F : ndarray, shape (3, 3, ...)
+        Deformation gradient with positive determinant.
+
     Raises
     ------
     InputError
@@ -65,7 +72,18 @@ def first_piola(material: Material, F: Array) -> Array:
 
 
 def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
-    """Differentiate :func:`first_piola` by every constant, K(nu) included."""
+    """Differentiate :func:`first_piola` by every constant, K(nu) included.
+
+    Parameters
+    ----------
+    material, F
+        As for :func:`first_piola`.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (3, 3, ...)
+        By the name of the constant: MPa over the constant's unit.
+    """
     dbulk = material.bulk_gradient()
     if material.small_strain:
         dmu = material.mu0_gradient()
@@ -91,7 +109,13 @@ def _reached(material: Material, values: Array) -> Array:
 
 
 def deviator(values: Array) -> Array:
-    """Subtract the mean over the first axis."""
+    """Subtract the mean over the first axis.
+
+    Parameters
+    ----------
+    values : ndarray, shape (3, ...)
+        One row for each principal direction.
+    """
     # what ``mean`` computes, at half its cost for a few points
     return np.asarray(values - np.add.reduce(values) / len(values))
 

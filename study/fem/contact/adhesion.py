@@ -77,7 +77,15 @@ class TiedPoints(ContactPoints):
 
 
 def in_its_frame(x: Array, displacement_mm: float) -> Array:
-    """Positions as seen from the indenter, which moves against the last axis."""
+    """Positions as seen from the indenter, which moves against the last axis.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, dim)
+        Positions in mm; a copy is returned.
+    displacement_mm : float
+        How far the indenter has come down.
+    """
     seen = x.copy()
     seen[:, -1] += displacement_mm
     return seen
@@ -99,6 +107,12 @@ def gripping(
 
     Parameters
     ----------
+    points : ContactPoints
+        Points of the surface that the indenter may meet.
+    dim : {2, 3}
+        Number of axes.
+    is_bonded : bool
+        Whether ties are made; ``points`` come back alone otherwise.
     reach_mm : float
         Radius of the contact.
     """
@@ -117,7 +131,15 @@ def gripping(
 
 
 def nothing_held(points: ContactPoints, dim: int) -> Glue:
-    """Return the glue of an indenter that has not touched yet."""
+    """Return the glue of an indenter that has not touched yet.
+
+    Parameters
+    ----------
+    points : ContactPoints
+        Points of the surface that the indenter may meet.
+    dim : {2, 3}
+        Number of axes.
+    """
     return Glue(np.zeros(points.size, dtype=bool), np.zeros((points.size, dim)))
 
 
@@ -134,12 +156,16 @@ def hold(
 
     Parameters
     ----------
+    glue : Glue
+        What has been held so far.
     contact : tuple of ContactPoints
         The contact, then its ties axis by axis.
     touching : list of ContactState
         Of each of them.
     nodes, u : ndarray, shape (n_nodes, dim)
-        Nodes and their displacements.
+        Nodes and their displacements, mm.
+    displacement_mm : float
+        How far the indenter has come down.
     rates : mapping of str to ndarray, shape (n_nodes, dim)
         Derivative of ``u`` by every constant.
 

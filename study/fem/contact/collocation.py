@@ -32,7 +32,13 @@ CORNER_ALLOWANCE = 0.2
 
 
 def touch_radius(setup: Setup) -> float:
-    """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
+    """Length whose square carries the first contact, mm; 0 where nothing begins to touch.
+
+    Parameters
+    ----------
+    setup : Setup
+        Radii are those at the full depth of its test, at most a tenth of the height.
+    """
     pressed = [c.indenter for c in setup.contacts if isinstance(c, IndenterContact)]
     limit, depth = 0.1 * height_of(setup.specimen), setup.test.depth_mm
     return max((min(one.contact_radius_mm(depth), limit) for one in pressed), default=0.0)
@@ -101,7 +107,21 @@ def meeting(
     *,
     nodal: bool = False,
 ) -> ContactPoints:
-    """Points of some facets that a surface may meet."""
+    """Points of some facets that a surface may meet.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its material says how stiff contact is, its indenter how corners take part.
+    space, mesh
+        As for :func:`contact_points`.
+    surface : RigidSurface
+        That the points may meet.
+    chosen : ndarray of bool, shape (n_facets,)
+        True for the boundary facets that have points.
+    nodal : bool
+        Whether quadratic edges touch with their nodes instead of two Gauss points.
+    """
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
     return _with_corners(problem, space, points, space.facets[chosen])
 
@@ -128,7 +148,15 @@ def _under_sharp_edge(
 
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
-    """Keep some of the points."""
+    """Keep some of the points.
+
+    Parameters
+    ----------
+    points : ContactPoints
+        Of one rigid surface.
+    kept : ndarray of bool, shape (n_points,)
+        True for those that stay.
+    """
     allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
         points,
@@ -330,10 +358,12 @@ def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
 
     Parameters
     ----------
+    indenter : Flat, Cone or Sphere
+        Dimensions in mm.
     triangles : ndarray, shape (m, 3, 3)
-        Corners; the axis of the indenter is x = y = 0.
+        Corners in mm; the axis of the indenter is x = y = 0.
     height : float
-        Of the specimen, for messages and lengths.
+        Of the specimen, mm: pieces of the profile without an end are 1000 times as long.
 
     Raises
     ------

@@ -37,7 +37,17 @@ class Constraints:
 
 
 def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
-    """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
+    """Held and driven unknowns of a test, the planes of symmetry (or the axis) included.
+
+    Parameters
+    ----------
+    setup : Setup
+        Its faces, its clamp and its symmetry say what is held.
+    space : Nodes
+        Nodes of a discretization, or the vertices alone.
+    mesh : Mesh
+        That the nodes belong to.
+    """
     rate = prescribed_rates(setup, space, mesh)
     if setup.is_whole:  # what is left may move
         return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
@@ -52,6 +62,16 @@ def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]
     """Unknowns that the test's faces and the clamp of a surface prescribe.
 
     A face that a surface does not have, as it is round there, is left to contact.
+
+    Parameters
+    ----------
+    setup, space, mesh
+        As for :func:`constraints`.
+
+    Returns
+    -------
+    dict of int to float
+        Motion of each unknown per unit of the test's displacement; 0 where it is held.
     """
     specimen, dim, rate = setup.specimen, space.dim, dict[int, float]()
     for face in setup.faces:
@@ -137,7 +157,19 @@ _HELD = 1e-6
 
 
 def rigid_motions(places: Array) -> Array:
-    """List translations and rotations about the middle of some points, shape (3 n, 6)."""
+    """List translations and rotations about the middle of some points, shape (3 n, 6).
+
+    Parameters
+    ----------
+    places : ndarray, shape (n, 3)
+        Positions of nodes, mm.
+
+    Returns
+    -------
+    ndarray, shape (3 n, 6)
+        Columns are unit shifts along x, y and z, then small rotations about these axes, with lever
+        arms in units of the largest extent.
+    """
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     x, y, z = (places - middle).T / float(np.ptp(places, axis=0).max())
     zero = np.zeros(len(places))

@@ -104,6 +104,13 @@ def profile_height(pieces: Profile, rho: Array) -> Array:
     """Height of the profile above its lowest point at radius ``rho``, shape (n,).
 
     What small-strain contact sees; far above everything outside the widest radius.
+
+    Parameters
+    ----------
+    pieces : Profile
+        From :func:`profile`, in mm.
+    rho : ndarray, shape (n,)
+        Distance from the axis, mm.
     """
     height = np.full(rho.shape, _FAR)
     for piece in pieces:

@@ -47,7 +47,13 @@ from study.fem.element.point_law import (
 
 @part()
 def scatter(positions: Unknowns, K: Array, data: Array) -> None:
-    """Add a packed tangent to the entries of the sparsity pattern; some positions are negative."""
+    """Add a packed tangent to the entries of the sparsity pattern; some positions are negative.
+
+    Parameters
+    ----------
+    positions, K, data : ndarray, shapes (m (m + 1) / 2,) twice and (n_entries,)
+        Row of :class:`Sums`' positions, packed tangent of one element, and what is added to.
+    """
     for s in range(K.size):
         k = positions[s]
         if k >= 0:
@@ -60,6 +66,11 @@ def volume_ratios(elements: Elements, space: Shapes, x: Array, J: Array) -> floa
 
     In axisymmetric space a hoop stretch that is not positive counts as ``J = -1``, since
     two negative stretches would otherwise multiply to a volume that looks sound.
+
+    Parameters
+    ----------
+    elements, space, x, J
+        As for :func:`assemble`; rows of ``J`` (n_elements, n_quadrature) are overwritten.
     """
     gradients, hoop, dofs = space.gradients, space.hoop, space.dofs
     nq, na, dim = gradients.shape[1:]
@@ -92,7 +103,17 @@ def add_pressure(
     coupling: Array,
     K: Array,
 ) -> None:
-    """Add the pressure field's share of a point: dJ/du times N, and the compliance of N."""
+    """Add the pressure field's share of a point: dJ/du times N, and the compliance of N.
+
+    Parameters
+    ----------
+    dN, H, w, m, K
+        As for :func:`.element_stiffness.add_stiffness`, where ``H`` is the hoop.
+    g, growth, N, compliance
+        Derivative of J (9,) over ``growth``; pressure shape functions (n_pressure,); 1 / K, 1/MPa.
+    along, coupling : ndarray, shapes (n_displacement,) and (n_pressure, n_displacement)
+        Scratch, and what dJ/du times N is added to.
+    """
     along[:] = 0.0
     along_nodes(dN, H, g, 1.0, along)
     add_coupling(along, w * growth, N, coupling)
@@ -115,10 +136,10 @@ def assemble(
     ----------
     elements : ndarray of uint32
         Which: unsigned, or every access would look for an index from the end.
-    x : ndarray, shape (n,)
-        All unknowns.
-    R : ndarray, shape (n_elements, m)
-        Residuals, overwritten.
+    space, energy, sums : Shapes, ElementEnergy and Sums
+        Of the whole mesh.
+    x, R : ndarray, shapes (n,) and (n_elements, m)
+        All unknowns, mm and MPa, and residuals, overwritten.
     want_tangent : bool
         Whether tangents are added to ``sums``.
 
@@ -193,6 +214,8 @@ def constrained_product(
         Rows of ``dofs`` and ``positions`` that ``K`` belongs to.
     K : ndarray, shape (n_kept, m (m + 1) / 2)
         Packed upper triangles; an entry counts where its position is negative.
+    dofs, positions, v, out
+        As in :class:`Shapes` and :class:`Sums`; ``v`` and ``out`` have the shape (n,).
     """
     m = dofs.shape[1]
     for k, e in enumerate(elements):
@@ -210,7 +233,13 @@ def constrained_product(
 
 @kernel()
 def gathered(dofs: Unknowns, residuals: Array, out: Array) -> None:
-    """Sum of element residuals, shape (n,)."""
+    """Sum of element residuals, shape (n,).
+
+    Parameters
+    ----------
+    dofs, residuals, out : ndarray, shapes (n_elements, m) twice and (n,)
+        Unknowns and residuals of each element; ``out`` is overwritten.
+    """
     out[:] = 0.0
     for e in range(dofs.shape[0]):
         for i in range(dofs.shape[1]):
@@ -227,7 +256,6 @@ class Shapes(NamedTuple):
     hoop : ndarray, shape (n_elements, n_quadrature, n_nodes)
         N / R (axisymmetric; anything with as many axes in 3D).
     pressure_shape : ndarray, shape (n_elements or 1, n_quadrature, n_pressure)
-        Pressure shape functions.
     weights : ndarray, shape (n_elements, n_quadrature)
         Quadrature weights times volume (2 pi R included in axisymmetric space).
     dofs : ndarray of int32, shape (n_elements, m)
@@ -272,7 +300,6 @@ class Sums(NamedTuple):
     positions : ndarray of int32, shape (n_elements, m (m + 1) / 2)
         Entry of ``data`` of each packed one; negative where a constrained unknown takes part.
     data : ndarray, shape (n_entries,)
-        Sums.
     slots : ndarray of int32, shape (n_elements,)
         Row of ``kept`` of the elements with constrained unknowns, negative for all others.
     kept : ndarray, shape (n_kept, m (m + 1) / 2)
@@ -327,7 +354,7 @@ def add_unevenness(
     R: Array,
     K: Array,
 ) -> None:
-    """Add what uneven volume ratios ``J`` (n_quadrature,) of an element cost to ``R`` and ``K``.
+    """Add what uneven volume ratios ``J`` of an element cost to ``R`` and ``K``.
 
     With d = J - mean J, a constant part of d^3 does no work, since d sums to zero; the rest
     acts as a pressure.
@@ -336,10 +363,12 @@ def add_unevenness(
     ----------
     still : tuple of ndarray
         Gradients (n_quadrature, n_nodes, dim), hoop and weights of the element.
-    u : ndarray, shape (n_nodes, dim)
-        Displacements.
+    u, J : ndarray, shapes (n_nodes, dim) and (n_quadrature,)
+        Displacements, mm, and their volume ratios.
     kappa : float
         Resistance, N/mm^2.
+    want_tangent, R, K : bool, and ndarray, shapes (m,) and (m (m + 1) / 2,)
+        Whether the packed tangent ``K`` is added to besides the residual ``R``.
     f, work, tangent, rows : ndarray
         Scratch: (9,), (1 or more, 9), (9, 9) and (3, n_displacement).
     """

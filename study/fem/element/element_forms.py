@@ -19,13 +19,33 @@ THREE = np.uint64(3)
 
 @part()
 def packed(row: int, column: int, m: int) -> np.uint64:
-    """Find the number of an entry in the packed upper triangle of m rows."""
+    """Find the number of an entry in the packed upper triangle of m rows.
+
+    Parameters
+    ----------
+    row, column : int
+        Counted from 0, the column not before the row.
+    m : int
+        Unknowns of the element.
+    """
     return np.uint64(row * m - row * (row + 1) // 2 + column)
 
 
 @part()
 def gather(x: Array, dofs: Unknowns, e: int, u: Array) -> None:
-    """Displacements of the nodes of element ``e`` from all unknowns, shape (n_nodes, dim)."""
+    """Displacements of the nodes of element ``e`` from all unknowns, shape (n_nodes, dim).
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        All unknowns.
+    dofs : ndarray of int32, shape (n_elements, m)
+        Unknowns of each element, displacements node by node first.
+    e : int
+        Number of the element.
+    u : ndarray, shape (n_nodes, dim)
+        Overwritten, mm.
+    """
     dim = u.shape[1]
     for a in range(u.shape[0]):
         for i in range(dim):
@@ -34,7 +54,17 @@ def gather(x: Array, dofs: Unknowns, e: int, u: Array) -> None:
 
 @part()
 def held_pressure(N: Array, x: Array, dofs: Unknowns) -> float:
-    """Pressure at one quadrature point from its unknowns, the last of the element's ``dofs``."""
+    """Pressure at one quadrature point from its unknowns, the last of the element's ``dofs``.
+
+    Parameters
+    ----------
+    N : ndarray, shape (n_pressure,)
+        Pressure shape functions there; the pressure is 0 where there are none.
+    x : ndarray, shape (n,)
+        All unknowns, pressures in MPa.
+    dofs : ndarray of int32, shape (m,)
+        Unknowns of the element.
+    """
     pressure, first = 0.0, dofs.size - N.size
     for b in range(N.size):
         pressure += N[b] * x[dofs[first + b]]
@@ -43,7 +73,19 @@ def held_pressure(N: Array, x: Array, dofs: Unknowns) -> float:
 
 @part(fastmath=FAST)
 def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
-    """F at one quadrature point from nodal displacements ``u`` (n_nodes, dim)."""
+    """F at one quadrature point from nodal displacements.
+
+    Parameters
+    ----------
+    dN : ndarray, shape (n_nodes, dim)
+        Reference gradients of the shape functions, 1/mm.
+    hoop : ndarray, shape (n_nodes,)
+        N / R, 1/mm; not read in 3D.
+    u : ndarray, shape (n_nodes, dim)
+        Displacements, mm.
+    f : ndarray, shape (9,)
+        Overwritten.
+    """
     dim = dN.shape[1]
     f[:] = 0.0
     f[0] = 1.0
@@ -61,7 +103,19 @@ def deformation_gradient(dN: Array, hoop: Array, u: Array, f: Array) -> None:
 
 @part(fastmath=FAST)
 def along_nodes(dN: Array, hoop: Array, T: Array, w: float, out: Array) -> None:
-    """Add w T : dF/du, node by node: forces of a stress, or dJ/du of dJ/dF."""
+    """Add w T : dF/du, node by node: forces of a stress, or dJ/du of dJ/dF.
+
+    Parameters
+    ----------
+    dN, hoop
+        As for :func:`deformation_gradient`.
+    T : ndarray, shape (9,)
+        Nominal stress in MPa, or dJ/dF.
+    w : float
+        Volume of the quadrature point in mm^3, or another factor.
+    out : ndarray, shape (dim n_nodes or more,)
+        Added to.
+    """
     na, dim = dN.shape
     if dim == 3:
         for i in range(3):
@@ -78,7 +132,19 @@ def along_nodes(dN: Array, hoop: Array, T: Array, w: float, out: Array) -> None:
 
 @part(fastmath=FAST)
 def add_coupling(rates: Array, w: float, N: Array, C: Array) -> None:
-    """C_b,r += w N_b dJ/du_r, shape (n_pressure, n_displacement)."""
+    """C_b,r += w N_b dJ/du_r, shape (n_pressure, n_displacement).
+
+    Parameters
+    ----------
+    rates : ndarray, shape (n_displacement,)
+        dJ/du, 1/mm.
+    w : float
+        Volume of the quadrature point in mm^3, times what ``rates`` lack of dJ/du.
+    N : ndarray, shape (n_pressure,)
+        Pressure shape functions there.
+    C : ndarray, shape (n_pressure, n_displacement)
+        Added to.
+    """
     for b in range(N.size):
         share = w * N[b]
         for r in range(rates.size):
@@ -87,7 +153,17 @@ def add_coupling(rates: Array, w: float, N: Array, C: Array) -> None:
 
 @part()
 def place_coupling(C: Array, m: int, K: Array) -> None:
-    """Put what pressures do to displacements into the packed tangent."""
+    """Put what pressures do to displacements into the packed tangent.
+
+    Parameters
+    ----------
+    C : ndarray, shape (n_pressure, n_displacement)
+        Sum of :func:`add_coupling` over the element.
+    m : int
+        Unknowns of the element.
+    K : ndarray, shape (m (m + 1) / 2,)
+        Overwritten where a row is a displacement and the column a pressure.
+    """
     n_p, nu = C.shape
     for r in range(nu):
         s = packed(r, nu, m)
@@ -98,7 +174,19 @@ def place_coupling(C: Array, m: int, K: Array) -> None:
 
 @part()
 def add_volume(N: Array, excess: float, w: float, R: Array) -> None:
-    """Add N_b (J - 1 - p / K), the equation of each pressure."""
+    """Add N_b (J - 1 - p / K), the equation of each pressure.
+
+    Parameters
+    ----------
+    N : ndarray, shape (n_pressure,)
+        Pressure shape functions at the quadrature point.
+    excess : float
+        J - 1 - p / K there.
+    w : float
+        Its volume, mm^3.
+    R : ndarray, shape (m,)
+        Residual of the element, pressures last, added to.
+    """
     nu = R.size - N.size
     for b in range(N.size):
         R[nu + b] += w * excess * N[b]
@@ -106,7 +194,21 @@ def add_volume(N: Array, excess: float, w: float, R: Array) -> None:
 
 @part()
 def add_compressibility(N: Array, w: float, compliance: float, m: int, K: Array) -> None:
-    """Subtract N_b N_c / K, the derivative of the pressures' equations by pressures."""
+    """Subtract N_b N_c / K, the derivative of the pressures' equations by pressures.
+
+    Parameters
+    ----------
+    N : ndarray, shape (n_pressure,)
+        Pressure shape functions at the quadrature point.
+    w : float
+        Its volume, mm^3.
+    compliance : float
+        1 / K in 1/MPa, 0 when incompressible.
+    m : int
+        Unknowns of the element.
+    K : ndarray, shape (m (m + 1) / 2,)
+        Added to.
+    """
     nu = m - N.size
     for b in range(N.size):
         s = packed(nu + b, nu + b, m)

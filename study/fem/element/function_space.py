@@ -42,7 +42,22 @@ class Nodes(Protocol):
 
 
 def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
-    """Nodes at an axial position."""
+    """Nodes at an axial position.
+
+    Parameters
+    ----------
+    space : Nodes
+        Whose last coordinate is the axial one.
+    mesh : Mesh
+        Nodes within 1e-9 of its height count as on the level.
+    level : float
+        In mm.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        Numbers of the nodes, ascending.
+    """
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
@@ -138,6 +153,10 @@ def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discreti
 
     Parameters
     ----------
+    mesh : Mesh
+        Of the cells that the model's space and element shape ask for.
+    model : Model
+        Its space, element order, element shape and formulation count.
     stretched : bool
         Whether single places are stretched several times, as under an indenter.
     """
@@ -342,7 +361,15 @@ def _facet_areas(corners: Array, axisymmetric: bool) -> Array:
 
 
 def deformation_gradient(space: Discretization, u: Array) -> Array:
-    """F at every quadrature point, shape (3, 3, n_elements, n_quadrature)."""
+    """F at every quadrature point, shape (3, 3, n_elements, n_quadrature).
+
+    Parameters
+    ----------
+    space : Discretization
+        Of the nodes of ``u``.
+    u : ndarray, shape (n_nodes, dim)
+        Displacements, mm.
+    """
     local, dim = u[space.element_nodes], space.dim
     F = np.zeros((3, 3, *space.weights.shape))
     F[0, 0] = F[1, 1] = F[2, 2] = 1.0

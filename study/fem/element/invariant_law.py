@@ -35,6 +35,8 @@ def invariant_derivatives(law: int, constants: Array, a: float, b: float, out: A
         Number of a :class:`study.material.energy.PointLaw`, ``POLYNOMIAL`` or larger.
     constants : ndarray, shape (n, m)
         As the law takes them; m = 1 if the second invariant does not enter.
+    a, b : float
+        Isochoric invariants less 3; ``b`` is not looked at where m = 1.
     out : ndarray, shape (5 or more,)
         Receives W_a, W_b, W_aa, W_ab, W_bb.
 
@@ -60,7 +62,18 @@ def invariant_derivatives(law: int, constants: Array, a: float, b: float, out: A
 
 @part(fastmath=FAST)
 def invariant_energy(law: int, constants: Array, a: float, b: float) -> float:
-    """Energy W per reference volume that :func:`invariant_derivatives` differentiates."""
+    """Energy W per reference volume that :func:`invariant_derivatives` differentiates.
+
+    Parameters
+    ----------
+    law, constants, a, b
+        As for :func:`invariant_derivatives`.
+
+    Returns
+    -------
+    float
+        In MPa; NaN for ``VAN_DER_WAALS_BY_MIXTURE``, which is the rate of an energy.
+    """
     if law == POLYNOMIAL:
         return polynomial_energy(constants, a, b)
     if law == EXPONENTIAL:
@@ -84,7 +97,22 @@ def invariant_energy(law: int, constants: Array, a: float, b: float) -> float:
 
 @part()
 def exponential_derivatives(constants: Array, a: float, out: Array) -> bool:
-    """Of (p + q a) exp(k a) - p + d b."""
+    """Of (p + q a) exp(k a) - p + d b.
+
+    Parameters
+    ----------
+    constants : ndarray, shape (3, 1) or (3, 2)
+        p and q in MPa and k in the first column; d in MPa on top of the second one.
+    a : float
+        I1bar - 3.
+    out : ndarray, shape (5 or more,)
+        As for :func:`invariant_derivatives`; zero before.
+
+    Returns
+    -------
+    bool
+        False where k a is ``LARGEST_EXPONENT`` or more.
+    """
     p, q, k = constants[0, 0], constants[1, 0], constants[2, 0]
     if not k * a < LARGEST_EXPONENT:
         return False
@@ -98,7 +126,22 @@ def exponential_derivatives(constants: Array, a: float, out: Array) -> bool:
 
 @part()
 def finite_extensibility_derivatives(constants: Array, a: float, out: Array) -> bool:
-    """W_a = A1 s + A2 s^2 + A3 s^3 with s = 1 / (1 - e a)."""
+    """W_a = A1 s + A2 s^2 + A3 s^3 with s = 1 / (1 - e a).
+
+    Parameters
+    ----------
+    constants : ndarray, shape (4 or more, 1)
+        e, plain, and A1, A2, A3 in MPa; what follows is not looked at.
+    a : float
+        I1bar - 3.
+    out : ndarray, shape (5 or more,)
+        As for :func:`invariant_derivatives`; zero before.
+
+    Returns
+    -------
+    bool
+        False where e a is 1 or more: the chains have ended.
+    """
     e, first, second, third = constants[0, 0], constants[1, 0], constants[2, 0], constants[3, 0]
     gap = 1.0 - e * a
     if not gap > 0.0:
@@ -116,6 +159,22 @@ def van_der_waals_derivatives(
     """P / (1 - eta) + Q eta / (1 - eta)^2 + S sqrt(x) is dW/dx, x = (1 - beta) a + beta b.
 
     The derivative by beta has no second derivatives here: a rate of the stress needs none.
+
+    Parameters
+    ----------
+    constants : ndarray, shape (3, 2)
+        Rows (lambda_m^2 - 3, beta), (P, Q) and (S, unused); P, Q and S in MPa.
+    a, b : float
+        Isochoric invariants less 3.
+    by_mixture : bool
+        Whether W is differentiated by beta first; second derivatives are then NaN.
+    out : ndarray, shape (5 or more,)
+        As for :func:`invariant_derivatives`.
+
+    Returns
+    -------
+    bool
+        False where eta = sqrt(x / (lambda_m^2 - 3)) is 1 or more: the chains have ended.
     """
     room, beta = constants[0, 0], constants[0, 1]
     p, q, s = constants[1, 0], constants[1, 1], constants[2, 0]
@@ -151,7 +210,17 @@ def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
 
 @part()
 def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
-    """Add the derivatives of sum C_ij a^i b^j."""
+    """Add the derivatives of sum C_ij a^i b^j.
+
+    Parameters
+    ----------
+    table : ndarray, shape (ni, nj)
+        C_ij in MPa.
+    a, b : float
+        Isochoric invariants less 3.
+    out : ndarray, shape (5 or more,)
+        As for :func:`invariant_derivatives`, added to.
+    """
     for i in range(table.shape[0]):
         ai, ai1, ai2 = _power_derivatives(a, i)
         for j in range(table.shape[1]):
@@ -167,7 +236,15 @@ def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None
 
 @part(fastmath=FAST)
 def polynomial_energy(table: Array, a: float, b: float) -> float:
-    """Sum C_ij a^i b^j."""
+    """Sum C_ij a^i b^j.
+
+    Parameters
+    ----------
+    table : ndarray, shape (ni, nj)
+        C_ij in MPa.
+    a, b : float
+        Isochoric invariants less 3.
+    """
     energy, row = 0.0, 1.0
     for i in range(table.shape[0]):
         term = row

@@ -76,7 +76,16 @@ def full_tangent(
 ) -> None:
     """Tangent of :func:`isochoric`, called before, and of a pressure.
 
-    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
+    Parameters
+    ----------
+    law, f, constants, work
+        As for :func:`isochoric`, which has filled ``work``.
+    plane : bool
+        Whether F has no components between the hoop and the others.
+    bend, stiff : float
+        p J, zero where J is linear, and J^2 dp/dJ, N/mm^2.
+    tangent : ndarray, shape (9, 9)
+        dP/dF, overwritten, N/mm^2.
     """
     if law >= POLYNOMIAL:
         invariant_tangent(f, plane, bend, stiff, work, tangent)
@@ -92,7 +101,13 @@ def full_tangent(
 
 @part()
 def cofactor(f: Array, g: Array) -> float:
-    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J."""
+    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J.
+
+    Parameters
+    ----------
+    f, g : ndarray, shape (9,)
+        Deformation gradient, and what is overwritten.
+    """
     g[0] = f[4] * f[8] - f[5] * f[7]
     g[1] = f[5] * f[6] - f[3] * f[8]
     g[2] = f[3] * f[7] - f[4] * f[6]
@@ -111,14 +126,12 @@ def invariant_stress(law: int, f: Array, constants: Array, work: Array, stress: 
 
     Parameters
     ----------
-    f : ndarray, shape (9,)
-        Deformation gradient.
-    constants : ndarray, shape (n, m)
-        Of the law; m = 1 if the second invariant does not enter.
+    law, constants
+        As for :func:`study.fem.element.invariant_law.invariant_derivatives`.
+    f, stress : ndarray, shape (9,)
+        Deformation gradient; dW/dF, overwritten, N/mm^2.
     work : ndarray, shape (7 or more, 9)
         Scratch, of which the tangent makes use; row 0 receives F^-T.
-    stress : ndarray, shape (9,)
-        dW/dF, overwritten.
 
     Returns
     -------
@@ -182,10 +195,8 @@ def invariant_tangent(
 
     Parameters
     ----------
-    plane : bool
-        Whether F has no components between the hoop and the others: those stay unwritten.
-    tangent : ndarray, shape (9, 9)
-        Overwritten.
+    f, plane, bend, stiff, work, tangent
+        As for :func:`full_tangent`; entries of components that a ``plane`` lacks stay unwritten.
     """
     g, d1, w = work[0], work[3], work[5]
     I1, s1 = work[6, 0], work[6, 2]
@@ -223,10 +234,15 @@ def first_invariant_coefficients(
         w dP_ij/dF_kl = c_1 d_ik d_jl + c_x G_il G_kj
                         + c_FF F_ij F_kl + c_FG (F_ij G_kl + G_ij F_kl) + c_GG G_ij G_kl
 
+    Parameters
+    ----------
+    work, bend, stiff, w
+        As for :func:`full_tangent`; ``w`` is the volume of the quadrature point, mm^3.
+
     Returns
     -------
     c_1, c_x, c_FF, c_FG, c_GG : float
-        ``bend`` and ``stiff`` are those of :func:`full_tangent`.
+        In N mm.
     """
     I1, s1 = work[6, 0], work[6, 2]
     first, curved = work[5, 0] * s1, work[5, 2]
@@ -277,6 +293,8 @@ def extended_tube_stress(f: Array, J: float, constants: Array, work: Array, stre
 
     Parameters
     ----------
+    f, J, stress : ndarray, shape (9,), and float
+        Deformation gradient, its determinant, positive, and what is overwritten, N/mm^2.
     constants : ndarray, shape (6, 1)
         Four of the pole, then modulus and exponent of Ogden's term.
     work : ndarray, shape (WORK_ROWS, 9)
@@ -301,7 +319,13 @@ def extended_tube_stress(f: Array, J: float, constants: Array, work: Array, stre
 def extended_tube_tangent(
     f: Array, plane: bool, constants: Array, work: Array, tangent: Array
 ) -> None:
-    """Tangent of :func:`extended_tube_stress`, called before."""
+    """Tangent of :func:`extended_tube_stress`, called before.
+
+    Parameters
+    ----------
+    f, plane, constants, work, tangent
+        As for :func:`full_tangent` and :func:`extended_tube_stress`.
+    """
     of_invariants, chains = work[SPECTRAL_ROWS : SPECTRAL_ROWS + 7], work[SPECTRAL_ROWS + 7 :]
     ogden_tangent(constants[4:6].reshape(1, 2), work, tangent)
     chains[:] = 0.0
@@ -314,6 +338,13 @@ def extended_tube_tangent(
 @part(fastmath=FAST)
 def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
     """Deviatoric small-strain stress ``2 mu dev(eps)``; row 0 of ``work`` receives dJ/dF = 1.
+
+    Parameters
+    ----------
+    f, stress : ndarray, shape (9,)
+        1 + grad u, and what is overwritten, N/mm^2.
+    mu, work : float, and ndarray, shape (1 or more, 9)
+        Shear modulus, MPa, and scratch.
 
     Returns
     -------
@@ -332,7 +363,13 @@ def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
 
 @part(fastmath=FAST)
 def linear_tangent(mu: float, tangent: Array) -> None:
-    """Tangent of :func:`linear_stress`, shape (9, 9), overwritten."""
+    """Tangent of :func:`linear_stress`.
+
+    Parameters
+    ----------
+    mu, tangent : float, and ndarray, shape (9, 9)
+        Shear modulus, MPa, and what is overwritten, N/mm^2.
+    """
     tangent[:, :] = 0.0
     for i in range(3):
         for j in range(3):
@@ -345,7 +382,12 @@ def linear_tangent(mu: float, tangent: Array) -> None:
 def add_pressure_tangent(g: Array, bend: float, stiff: float, tangent: Array) -> None:
     """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``.
 
-    ``bend`` is p J, zero where J is linear, and ``stiff`` is J^2 dp/dJ.
+    Parameters
+    ----------
+    g : ndarray, shape (9,)
+        F^-T; dJ/dF itself where J is linear.
+    bend, stiff, tangent
+        As for :func:`full_tangent`; ``tangent`` is added to.
     """
     for i in range(3):
         for j in range(3):

@@ -144,7 +144,17 @@ def _find(indptr: Unknowns, indices: Unknowns, low: Unknowns, high: Unknowns) ->
 
 @kernel()
 def symmetric_product(indptr: Unknowns, indices: Unknowns, data: Array, v: Array) -> Array:
-    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector."""
+    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector.
+
+    Parameters
+    ----------
+    indptr, indices : ndarray of int32
+        As in :class:`Pattern`: every row begins with its diagonal.
+    data : ndarray, shape (n_entries,)
+        Entries of the upper triangle.
+    v : ndarray, shape (n,)
+        As long as the matrix has rows.
+    """
     out = np.zeros(v.size)
     for i in range(v.size):
         k = indptr[i]
@@ -171,6 +181,16 @@ def slabs(space: Discretization) -> tuple[Slabs, ...]:
     Of the ways across the body that one is taken along which elements are numbered, as far as
     they are: memory is then read in a row. Where a mesh is too coarse somewhere for slabs, two
     halves come first and the elements between them afterwards.
+
+    Parameters
+    ----------
+    space : Discretization
+        Its elements are cut where their nodes' middles lie.
+
+    Returns
+    -------
+    tuple of tuple of ndarray of uint32
+        Phases in turn; the arrays of a phase are elements that may be worked on at once.
     """
     places = space.nodes[space.element_nodes].mean(axis=1).T
     for count in _COUNTS:

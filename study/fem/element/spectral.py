@@ -29,7 +29,13 @@ WORK_ROWS = 27
 
 @part()
 def sinh_ratio(z: float) -> float:
-    """sinh(z) / z, 1 at zero."""
+    """sinh(z) / z, 1 at zero.
+
+    Parameters
+    ----------
+    z : float
+        Half a difference of logarithmic stretches, or an exponent times it.
+    """
     if abs(z) > 0.5:
         return math.sinh(z) / z
     y = z * z
@@ -41,13 +47,25 @@ def sinh_ratio(z: float) -> float:
 
 @part()
 def exponential_ratio(z: float) -> float:
-    """(exp(z) - 1) / z, 1 at zero."""
+    """(exp(z) - 1) / z, 1 at zero.
+
+    Parameters
+    ----------
+    z : float
+        Exponent times logarithmic stretch.
+    """
     return math.expm1(z) / z if abs(z) > 1e-8 else 1.0 + 0.5 * z
 
 
 @part()
 def exponential_ratio_slope(z: float) -> float:
-    """Differentiate :func:`exponential_ratio`; 1/2 at zero."""
+    """Differentiate :func:`exponential_ratio`; 1/2 at zero.
+
+    Parameters
+    ----------
+    z : float
+        Exponent times logarithmic stretch.
+    """
     if abs(z) > 0.5:
         return (math.exp(z) * (z - 1.0) + 1.0) / (z * z)
     total, power = 0.0, 1.0
@@ -176,7 +194,16 @@ def ogden_stress(f: Array, terms: Array, what: int, work: Array, stress: Array) 
 def ogden_tangent(terms: Array, work: Array, tangent: Array) -> None:
     """Tangent of :func:`ogden_stress`, called before: sum of dyad times image.
 
-    The nine dyads are n_a x N_b; ``tangent`` has shape (9, 9) and is overwritten.
+    The nine dyads are n_a x N_b.
+
+    Parameters
+    ----------
+    terms : ndarray, shape (n, 2)
+        As for :func:`ogden_stress`.
+    work : ndarray, shape (WORK_ROWS, 9)
+        As it was left; rows 8 to 26 are overwritten.
+    tangent : ndarray, shape (9, 9)
+        Overwritten, N/mm^2.
     """
     dyads, images = work[9:18], work[18:27]
     vectors, axes = work[7], work[5]

@@ -75,7 +75,9 @@ def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
     law : int
         Number of a :class:`study.material.energy.PointLaw`.
     f : ndarray, shape (9,)
-        Deformation gradient, of determinant ``J``.
+        Deformation gradient.
+    J : float
+        Its determinant, positive.
     constants : ndarray, shape (n, m)
         Of the law; m = 1 if the second invariant does not enter.
     """
@@ -96,7 +98,15 @@ def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
 
 @part()
 def linear_energy(f: Array, mu: float) -> float:
-    """Deviatoric small-strain energy ``mu dev(eps) : dev(eps)`` per volume."""
+    """Deviatoric small-strain energy ``mu dev(eps) : dev(eps)`` per volume.
+
+    Parameters
+    ----------
+    f : ndarray, shape (9,)
+        1 + grad u.
+    mu : float
+        Shear modulus, MPa.
+    """
     mean, energy = (f[0] + f[4] + f[8]) / 3.0, 0.0
     for i in range(3):
         for j in range(3):
@@ -109,10 +119,12 @@ def linear_energy(f: Array, mu: float) -> float:
 def stored_energy(
     elements: Elements, space: Shapes, energy: ElementEnergy, x: Array, out: Array
 ) -> float:
-    """Energy of some elements at unknowns ``x``.
+    """Energy of some elements.
 
     Parameters
     ----------
+    elements, space, energy, x
+        As for :func:`study.fem.element.assembly.assemble`.
     out : ndarray, shape (n_elements, 2)
         Overwritten: energy of the material, and of the resistance to uneven volume, N mm.
 

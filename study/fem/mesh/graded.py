@@ -59,6 +59,11 @@ class Sizes(Protocol):
 def indentation_mesh(setup: Setup) -> Mesh:
     """Mesh of an indented cylinder or block.
 
+    Parameters
+    ----------
+    setup : Setup
+        Test with an indenter; in 3D a quarter of the specimen is meshed.
+
     Raises
     ------
     MeshError
@@ -82,12 +87,23 @@ def indentation_mesh(setup: Setup) -> Mesh:
 
 
 def graded_size(setup: Setup) -> float:
-    """Element size of an indented cylinder or block, as ``mesh_size`` names it."""
+    """Element size of an indented cylinder or block, as ``mesh_size`` names it.
+
+    Parameters
+    ----------
+    setup : Setup
+        Test with an indenter; the size is in mm.
+    """
     return sizes_of(setup).size_mm
 
 
 def contact_of(setup: Setup) -> AroundContact:
     """Indenter and depth that sizes are made for.
+
+    Parameters
+    ----------
+    setup : Setup
+        Test whose elements grow from a contact outwards.
 
     Raises
     ------
@@ -100,7 +116,18 @@ def contact_of(setup: Setup) -> AroundContact:
 
 
 def sizes_of(setup: Setup) -> SizeField:
-    """Sizes of the elements of an indented cylinder or block."""
+    """Sizes of the elements of an indented cylinder or block.
+
+    Parameters
+    ----------
+    setup : Setup
+        Test with an indenter on a cylinder or block.
+
+    Raises
+    ------
+    MeshError
+        If the specimen is neither of them.
+    """
     specimen = setup.specimen
     if not isinstance(specimen, Cylinder | Block):
         raise MeshError("an indentation mesh needs a cylinder or a block")
@@ -158,7 +185,18 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 @contextmanager
 def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
-    """One model in one quiet, single-threaded session of gmsh."""
+    """One model in one quiet, single-threaded session of gmsh.
+
+    Parameters
+    ----------
+    field, dim : Sizes and {2, 3}
+        Sizes in mm that gmsh asks for; 2 where x is the radius and y the height.
+
+    Raises
+    ------
+    MeshError
+        If gmsh does not take the sizes.
+    """
     import gmsh
 
     gmsh.initialize(interruptible=False)
@@ -183,7 +221,18 @@ def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
 
 
 def generated(gmsh: ModuleType, dim: int) -> tuple[Array, Ints]:
-    """Mesh the model; points (n, 3) and simplices with consecutive numbers."""
+    """Mesh the model; points (n, 3) and simplices with consecutive numbers.
+
+    Parameters
+    ----------
+    gmsh, dim : module and {2, 3}
+        From :func:`gmsh_session`, the geometry in its model; 2 for triangles, 3 for tetrahedra.
+
+    Raises
+    ------
+    MeshError
+        If gmsh fails, or makes no elements or one that is too flat.
+    """
     gmsh.option.setNumber("Mesh.Algorithm", _FRONTAL)
     gmsh.option.setNumber("Mesh.Algorithm3D", _DELAUNAY)
     gmsh.logger.start()
@@ -253,10 +302,7 @@ def _even_patch(
 def _joined(points: Array, cells: Ints, patch: tuple[Array, Ints, Ints]) -> tuple[Array, Ints]:
     """Mesh around a patch together with it; they share the points of its rim.
 
-    Raises
-    ------
-    MeshError
-        If gmsh put further points between those of the rim.
+    Raises MeshError if gmsh put further points between those of the rim.
     """
     inner, inside, rim = patch
     gap = np.linalg.norm(points[None] - inner[rim][:, None], axis=2)
@@ -325,7 +371,14 @@ def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int
 
 
 def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
-    """Put points that belong to a plane exactly onto it."""
+    """Put points that belong to a plane exactly onto it.
+
+    Parameters
+    ----------
+    points, planes : ndarray, shape (n, dim), and list of (int, float)
+        Overwritten; axis from 0 and coordinate of each plane. Points within 1e-8 of the extent
+        belong to one.
+    """
     extent = np.ptp(points, axis=0).max()
     for axis, value in planes:
         near = np.abs(points[:, axis] - value) < 1e-8 * extent
@@ -334,7 +387,13 @@ def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
 
 
 def turned(points: Array, cells: Ints) -> Ints:
-    """Ints with positive volume."""
+    """Cells with positive volume.
+
+    Parameters
+    ----------
+    points, cells : ndarray, shapes (n, dim) and (m, dim + 1)
+        Simplices; ``cells`` is overwritten.
+    """
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     inverted = np.linalg.det(edges) < 0
     cells[inverted, :2] = cells[inverted, 1::-1]

@@ -41,7 +41,13 @@ _MADE: dict[tuple[object, ...], Mesh] = {}
 
 
 def mesh_size(setup: Setup) -> float:
-    """Element size in mm: the given one, or that of the named level."""
+    """Element size in mm: the given one, or that of the named level.
+
+    Parameters
+    ----------
+    setup : Setup
+        A given ``mesh_size_mm`` wins over a named mesh; the file of a surface is read.
+    """
     model = setup.model
     if isinstance(setup.specimen, Enclosed):
         return surface_mesh_size(setup)
@@ -56,6 +62,16 @@ def mesh_size(setup: Setup) -> float:
 
 def build_mesh(setup: Setup) -> Mesh:
     """Mesh of a setup, its nodes moved at random where the model has a ``mesh_seed``.
+
+    Parameters
+    ----------
+    setup : Setup
+        Setups that differ only in their number of load steps have one mesh.
+
+    Returns
+    -------
+    Mesh
+        Its arrays may be read-only, since others use them too.
 
     Raises
     ------
@@ -108,7 +124,15 @@ def _made(setup: Setup) -> Mesh:
 
 
 def compressed_mesh(setup: Setup, bonded: TowardsPlates) -> Mesh:
-    """Mesh of a specimen between plates; the upper half where the middle plane is a symmetry."""
+    """Mesh of a specimen between plates; the upper half where the middle plane is a symmetry.
+
+    Parameters
+    ----------
+    setup : Setup
+        Cylinder or block between plates.
+    bonded : TowardsPlates
+        Plates towards which elements become smaller.
+    """
     h, half = mesh_size(setup), setup.has_middle_plane
     height = height_of(setup.specimen)
     z = layers(height, h, half=half, top=bonded.top, base=bonded.base)

@@ -39,7 +39,22 @@ _COLUMNS = 65
 
 
 def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
-    """Hexahedra of a quarter specimen, one ring of nodes on the circle of radius ``ring_mm``."""
+    """Hexahedra of a quarter specimen, one ring of nodes on the circle of radius ``ring_mm``.
+
+    Parameters
+    ----------
+    specimen : Cylinder or Block
+        With room around the circle, see :func:`has_room`.
+    field : SizeField
+        Sizes in mm around the edge of the face, whose radius is ``ring_mm``.
+
+    Returns
+    -------
+    points : ndarray, shape (n, 3)
+        In mm.
+    cells : ndarray of int, shape (m, 8)
+        Corners.
+    """
     depth = line_from(field.top_mm, partial(_below, field, field.ring_mm))
     core, rings = _rings(specimen, field, depth)
     beyond = _beyond(specimen, field, rings[0, -1])
@@ -59,7 +74,15 @@ def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
 
 
 def has_room(specimen: Specimen, ring: float) -> bool:
-    """Whether a circle lies inside a cross-section, so that cells fit in around it."""
+    """Whether a circle lies inside a cross-section, so that cells fit in around it.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        A surface never has room.
+    ring : float
+        Radius of the circle about the axis, mm; there is no room around one of 0.
+    """
     if isinstance(specimen, Cylinder):
         return 0 < ring < specimen.radius_mm * (1 - 1e-6)
     if isinstance(specimen, Block):
@@ -68,15 +91,26 @@ def has_room(specimen: Specimen, ring: float) -> bool:
 
 
 def around(field: SizeField) -> int:
-    """Ints on half the quarter circle, as large as those in the middle of the face.
+    """Cells on half the quarter circle, as large as those in the middle of the face.
 
     The solution hardly changes along the circle.
+
+    Parameters
+    ----------
+    field : SizeField
+        Its ``ring_mm`` and ``zone_mm`` count.
     """
     return max(2, int(np.ceil(np.pi / 4 * field.ring_mm / field.zone_mm - 1e-9)))
 
 
 def inward(field: SizeField) -> SizeField:
-    """Sizes from the edge to the middle block."""
+    """Sizes from the edge to the middle block.
+
+    Parameters
+    ----------
+    field : SizeField
+        Sizes outward of the edge.
+    """
     return replace(field, growth=INWARD * field.growth)
 
 

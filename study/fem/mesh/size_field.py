@@ -178,7 +178,12 @@ def size_callback(dim: int) -> CFunction:
     """C function of a mesh generator's size: it asks at tens of thousands of places.
 
     Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
-    of :meth:`SizeField.numbers`. In a plane x is the radius and y the height.
+    of :meth:`SizeField.numbers`.
+
+    Parameters
+    ----------
+    dim : {2, 3}
+        2 where x is the radius and y the height, 3 where the axis is z.
     """
     plane = dim == 2
 

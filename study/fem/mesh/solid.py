@@ -73,6 +73,11 @@ _UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 def surface_mesh(setup: Setup) -> Mesh:
     """Tetrahedra in a specimen given as a surface.
 
+    Parameters
+    ----------
+    setup : Setup
+        Specimen given as a surface, whose file is read.
+
     Raises
     ------
     InputError
@@ -93,7 +98,13 @@ def surface_mesh(setup: Setup) -> Mesh:
 
 
 def surface_mesh_size(setup: Setup) -> float:
-    """Element size in mm: everywhere in compression, under the indenter in indentation."""
+    """Element size in mm: everywhere in compression, under the indenter in indentation.
+
+    Parameters
+    ----------
+    setup : Setup
+        Specimen given as a surface, whose file is read.
+    """
     return _field(setup, _body_of(setup)).size_mm
 
 
@@ -101,6 +112,11 @@ def expected_unknowns(setup: Setup) -> float:
     """Unknowns that the mesh of a problem will have, from volume, surface and sizes alone.
 
     Right within a factor of 1.5, of 1.3 under an indenter; of 3 in a body thinner than elements.
+
+    Parameters
+    ----------
+    setup : Setup
+        Specimen given as a surface, whose file is read.
     """
     found = _body_of(setup)
     field = _field(setup, found)
@@ -273,6 +289,11 @@ def _check_volume(points: Array, cells: Ints, volume: float, size: float) -> Non
 
 def surface_faults(setup: Setup) -> list[Fault]:
     """Everything that speaks against a test of a specimen given as a surface.
+
+    Parameters
+    ----------
+    setup : Setup
+        Nothing speaks against one whose specimen is no surface.
 
     Raises
     ------

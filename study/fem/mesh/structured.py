@@ -24,7 +24,15 @@ GROWTH = 0.35
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
-    """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked."""
+    """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked.
+
+    Parameters
+    ----------
+    length, h : float
+        Length of the line, and of a step inside, mm.
+    towards_end : bool
+        Whether steps become smaller towards the end.
+    """
     if not towards_end:
         return np.linspace(0, length, max(1, round(length / h)) + 1)
     distance = np.linspace(0, length, 4001)
@@ -33,7 +41,15 @@ def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
 
 
 def points_by_density(s: Array, size: Callable[[Array], Array]) -> Array:
-    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral."""
+    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral.
+
+    Parameters
+    ----------
+    s : ndarray, shape (n,)
+        Ascending positions, mm, as dense as the integral needs.
+    size : callable
+        Positions (n,) to lengths of a step there (n,), mm; two steps are the least.
+    """
     density = 1 / size(s)
     count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
     n = max(2, int(np.ceil(count[-1] - 1e-9)))
@@ -43,7 +59,15 @@ def points_by_density(s: Array, size: Callable[[Array], Array]) -> Array:
 
 
 def line_by_size(length: float, size: Callable[[Array], Array], through: float = 0.0) -> Array:
-    """Points from 0 to ``length`` spaced by ``size(s)``, one of them at ``through``."""
+    """Points from 0 to ``length`` spaced by ``size(s)``, one of them at ``through``.
+
+    Parameters
+    ----------
+    length, size
+        As for :func:`counted`.
+    through : float
+        In mm; no such point is made where it is 0 or lies outside.
+    """
     if not 0.0 < through < length:
         return points_by_density(np.linspace(0, length, 4001), size)
     inner = points_by_density(np.linspace(0, through, 4001), size)
@@ -56,6 +80,11 @@ def line_from(length: float, size: Callable[[Array], Array]) -> Array:
 
     A whole number of steps is off by up to half a step; that is laid where the steps are
     many, with the square of their number, so that a series of sizes is alike at the start.
+
+    Parameters
+    ----------
+    length, size
+        As for :func:`counted`.
     """
     s, count = counted(length, size)
     return spread(s, count, max(2, round(float(count[-1]))))
@@ -64,7 +93,17 @@ def line_from(length: float, size: Callable[[Array], Array]) -> Array:
 def counted(
     length: float, size: Callable[[Array], Array], places: int = 8001
 ) -> tuple[Array, Array]:
-    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them."""
+    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them.
+
+    Parameters
+    ----------
+    length : float
+        In mm.
+    size : callable
+        Places (n,) to lengths of a step there (n,), mm.
+    places : int
+        Number of places, which lie closer next to 0.
+    """
     s = length * np.linspace(0.0, 1.0, places) ** 2  # sizes may jump next to the start
     density = 1 / size(s)
     return s, np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
@@ -74,6 +113,13 @@ def spread(s: Array, count: Array, n: int) -> Array:
     """Points of ``n`` steps, the first of which are as large as those that were counted.
 
     What there is to gain or to lose grows with the square of the steps, unless it is too much.
+
+    Parameters
+    ----------
+    s, count : ndarray, shape (places,)
+        From :func:`counted`.
+    n : int
+        One or more; there are ``n + 1`` points.
     """
     k, rest = np.arange(n + 1), count[-1] - n
     steps = k + rest * (k / n) ** 2 if -n / 4 <= rest <= n / 2 else k * count[-1] / n
@@ -83,7 +129,15 @@ def spread(s: Array, count: Array, n: int) -> Array:
 
 
 def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
-    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``."""
+    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``.
+
+    Parameters
+    ----------
+    length, size
+        As for :func:`counted`.
+    place : float
+        In mm, inside the line.
+    """
     inner = line_from(place, lambda s: size(place - s))
     outer = line_from(length - place, lambda s: size(place + s))
     return np.concatenate([place - inner[::-1], place + outer[1:]])
@@ -126,7 +180,15 @@ def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:
 
 
 def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Array:
-    """Heights of the layers, closer at bonded plates; of the upper half only where asked."""
+    """Heights of the layers, closer at bonded plates; of the upper half only where asked.
+
+    Parameters
+    ----------
+    height, h : float
+        Height of the whole specimen, and of a layer inside, mm.
+    half, top, base : bool
+        Whether the upper half alone is wanted, and whether each plate is bonded.
+    """
     if half:
         return height / 2 + graded_line(height / 2, h, towards_end=top)
     upper = height / 2 + graded_line(height / 2, h, towards_end=top)
@@ -135,14 +197,33 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 
 def equivalent_radius(specimen: Specimen) -> float:
-    """Radius of the circle with the specimen's cross-section area."""
+    """Radius of the circle with the specimen's cross-section area.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        A cylinder or a block; the radius is in mm.
+
+    Raises
+    ------
+    InputError
+        If it is a surface, whose cross-section is not the same everywhere.
+    """
     if isinstance(specimen, Enclosed):
         raise InputError("a surface has no one radius: take a cylinder or a block")
     return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
 
 
 def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:
-    """Grid of (r, z), each cell cut from its outer upper corner (the bonded one) inwards."""
+    """Grid of (r, z), each cell cut from its outer upper corner (the bonded one) inwards.
+
+    Parameters
+    ----------
+    r, z : ndarray, shape (nr,) and (nz,)
+        Ascending lines of the grid, mm; points are numbered row by row from the smallest z.
+    shape : {"simplex", "tensor"}
+        Two triangles a cell, or quadrilaterals that are not cut.
+    """
     nr, nz = r.size, z.size
     points = np.column_stack([np.tile(r, nz), np.repeat(z, nr)])
     corner = (np.arange(nz - 1)[:, None] * nr + np.arange(nr - 1)).ravel()
@@ -156,6 +237,17 @@ def cross_section(
     specimen: Specimen, h: float, graded: bool, shape: str, *, whole: bool = False
 ) -> tuple[Array, Ints]:
     """Triangles or quadrilaterals of the quarter cross-section (or the whole), closer at its rim.
+
+    Parameters
+    ----------
+    specimen : Cylinder or Block
+        Whose axis is at the origin.
+    h, graded : float and bool
+        Length of a step inside, mm, and whether steps become smaller towards the rim.
+    shape : {"simplex", "tensor"}
+        Triangles, or quadrilaterals.
+    whole : bool
+        Whether all four quarters are meshed; of a block alone.
 
     Raises
     ------
@@ -180,10 +272,17 @@ def _both_sides(line: Array) -> Array:
 
 
 def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
-    """Triangles of a quarter disc: ring k carries segments of about its own spacing.
+    """Triangles of a quarter disc: every ring carries segments about as long as ``h``.
 
     All radii are scaled so that the polygon has the exact area of the disc: straight
     sides would otherwise lose a factor sin(t)/t and look like an effect of the space.
+
+    Parameters
+    ----------
+    rings : ndarray, shape (n,)
+        Radii from 0 to that of the disc, mm.
+    h : float
+        In mm.
     """
     radius = rings[-1]
     last = max(4, int(np.ceil(np.pi / 2 * radius / h)))
@@ -270,7 +369,17 @@ def _stitch(inner: Ints, outer: Ints) -> list[tuple[int, int, int]]:
 
 
 def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
-    """Prisms (cut into three tetrahedra each) or hexahedra over a plane mesh."""
+    """Prisms (cut into three tetrahedra each) or hexahedra over a plane mesh.
+
+    Parameters
+    ----------
+    plane : ndarray, shape (n, 2)
+        Points of the plane mesh, mm.
+    faces : ndarray of int, shape (m, 3) or (m, 4)
+        Its triangles or quadrilaterals.
+    z : ndarray, shape (k,)
+        Ascending heights, mm; points are numbered layer by layer.
+    """
     n = len(plane)
     points = np.column_stack([np.tile(plane, (z.size, 1)), np.repeat(z, n)])
     shift = n * np.arange(z.size - 1)[:, None, None]

@@ -83,7 +83,7 @@ def _cell(x: float, origin: float, step: float, n: int) -> tuple[int, float]:
 
 @functools.cache
 def table_callback() -> CFunction:
-    """C function of a size table, with the arguments of :func:`.sizes.size_callback`."""
+    """C function of a size table, called as that of :func:`.size_field.size_callback` is."""
 
     @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
     def size(
@@ -108,7 +108,17 @@ def table_callback() -> CFunction:
 
 
 def graded_table(found: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:
-    """Sizes in a body whose faces are bonded at some heights."""
+    """Sizes in a body whose faces are bonded at some heights.
+
+    Parameters
+    ----------
+    found : Body
+        In mm.
+    size_mm : float
+        Size of a cell far from plates and sides.
+    plates : tuple of float
+        Heights of the bonded faces, mm, one or more.
+    """
     low, high = found.points.min(axis=0), found.points.max(axis=0)
     step = max(size_mm / _PER_ELEMENT, float((high - low).max()) / _MOST)
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]
@@ -125,6 +135,11 @@ def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> fl
 
     At a distance s from the side, a prism of volume V and lateral area A has the part
     (1 - s A / 2V)^2 of its cross-section left.
+
+    Parameters
+    ----------
+    found, size_mm, plates
+        As for :func:`graded_table`.
     """
     height = found.height_mm
     z = np.unique(np.concatenate([np.abs(p - _away(height)) for p in (0.0, height)]))
@@ -136,7 +151,13 @@ def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> fl
 
 
 def size_at_plates(found: Body, size_mm: float) -> float:
-    """Size that gmsh is told at a bonded plate, far from its rim."""
+    """Size that gmsh is told at a bonded plate, far from its rim.
+
+    Parameters
+    ----------
+    found, size_mm
+        As for :func:`graded_table`; the size returned is in mm too.
+    """
     return float(_told(found, size_mm) * size_mm * np.cbrt(CORNER_FRACTION))
 
 

@@ -50,7 +50,13 @@ class LoadedState:
 
 
 def unexplained_work(before: LoadedState, after: LoadedState) -> float:
-    """Work between two states, interpolated, less the energy stored meanwhile, N mm."""
+    """Work between two states, interpolated, less the energy stored meanwhile, N mm.
+
+    Parameters
+    ----------
+    before, after : LoadedState
+        Earlier and later state of one run.
+    """
     work = hermite_work(
         np.array([before.displacement_mm, after.displacement_mm]),
         np.array([before.force_N, after.force_N]),
@@ -66,6 +72,8 @@ def jumped(
 
     Parameters
     ----------
+    before, after : LoadedState
+        Earlier and later state of one run.
     whole_mm : float
         Displacement of the whole test.
     share : float
@@ -127,6 +135,15 @@ def balanced(
     The work is what the specimen stores, but where it jumped: there it is interpolated. A jump
     that is known counts however little energy was lost in it: as a missing work it would bend
     the curve of a short interval by more than the whole change of force.
+
+    Parameters
+    ----------
+    states : list of LoadedState
+        In the order in which they were reached.
+    jumps_mm : tuple of float
+        Displacements from which the specimen is known to have jumped.
+    whole_mm, share
+        As for :func:`jumped`.
     """
     if not states:
         return EnergyBalance(np.zeros(0), np.zeros(0), np.zeros(0)), np.zeros(0)

@@ -69,7 +69,13 @@ class StoredEnergy(NamedTuple):
 
 
 def without_shear(material: Material) -> Law:
-    """Law of the same kind whose isochoric stress vanishes."""
+    """Law of the same kind whose isochoric stress vanishes.
+
+    Parameters
+    ----------
+    material : Material
+        With numbers; the law keeps its kind and the shape of its constants.
+    """
     law = material.law()
     return Law(law.kind, np.zeros_like(law.constants))
 
@@ -101,7 +107,15 @@ def split_bulk(bulk: float, bound: float) -> BulkSplit:
 
 
 def split_bulk_rate(bulk: float, bound: float, bulk_rate: float, bound_rate: float) -> BulkSplit:
-    """Rates of :func:`split_bulk` where K and B have rates."""
+    """Rates of :func:`split_bulk` where K and B have rates.
+
+    Parameters
+    ----------
+    bulk, bound
+        As for :func:`split_bulk`.
+    bulk_rate, bound_rate : float
+        Derivatives of K and B by one constant: MPa over its unit.
+    """
     if not np.isfinite(bulk):
         return BulkSplit(bound_rate, 0.0)
     ratio = bound / bulk

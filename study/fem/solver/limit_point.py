@@ -58,8 +58,12 @@ def solve_through(
 
     Parameters
     ----------
+    system : System
+        Without a drag of its own.
     guess, lifted_from : State
         As in :func:`study.fem.solver.newton.solve_step`.
+    settings : NewtonSettings
+        Of the last solve, which is without a drag; those that lead to it are rougher.
     """
     weights = _weights(system, lifted_from or guess)
     rough = replace(
@@ -128,6 +132,8 @@ def gives_way(system: System, first: State, last: State) -> str:
 
     Parameters
     ----------
+    system : System
+        Of both states; its tangent is overwritten.
     first, last : State
         Converged states, near the start of a run and at its end.
     """
@@ -142,7 +148,20 @@ def gives_way(system: System, first: State, last: State) -> str:
 
 
 def smallest_stiffness(system: System, state: State) -> float:
-    """Force over motion, in the norm of all nodes, of the way that costs least; 0 if singular."""
+    """Force over motion, in the norm of all nodes, of the way that costs least; 0 if singular.
+
+    Parameters
+    ----------
+    system : System
+        Its tangent is assembled and factorized here.
+    state : State
+        Converged.
+
+    Returns
+    -------
+    float
+        In N/mm, of the part of the specimen that is modelled.
+    """
     system.assemble(state)
     free = system.pattern.free
     moves = free < system.space.n_displacement
@@ -167,6 +186,13 @@ def lost_ellipticity(system: System, state: State) -> str:
 
     The place that is said is the one furthest beyond, among the points of quadrature that are
     stretched most.
+
+    Parameters
+    ----------
+    system : System
+        Its material is judged.
+    state : State
+        Converged.
     """
     if always_elliptic(system.material):
         return ""

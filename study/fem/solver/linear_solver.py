@@ -63,10 +63,14 @@ def pardiso_available() -> bool:
 def make_solver(
     pattern: Pattern, name: str = "auto", *, plane: bool = False, corrected: bool = False
 ) -> LinearSolver:
-    """Return a solver for a pattern: ``auto``, ``pardiso`` or ``superlu``.
+    """Return a solver for a pattern.
 
-    ``plane`` says that it comes from a mesh in two dimensions: another ordering pays there.
-    ``corrected`` says that solutions need not be exact: see :class:`LinearSolver`.
+    Parameters
+    ----------
+    pattern, plane, corrected
+        As for :class:`Pardiso`; SuperLU looks at the pattern alone.
+    name : {"auto", "pardiso", "superlu"}
+        ``auto`` takes PARDISO where it is installed.
     """
     if name == "superlu" or (name == "auto" and not pardiso_available()):
         return SuperLU(pattern)
@@ -237,17 +241,14 @@ class Pardiso:
     Large systems are factorized in single precision where the caller corrects what that leaves:
     half the time and half the memory. Pivots that would have to be perturbed there bring back
     double precision.
-
     MKL is called without pypardiso's own call, which copies the pattern every time.
 
     Parameters
     ----------
     pattern : Pattern
         Upper triangle of the matrices.
-    plane : bool
-        Whether it comes from a mesh in two dimensions.
-    corrected : bool
-        Whether solutions need not be exact.
+    plane, corrected : bool
+        Whether the mesh is plane, where another ordering pays; whether solutions need not be exact.
     """
 
     name = "pardiso"

@@ -98,8 +98,12 @@ def solve_step(
 
     Parameters
     ----------
+    system : System
+        Its tangent is overwritten.
     guess : State
         Start of the iteration; its constrained unknowns already have their values.
+    settings : NewtonSettings
+        When to stop.
     lifted_from : State, optional
         Start here instead: the first solve puts the prescribed increment on the right-hand
         side, so that the jump at the plate spreads through the specimen at once.

@@ -154,6 +154,17 @@ def fgmres(
 
     Saad (1993), SIAM J. Sci. Comput. 14, 461, algorithm 2.2, without restarts.
 
+    Parameters
+    ----------
+    product, precondition : callable
+        Matrix times a vector, and an approximate solve with it, (n,) to (n,).
+    b : ndarray, shape (n,)
+        Right-hand side.
+    tolerance : float
+        On the norm of the residual over that of ``b``.
+    most : int
+        Iterations, each of one product and one approximate solve.
+
     Returns
     -------
     x : ndarray or None

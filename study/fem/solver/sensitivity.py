@@ -119,6 +119,12 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
 
     Parameters
     ----------
+    system : System
+        With the tangent of the converged state, assembled last.
+    assembly : Assembly
+        Of this state.
+    loads : Loads
+        A column for each cause, all of which are solved for.
     tolerance : float
         On each residual over the forces that it balances: those of the loads, or those of the
         closed contact points. The springs of the contact are stiffer than the specimen by
@@ -231,7 +237,19 @@ class StepGradients:
 def step_gradients(
     system: System, state: State, assembly: Assembly, *, wanted: tuple[str, ...]
 ) -> StepGradients:
-    """Force, tangent stiffness and derivatives at a converged state just assembled."""
+    """Force, tangent stiffness and derivatives at a converged state just assembled.
+
+    Parameters
+    ----------
+    system : System
+        With the tangent of the state, assembled last.
+    state : State
+        Converged.
+    assembly : Assembly
+        Of this state.
+    wanted : tuple of str
+        Constants of the material by which is differentiated; may be empty.
+    """
     loads = _loads(system, state, assembly, wanted)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)

@@ -98,7 +98,17 @@ class Solution:
 
 
 def without_answer(problem: Problem, status: str, message: str, seconds: float) -> Solution:
-    """Solution of a problem that never came to its first step."""
+    """Solution of a problem that never came to its first step.
+
+    Parameters
+    ----------
+    problem : Problem
+        That was to be solved.
+    status, message : str
+        As in :class:`Solution`.
+    seconds : float
+        Wall time that was spent.
+    """
     empty, none = np.zeros(0), np.zeros((0, 3))
     return Solution(
         status=status,

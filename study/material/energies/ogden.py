@@ -169,7 +169,13 @@ class Ogden(OgdenSeries, IsochoricEnergy):
 
 
 def ogden_terms(constants: Constants) -> tuple[Array, Array]:
-    """Moduli mu_i (MPa) and exponents alpha_i, each shape (n,), of constants in order."""
+    """Moduli mu_i (MPa) and exponents alpha_i, each shape (n,), of constants in order.
+
+    Parameters
+    ----------
+    constants : mapping of str to float
+        mu1, alpha1, mu2, alpha2, ...: their order counts, not their names.
+    """
     values = np.array(list(constants.values()))
     return values[0::2].copy(), values[1::2].copy()
 

@@ -285,6 +285,16 @@ class Polynomial(PolynomialEnergy):
 def index_pair(name: str) -> tuple[int, int]:
     """Powers (i, j) of a constant C_ij; the last digit is j.
 
+    Parameters
+    ----------
+    name : str
+        Such as ``C20``.
+
+    Raises
+    ------
+    InputError
+        If it is no such name, or ``C00``, which would have no stress.
+
     Examples
     --------
     >>> index_pair("C20"), index_pair("C01")
@@ -297,7 +307,13 @@ def index_pair(name: str) -> tuple[int, int]:
 
 
 def coefficient_table(constants: Constants) -> Array:
-    """Coefficients C_ij in MPa, shape (ni + 1, nj + 1)."""
+    """Coefficients C_ij in MPa, shape (ni + 1, nj + 1).
+
+    Parameters
+    ----------
+    constants : mapping of str to float
+        C_ij by name, one or more; those left out are zero.
+    """
     pairs = {name: index_pair(name) for name in constants}
     table = np.zeros((1 + max(i for i, _ in pairs.values()), 1 + max(j for _, j in pairs.values())))
     for name, pair in pairs.items():
