@@ -63,11 +63,6 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
     overrides : sequence of str
         ``key=value`` each, laid over the file before it is validated.
 
-    Returns
-    -------
-    Design
-        The validated study.
-
     Raises
     ------
     InputError
@@ -77,7 +72,13 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
 
 
 def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
-    """Load a design from a text, or from the bytes of a file; see :func:`load`."""
+    """Load a design from a text, or from the bytes of a file; see :func:`load`.
+
+    Parameters
+    ----------
+    text, source, overrides
+        TOML, the name of its file for messages, and overrides as of :func:`load`.
+    """
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(DesignFile, tables, source)
@@ -114,15 +115,15 @@ def dump(design: Design) -> str:
 def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     """Load a problem for one forward simulation.
 
+    Parameters
+    ----------
+    path, overrides
+        As of :func:`load`, with the same InputError.
+
     Returns
     -------
     dict
         ``specimen``, ``test``, ``material``, ``model`` in internal units, and ``converge``.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
     """
     return loads_problem(toml_document.read_text(path), str(path), overrides)
 
@@ -153,17 +154,17 @@ def loads_problem(
 def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     """Load a calibration.
 
+    Parameters
+    ----------
+    path, overrides
+        As of :func:`load`, with the same InputError.
+
     Returns
     -------
     dict
         ``name``, ``specimen``, ``model``, ``material``, ``calibration`` (``specimens``,
         ``leave_out`` and ``bounds``, of the constants in MPa) and ``tests``: a list of ``role``,
         ``test``, ``measurements`` (:class:`MeasurementSpec`), ``weight``, ``specimen``, ``model``.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
     """
     return loads_calibration(toml_document.read_text(path), str(path), overrides)
 
@@ -214,10 +215,10 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"`` or ``"problem"``.
 
-    Raises
-    ------
-    InputError
-        If it is no TOML.
+    Parameters
+    ----------
+    path : str or Path
+        TOML file; anything else raises InputError.
     """
     return _kind(toml_document.parse_toml(toml_document.read_text(path), str(path)))
 

@@ -220,8 +220,8 @@ def relative_path(value: object) -> str:
     Raises
     ------
     Bad
-        If it is no text, is blank or absolute, begins with ``~``, climbs with ``..``, has more than 500
-        characters, or holds one that cannot be seen.
+        If it is no text, is blank or absolute, begins with ``~``, climbs with ``..``, has more than
+        500 characters, or holds one that cannot be seen.
     """
     if not isinstance(value, str) or not value.strip():
         raise Bad(f"must be a path, got {shown(value)}")
