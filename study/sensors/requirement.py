@@ -239,7 +239,7 @@ def document(found: SensorRequirement) -> dict[str, object]:
     Parameters
     ----------
     found : SensorRequirement
-        What is not finite becomes None where an error may have any size, or none.
+        An allowed error that is infinite (any size) or NaN (none) becomes None.
     """
     sources = found.propagation.sources
     return {
