@@ -26,7 +26,9 @@ def fraction(value: object) -> float:
     Raises
     ------
     Bad
-        If it is outside, or is no number.
+        If it is outside, or neither a number nor a text.
+    UnitError
+        If it is a text that is no percentage.
     """
     if isinstance(value, str):
         share = units.parse_percent(value) / 100
