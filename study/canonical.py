@@ -32,6 +32,11 @@ def plain(value: object) -> Json: ...
 def plain(value: object) -> Json:
     """Value made of JSON types alone; a number that is not finite becomes None.
 
+    Parameters
+    ----------
+    value
+        Mappings, lists, tuples, arrays, dataclasses and what JSON holds, nested at will.
+
     Raises
     ------
     TypeError
@@ -61,6 +66,12 @@ def _plain(value: object) -> Json:
 def canonical(value: object) -> Json:
     """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same.
 
+    Parameters
+    ----------
+    value
+        Mappings, lists, tuples, arrays and what JSON holds, nested at will; a mapping loses its
+        key ``path``.
+
     Raises
     ------
     TypeError
@@ -86,6 +97,13 @@ def canonical(value: object) -> Json:
 
 def digest(value: object, length: int = 64) -> str:
     """Hex sha256 of the canonical JSON of a value.
+
+    Parameters
+    ----------
+    value
+        As :func:`canonical` takes it; infinity and nan raise ValueError.
+    length : int
+        Number of hex digits, 64 at most.
 
     Examples
     --------

@@ -58,6 +58,11 @@ def only_process(work: str) -> Iterator[None]:
 
     Each work has a byte of one file, which the operating system locks for a process and frees
     when that process ends. Where a folder cannot be written or locked, work is done twice.
+
+    Parameters
+    ----------
+    work : str
+        Name of the work, the same in every process that does it.
     """
     handle = _lock_file()
     place = int.from_bytes(hashlib.sha256(work.encode()).digest()[:6], "big")
@@ -96,7 +101,13 @@ def _lock_file() -> int | None:
 
 
 def kernel(**options: Any) -> Callable[[_Function], _Function]:
-    """Decorate a function to be compiled on first use and kept on disk; options are numba's."""
+    """Decorate a function to be compiled on first use and kept on disk.
+
+    Parameters
+    ----------
+    **options
+        Those of :func:`numba.njit`, without ``cache``.
+    """
     decorate = _kept_on_disk(functools.partial(numba.njit, **options))
 
     def decorated(function: _Function) -> _Function:
@@ -162,6 +173,11 @@ def callback(signature: str) -> Callable[[_Function], Any]:
     """Decorate a function that a C library calls; its ``ctypes`` is what to hand over.
 
     It is compiled or found on disk at once, so decorate it where it is first needed.
+
+    Parameters
+    ----------
+    signature : str
+        As of :func:`numba.cfunc`: the types of the result and of the arguments.
     """
     return _kept_on_disk(functools.partial(numba.cfunc, signature))
 
@@ -175,6 +191,11 @@ def part(**options: Any) -> Callable[[_Function], _Function]:
     It may take memory from its caller and none of its own: references to arrays are then not
     counted, which took two thirds of the time of an axisymmetric assembly. Numba refuses to
     compile a part that allocates.
+
+    Parameters
+    ----------
+    **options
+        Those of :func:`kernel`, without ``forceinline`` and ``_nrt``.
     """
     return kernel(forceinline=True, _nrt=False, **options)
 
@@ -184,9 +205,16 @@ _AWAKE_MS = 1
 
 
 def smallest(phases: Sequence[Sequence[Elements]], loop: Callable[[Elements], float]) -> float:
-    """Smallest result of ``loop`` over all parts: those of a phase at once, phases in turn.
+    """Smallest result of a loop over all parts: those of a phase at once, phases in turn.
 
     The first share of a phase is done here, every other in a thread.
+
+    Parameters
+    ----------
+    phases : sequence of sequence of ndarray of uint32
+        Numbers of the elements of each part; parts of one phase share no unknown.
+    loop : callable
+        Takes the elements of a part, returns a number.
     """
     found = []
     for parts in phases:

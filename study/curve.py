@@ -344,7 +344,19 @@ class Curve:
 
 
 def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
-    """Integral of the cubic Hermite polynomial of every interval, shape (n - 1,).
+    """Integral of the cubic Hermite polynomial of every interval.
+
+    Parameters
+    ----------
+    knots : ndarray, shape (n,)
+        Displacements, rising, mm.
+    force, slope : ndarray, shape (n,)
+        Force in N and its derivative in N/mm at the knots.
+
+    Returns
+    -------
+    ndarray, shape (n - 1,)
+        Work in N mm.
 
     Examples
     --------

@@ -96,6 +96,13 @@ class SchedulerLostError(StudyError):
 def nearest(name: str, valid: Iterable[str]) -> str:
     """Sentence naming the valid name nearest to ``name``.
 
+    Parameters
+    ----------
+    name : str
+        The wrong one; empty for a sentence that lists the valid ones alone.
+    valid : iterable of str
+        Names that are allowed, in the order in which they are listed.
+
     Examples
     --------
     >>> nearest("hieght", ["height", "radius"])

@@ -183,7 +183,15 @@ def parse_csv(
     source: str = "<text>",
     declared_by: str = MEASURED_COMMA,
 ) -> CsvTable:
-    """Parse the text of a CSV file; see :func:`read_csv`."""
+    """Parse the text of a CSV file; see :func:`read_csv`.
+
+    Parameters
+    ----------
+    text, source : str
+        Decoded content, with any ends of lines, and the name of its file in messages.
+    required, numbers, decimal, declared_by
+        As of :func:`read_csv`, and the same InputError; ``decimal`` itself is not checked.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
     _check_shape(lines, source)
@@ -214,12 +222,24 @@ def _changes(old: Sequence[str], new: Sequence[str]) -> int:
 
 
 def is_formula(text: str) -> bool:
-    """Whether a spreadsheet would run this text as a formula (CWE-1236); numbers are safe."""
+    """Whether a spreadsheet would run this text as a formula (CWE-1236); numbers are safe.
+
+    Parameters
+    ----------
+    text : str
+        Cell, label or name; spaces before it are passed over.
+    """
     return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text) is None
 
 
 def label_fault(label: str) -> str:
-    """Rule that a label of a test breaks; empty if it may stand in tables and reports."""
+    """Rule that a label of a test breaks; empty if it may stand in tables and reports.
+
+    Parameters
+    ----------
+    label : str
+        As written, without spaces around it.
+    """
     if not label:
         return "the label is empty"
     if len(label) > MAX_LABEL:

@@ -15,10 +15,17 @@ MAX_BYTES = 256_000_000
 def read_bytes(path: Path, source: str) -> bytes:
     """Read a file as it lies on the disk.
 
+    Parameters
+    ----------
+    path : Path
+        File of at most :data:`MAX_BYTES` bytes.
+    source : str
+        Name of the file in messages.
+
     Raises
     ------
     InputError
-        If it cannot be read or is too large; the message calls it by ``source``.
+        If it cannot be read or is too large.
     """
     try:
         size = path.stat().st_size
@@ -31,6 +38,13 @@ def read_bytes(path: Path, source: str) -> bytes:
 
 def unzipped(raw: bytes, source: str) -> bytes:
     """Unpack the content of a file if it is gzip.
+
+    Parameters
+    ----------
+    raw : bytes
+        Returned as it is where it does not begin as gzip does.
+    source : str
+        Name of the file in messages.
 
     Raises
     ------
@@ -53,6 +67,13 @@ def unzipped(raw: bytes, source: str) -> bytes:
 
 def decoded(data: bytes, source: str) -> str:
     """Decode UTF-8, with or without a byte order mark.
+
+    Parameters
+    ----------
+    data : bytes
+        Unpacked; a NUL character is refused.
+    source : str
+        Name of the file in messages.
 
     Raises
     ------
@@ -79,7 +100,15 @@ def decoded(data: bytes, source: str) -> str:
 
 
 def too_large_fault(source: str, size: int) -> Fault:
-    """Say that a file is too large."""
+    """Say that a file is too large.
+
+    Parameters
+    ----------
+    source : str
+        Name of the file in messages.
+    size : int
+        Bytes that it holds; those that were read where it is packed.
+    """
     return Fault(
         source,
         f"holds more than {MAX_BYTES // 10**6} MB ({size} bytes)",

@@ -21,7 +21,13 @@ MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
 
 
 def names_of(block: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Names of the blocks: none, one or several."""
+    """Names of the blocks: none, one or several.
+
+    Parameters
+    ----------
+    block : str, sequence of str or None
+        Column or columns of the blocks; None for none.
+    """
     if block is None:
         return ()
     return (block,) if isinstance(block, str) else tuple(str(name) for name in block)

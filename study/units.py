@@ -147,6 +147,13 @@ def parse(text: object, dimension: str) -> float:
 def unit_factor(unit: str, dimension: str) -> float:
     """Return how many internal units one ``unit`` is.
 
+    Parameters
+    ----------
+    unit : str
+        Such as ``"cm"``; a product or quotient of units too, such as ``"N/mm"``.
+    dimension : str
+        One of :data:`INTERNAL`.
+
     Raises
     ------
     UnitError
@@ -162,6 +169,11 @@ def unit_factor(unit: str, dimension: str) -> float:
 
 def parse_percent(text: str) -> float:
     """Percentage in a text such as ``"1 %"``, in percent.
+
+    Parameters
+    ----------
+    text : str
+        A number and the percent sign, with or without a space between.
 
     Raises
     ------
@@ -182,6 +194,11 @@ def parse_percent(text: str) -> float:
 def split(text: str) -> tuple[float, str]:
     """Separate number and unit of a text; the unit stays as written.
 
+    Parameters
+    ----------
+    text : str
+        A number and what follows it, which may be of several words.
+
     Raises
     ------
     UnitError
@@ -201,6 +218,11 @@ def split(text: str) -> tuple[float, str]:
 def parse_number(text: str) -> float:
     """Finite plain number in a text, by the strict grammar.
 
+    Parameters
+    ----------
+    text : str
+        Without spaces around it.
+
     Raises
     ------
     UnitError
@@ -219,6 +241,13 @@ def parse_number(text: str) -> float:
 def format_value(value: float, dimension: str) -> str:
     """Text with the internal unit, which :func:`parse` reads back exactly.
 
+    Parameters
+    ----------
+    value : float
+        In the internal unit.
+    dimension : str
+        One of :data:`INTERNAL`.
+
     Examples
     --------
     >>> format_value(25.0, "length")
@@ -230,6 +259,13 @@ def format_value(value: float, dimension: str) -> str:
 
 def to_display(value: float, unit: str) -> tuple[float, str]:
     """Value and unit as people read them: MPa become kPa, others stay.
+
+    Parameters
+    ----------
+    value : float
+        In ``unit``.
+    unit : str
+        An internal unit, or any other, with which the value stays as it is.
 
     Examples
     --------

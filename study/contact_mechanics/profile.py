@@ -77,7 +77,18 @@ def _rounded_edge(flat: Flat, t: Array) -> Array:
 
 
 def contact_range(indenter: Indenter) -> tuple[float, float]:
-    """Contact radius at first touch and the largest one that the profile has, mm."""
+    """Contact radius at first touch and the largest one that the profile has, mm.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        What is pressed in.
+
+    Returns
+    -------
+    (first, largest) : float
+        The largest is infinite for a cone without a shaft.
+    """
     if isinstance(indenter, Sphere):
         return 0.0, NEARLY * indenter.radius_mm
     if isinstance(indenter, Cone):

@@ -115,7 +115,13 @@ def _column(layer: Layer, law: ForceLaw, area_mm2: float) -> Limit:
 
 
 def caution(indenter: Indenter) -> str:
-    """Say what no depth mends; empty where nothing is wrong."""
+    """Say what no depth mends; empty where nothing is wrong.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        What is pressed in; a cone of less than 75 deg, measured from its axis, gets a caution.
+    """
     if isinstance(indenter, Cone) and indenter.half_angle_deg < 75:
         return (
             f"a cone of {indenter.half_angle_deg:g} deg strains by the same amount at any depth: a "

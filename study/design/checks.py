@@ -16,7 +16,17 @@ MAX_FAULTS = 100
 
 
 def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
-    """Check every cell that is not left out; a fault of a level is told where it is written."""
+    """Check every cell that is not left out; a fault of a level is told where it is written.
+
+    Parameters
+    ----------
+    design : Design
+        As read, its cells not yet checked.
+    presets : mapping of str to mapping
+        Dotted keys of every level, by set and label.
+    faults : Faults
+        Where faults go.
+    """
     count, cells = 0, []
     found: dict[Fault, list[str]] = {}
     for one, levels in design.combinations():
@@ -150,7 +160,17 @@ _NO_CONSTANT = (*SCORED, *MARKED, "seconds")
 
 
 def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
-    """Check that every cell has what its replicates vary."""
+    """Check that every cell has what its replicates vary.
+
+    Parameters
+    ----------
+    design : Design
+        With its ``[replicates]`` and ``analysis.error``.
+    cells : sequence of Cell
+        All that are not left out, each resolved without a fault.
+    faults : Faults
+        Where faults go.
+    """
     asked = design.replicates.noise or design.replicates.mesh_seeds
     if design.analysis.error == "replicates" and not asked:
         rule = "is the scatter of replicates, and the design asks for none"
@@ -181,6 +201,11 @@ def _check_noise(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
 
 def is_constant(response: str) -> bool:
     """Whether a response is a constant or mu0, which a fit gives without a prediction.
+
+    Parameters
+    ----------
+    response : str
+        Name of a response that exists.
 
     Examples
     --------

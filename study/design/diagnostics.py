@@ -164,7 +164,18 @@ def noted(
 
 
 def one_of(names: Iterable[str]) -> Callable[[object], str]:
-    """Reader of the word that says which section a table is."""
+    """Reader of the word that says which section a table is.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Words that are allowed.
+
+    Returns
+    -------
+    callable
+        Raw value to the word; raises :class:`Bad` for anything else.
+    """
     known = tuple(names)
 
     def read(value: object) -> str:
@@ -178,12 +189,26 @@ def one_of(names: Iterable[str]) -> Callable[[object], str]:
 
 
 def is_known(*values: object) -> bool:
-    """Whether all values of sections that may be faulty could be read."""
+    """Whether all values of sections that may be faulty could be read.
+
+    Parameters
+    ----------
+    *values
+        As :func:`read_table` leaves them: None for a faulty one.
+    """
     return not any(value is None for value in values)
 
 
 def with_values(section: Kind, **values: object) -> Kind:
-    """Copy of a section that may be faulty with other values, which nobody checks again."""
+    """Copy of a section that may be faulty with other values, which nobody checks again.
+
+    Parameters
+    ----------
+    section
+        Instance of a class made by :func:`study.setup.section.section`.
+    **values
+        New values in internal units, by the names of the fields; an unknown name is ignored.
+    """
     kind = type(section)
     made = object.__new__(kind)
     for key in keys_of(kind):

@@ -30,6 +30,11 @@ def presets_from(table: object, faults: Faults) -> Presets:
     """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
 
     A set named like a table of the file is laid over that table.
+
+    Parameters
+    ----------
+    table, faults
+        As written, or None; where faults go. A faulty name leaves out its set or level.
     """
     presets: dict[str, dict[str, Table]] = {}
     for set_name, levels in entries(table, "presets", faults).items():
@@ -69,7 +74,13 @@ def _readable(value: str, where: str, faults: Faults) -> bool:
 
 
 def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
-    """Read ``[factors]`` (dotted keys already joined) with the levels of every factor."""
+    """Read ``[factors]`` with the levels of every factor; a faulty factor is left out.
+
+    Parameters
+    ----------
+    table, presets, faults
+        As written with dotted keys joined, or None; of :func:`presets_from`; where faults go.
+    """
     written = entries(table, "factors", faults)
     if not written:
         faults.add("factors", "is missing", 'for example model.space = ["axisymmetric", "3d"]')
@@ -132,6 +143,11 @@ def _level(key: str, raw: object, presets: Presets, where: str, faults: Faults) 
 
 def level_label(raw: object) -> str:
     """Label of a level's value: ``"1"``, ``1`` and ``1.0`` have the same.
+
+    Parameters
+    ----------
+    raw
+        Text, number, boolean, or a list of 1 to 9 of them; anything else raises :class:`Bad`.
 
     Examples
     --------
@@ -227,10 +243,10 @@ def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
 def known_level(raw: object, factor: Factor) -> str:
     """Label of a level, which the factor must have.
 
-    Raises
-    ------
-    Bad
-        If it has no such level.
+    Parameters
+    ----------
+    raw, factor
+        As of :func:`level_label`; a factor without this level raises :class:`Bad`.
     """
     label = level_label(raw)
     if label not in factor.labels:
@@ -246,6 +262,11 @@ _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
 def grouped(table: Table) -> dict[str, object]:
     """Join the keys of a range, which joining dotted keys took apart, to ``KEY``.
+
+    Parameters
+    ----------
+    table : mapping
+        Dotted keys joined; those that end in ``.low``, ``.high`` or ``.scale`` are of a range.
 
     Examples
     --------
@@ -266,6 +287,11 @@ def grouped(table: Table) -> dict[str, object]:
 
 def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     """Copy of a table with a key set, in the place of its old value or of the parts of a range.
+
+    Parameters
+    ----------
+    table, key, value
+        Dotted keys joined; the key to set, last where it is new; and its raw value.
 
     Examples
     --------
@@ -327,6 +353,11 @@ def _end(raw: object, dimension: str) -> tuple[float, str]:
 def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...]:
     """Levels at shares of a range, 0 its low and 1 its high end, in as few digits as tell them.
 
+    Parameters
+    ----------
+    key, span, shares
+        Dotted key of the factor, its range, and one share a level (of the ratio with ``log``).
+
     Examples
     --------
     >>> [level.label for level in levels_at("a", Span(1.0, 2.0, "mm"), [0, 1 / 3, 1])]
@@ -355,7 +386,13 @@ def _range_level(key: str, text: str, unit: str) -> Level:
 
 
 def settings_of(factor: Factor) -> dict[str, float]:
-    """Read the setting of every label of a range, in the unit of its span."""
+    """Read the setting of every label of a range, in the unit of its span.
+
+    Parameters
+    ----------
+    factor : Factor
+        With a span, and named by the dotted key that its levels set.
+    """
     settings = {level.label: level.settings[factor.name] for level in factor.levels}
     return {
         label: split(value)[0] if isinstance(value, str) else float(str(value))

@@ -60,11 +60,6 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
     overrides : sequence of str
         ``key=value`` each, laid over the file before it is validated.
 
-    Returns
-    -------
-    Design
-        The validated study.
-
     Raises
     ------
     InputError
@@ -74,7 +69,13 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
 
 
 def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
-    """Load a design from a text, or from the bytes of a file; see :func:`load`."""
+    """Load a design from a text, or from the bytes of a file; see :func:`load`.
+
+    Parameters
+    ----------
+    text, source, overrides
+        TOML, the name of its file for messages, and overrides as of :func:`load`.
+    """
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(DesignFile, tables, source)
@@ -111,15 +112,15 @@ def dump(design: Design) -> str:
 def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
     """Load a problem for one forward simulation.
 
+    Parameters
+    ----------
+    path, overrides
+        As of :func:`load`, with the same InputError.
+
     Returns
     -------
     dict
         ``specimen``, ``test``, ``material``, ``model`` in internal units, and ``converge``.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
     """
     return loads_problem(toml_document.read_text(path), str(path), overrides)
 
@@ -150,15 +151,15 @@ def loads_problem(
 def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> CalibrationDesign:
     """Load a calibration.
 
+    Parameters
+    ----------
+    path, overrides
+        As of :func:`load`, with the same InputError.
+
     Returns
     -------
     CalibrationDesign
         Its measured tests, and how the constants are to be found.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
     """
     return loads_calibration(toml_document.read_text(path), str(path), overrides)
 
@@ -178,10 +179,10 @@ def loads_calibration(
 def file_kind(path: str | Path) -> str:
     """Kind of a file: ``"design"``, ``"calibration"`` or ``"problem"``.
 
-    Raises
-    ------
-    InputError
-        If it is no TOML.
+    Parameters
+    ----------
+    path : str or Path
+        TOML file; anything else raises InputError.
     """
     return _kind(toml_document.parse_toml(toml_document.read_text(path), str(path)))
 

@@ -105,6 +105,12 @@ _DIMENSIONS = {
 def may_vary(key: str) -> bool:
     """Whether a dotted key may be a factor or stand in a preset.
 
+    Parameters
+    ----------
+    key : str
+        Dotted key; that of a table which may replace another, such as ``calibration.problem.``,
+        counts without this prefix.
+
     Examples
     --------
     >>> may_vary("model.space"), may_vary("material.C30"), may_vary("model.spce")
@@ -116,7 +122,18 @@ def may_vary(key: str) -> bool:
 
 
 def suggestion(key: str) -> str:
-    """Nearest dotted keys to a wrong one."""
+    """Nearest dotted keys to a wrong one.
+
+    Parameters
+    ----------
+    key : str
+        The wrong one, dotted.
+
+    Returns
+    -------
+    str
+        Sentence that lists the keys of the same table, or all where there is no such table.
+    """
     table = key.partition(".")[0]
     same = [k for k in VARYING if k.startswith(f"{table}.")]
     return nearest(key[:MAX_NAME], same or VARYING)
@@ -124,6 +141,11 @@ def suggestion(key: str) -> str:
 
 def dimension(key: str) -> str | None:
     """Dimension of a dotted key, ``"number"`` for a plain one, None where it has no value.
+
+    Parameters
+    ----------
+    key : str
+        Dotted, without a preset or factor before it.
 
     Examples
     --------

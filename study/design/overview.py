@@ -35,23 +35,46 @@ def equivalent_groups(design: Design) -> Groups:
 
     In compression with both faces frictionless the deformation is the same everywhere, so
     that space, order, mesh and element shape cannot matter: those cells are controls.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
     """
     return _grouped(design.treatments, _physical)
 
 
 def duplicates(design: Design) -> Groups:
-    """Find groups of two or more cells with different labels and the same content."""
+    """Find groups of two or more cells with different labels and the same content.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
+    """
     groups = _grouped(design.treatments, lambda cell: cell.content_key)
     return tuple(group for group in groups if len(group) > 1)
 
 
 def calibration_groups(design: Design) -> Groups:
-    """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
+    """Cells that share one calibration problem (one fit a block); none where nothing is fitted.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
+    """
     return _grouped([one for one in design.treatments if one.cell.is_calibrated], _calibration)
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
-    """Names of the factors that enter the calibration problem of some cell."""
+    """Names of the factors that enter the calibration problem of some cell.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
+    """
     return tuple(f.name for f in design.factors if _calibrates(design, f.name))
 
 
@@ -100,7 +123,15 @@ def _compared(factor: Factor) -> Sequence[Level]:
 
 
 def inert_cells(design: Design, factor: str) -> int:
-    """Count the cells in which a factor cannot change a force: its controls."""
+    """Count the cells in which a factor cannot change a force: its controls.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
+    factor : str
+        Name of one of its factors.
+    """
     return len(design.treatments) - _separated(design, factor, _physical)
 
 
@@ -247,7 +278,18 @@ def overview(design: Design) -> Overview:
 
 
 def replication(design: Design) -> Replication | None:
-    """Say what is computed several times, and which question that answers."""
+    """Say what is computed several times, and which question that answers.
+
+    Parameters
+    ----------
+    design : Design
+        With its ``[replicates]``.
+
+    Returns
+    -------
+    Replication or None
+        None where nothing is computed several times.
+    """
     asked = design.replicates
     if asked.mesh_seeds:
         sentence = (
@@ -299,7 +341,13 @@ def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOvervie
 
 
 def warnings(design: Design) -> tuple[str, ...]:
-    """Sentences about what is allowed and probably not meant."""
+    """Sentences about what is allowed and probably not meant.
+
+    Parameters
+    ----------
+    design : Design
+        All its cells that are not left out are resolved.
+    """
     found: dict[str, None] = {}
     for one in design.treatments:
         problem = one.cell.problem
@@ -319,7 +367,13 @@ def warnings(design: Design) -> tuple[str, ...]:
 
 
 def implausible(problem: CellProblem) -> tuple[str, ...]:
-    """Sentences about moduli and sizes that no soft material or specimen has."""
+    """Sentences about moduli and sizes that no soft material or specimen has.
+
+    Parameters
+    ----------
+    problem : CellProblem
+        Resolved without a fault.
+    """
     return plausibility(problem.material) + plausible_sizes(problem.specimen, problem.model)
 
 

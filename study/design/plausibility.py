@@ -36,8 +36,14 @@ PLAUSIBLE_MPA = (1e-4, 10.0)
 def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
     """Check the sections of a problem against one another.
 
-    A value that has a fault is None and passed over; ``places`` says where each table stands
-    in the file.
+    Parameters
+    ----------
+    problem : CellProblem
+        A value that has a fault is None and passed over.
+    faults : Faults
+        Where faults go.
+    places : mapping of str to str
+        Dotted path of each table in the file, by its name.
     """
     _check_moduli(problem.material, faults, places)
     _check_displacement(problem, faults, places)
@@ -51,7 +57,19 @@ def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> No
 
 
 def initial_shear_modulus(material: MaterialSection) -> float | None:
-    """mu0 in MPa of a material, None where its constants are to be calibrated."""
+    """mu0 of a material, the initial shear modulus, MPa.
+
+    Parameters
+    ----------
+    material : MaterialSection
+        NaN stands for a constant that could not be read.
+
+    Returns
+    -------
+    float or None
+        None where constants are to be calibrated or one is faulty, or a linear solid has none that
+        is positive and finite.
+    """
     constants = material.constants
     if not constants or any(math.isnan(v) for v in constants.values()):
         return None
@@ -229,6 +247,13 @@ def check_stability(problem: CellProblem, faults: Faults) -> None:
     """Refuse given constants that Drucker's criterion refutes on the way to full compression.
 
     Only what is solved as it stands is judged: constants that start a fit may be worse.
+
+    Parameters
+    ----------
+    problem : CellProblem
+        Judged only in compression with a known displacement.
+    faults : Faults
+        Where a fault goes; nothing is judged where it holds one already.
     """
     depth, height = problem.test.displacement_mm, problem.height_mm
     given = tuple(problem.material.constants.items())
@@ -255,7 +280,18 @@ def _unstable(
 
 
 def half_width(specimen: Specimen) -> float | None:
-    """Distance in mm from the axis to the nearest side; None for a surface."""
+    """Distance from the axis of a specimen to its nearest side, mm.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        A size that is faulty is None.
+
+    Returns
+    -------
+    float or None
+        None for a surface, and where a size is faulty.
+    """
     if isinstance(specimen, Enclosed):
         return None
     if isinstance(specimen, Homogeneous):
@@ -267,10 +303,22 @@ def half_width(specimen: Specimen) -> float | None:
 
 
 def footprint(indenter: Indenter, depth: float | None) -> float | None:
-    """Radius in mm of the indenter in the plane of the undeformed top face, at full depth.
+    """Radius of the indenter in the plane of the undeformed top face, at full depth, mm.
 
     A cone with a spherical tip of radius r touches the sphere at r (1 - sin a) above its
     lowest point, where it is r cos a wide; above, its width grows with tan a up to the shaft.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        Without a fault.
+    depth : float or None
+        Final displacement, mm; None where it is not known.
+
+    Returns
+    -------
+    float or None
+        None where it depends on an unknown depth.
     """
     if isinstance(indenter, Flat):
         return indenter.radius_mm

@@ -65,7 +65,21 @@ def resolve_problem(
 ) -> CellProblem:
     """Resolve specimen, test, material, model and measurements.
 
-    ``places`` says where tables stand that are not at the top of the file.
+    Parameters
+    ----------
+    tables : mapping
+        Tables of a design with the levels of one cell laid over.
+    faults : Faults
+        Where faults go.
+    ratio : float
+        Refinement ratio between coarse, medium and fine.
+    places : mapping of str to str, optional
+        Dotted path in the file, by name, of tables that are not at its top.
+
+    Returns
+    -------
+    CellProblem
+        Of no use where it brought a fault; see :func:`study.design.diagnostics.read_table`.
     """
     at = {name: name for name in TABLES} | dict(places or {})
     specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])

@@ -89,6 +89,11 @@ REMEDIES = {
 def response_unit(name: str) -> str | None:
     """Find the unit of a response: "" for a plain number, None if there is no such response.
 
+    Parameters
+    ----------
+    name : str
+        Of the response, with or without a displacement at its end.
+
     Examples
     --------
     >>> response_unit("C10"), response_unit("stiffness_at"), response_unit("force_at_2.5_mm")
@@ -105,6 +110,11 @@ def response_unit(name: str) -> str | None:
 
 def simulated_at(name: str) -> tuple[str, float | None]:
     """Split the name of a response at a displacement into the response and the place in mm.
+
+    Parameters
+    ----------
+    name : str
+        Of a response; one without a place is returned as it is, with None.
 
     Examples
     --------
@@ -298,10 +308,7 @@ class AnalysisTable:
 
 @section
 class ResponseTable:
-    """One ``[[response]]``; ``practical`` is in the unit of the response.
-
-    ``displacement`` says where along the curve the force or the stiffness is taken.
-    """
+    """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None

@@ -26,6 +26,11 @@ _PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)
 def read_text(path: str | Path) -> str:
     """Text of a file, refused when it is missing, too large or not UTF-8.
 
+    Parameters
+    ----------
+    path : str or Path
+        A file of at most :data:`MAX_BYTES` bytes.
+
     Raises
     ------
     InputError
@@ -51,6 +56,13 @@ def _beside(path: Path) -> str:
 def decode(raw: bytes, source: str) -> str:
     """Text of the bytes of a file.
 
+    Parameters
+    ----------
+    raw : bytes
+        UTF-8; a byte-order mark at its start is removed.
+    source : str
+        Name of the file, for messages.
+
     Raises
     ------
     InputError
@@ -69,6 +81,13 @@ def decode(raw: bytes, source: str) -> str:
 
 def parse_toml(text: str, source: str) -> Tables:
     """Tables of a TOML text.
+
+    Parameters
+    ----------
+    text : str
+        TOML, with lines and depth that no honest file exceeds.
+    source : str
+        Name of the file, for messages.
 
     Raises
     ------
@@ -136,6 +155,13 @@ def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
 def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     """Dotted keys of nested tables; an empty table stays, as what nothing can be.
 
+    Parameters
+    ----------
+    table : mapping
+        Nested at will; some of its keys may be dotted already.
+    prefix : str
+        Put before every key; ends with a dot unless it is empty.
+
     Raises
     ------
     InputError
@@ -166,6 +192,11 @@ def _leaves(table: Mapping[str, object], prefix: str) -> Iterable[tuple[str, obj
 def split_key(key: str) -> list[str]:
     """Parts of a dotted key as TOML reads it, quotes included.
 
+    Parameters
+    ----------
+    key : str
+        As given on the command line; quoted where a part holds a dot.
+
     Raises
     ------
     InputError
@@ -189,6 +220,11 @@ def split_key(key: str) -> list[str]:
 
 def parse_override(text: str) -> tuple[list[str], object]:
     """Key and value of ``"key=value"``; the value is TOML, or else a bare text.
+
+    Parameters
+    ----------
+    text : str
+        As given to ``-s`` on the command line.
 
     Raises
     ------
@@ -227,6 +263,15 @@ def _plain(value: object) -> bool:
 def set_value(tables: Tables, path: Sequence[str], value: object) -> None:
     """Set one key in nested tables, made where missing; a number in the path counts entries.
 
+    Parameters
+    ----------
+    tables : dict
+        Changed in place.
+    path : sequence of str
+        Parts of the dotted key, the outermost table first.
+    value
+        As TOML would give it.
+
     Raises
     ------
     InputError
@@ -259,6 +304,11 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 def dump_toml(tables: Mapping[str, object]) -> str:
     """Canonical TOML of nested tables: one spelling for equal content, read back identically.
+
+    Parameters
+    ----------
+    tables : mapping
+        Values that TOML has: texts, numbers, booleans, lists and tables of them.
 
     Examples
     --------

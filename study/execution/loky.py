@@ -201,6 +201,11 @@ def _judged(future: Future[str]) -> Answer:
 def cause_of_death(said: str) -> str:
     """How a process died, in a few words.
 
+    Parameters
+    ----------
+    said : str
+        Message of joblib's error, which tells the exit code of the process.
+
     Examples
     --------
     >>> cause_of_death("... exit codes of the workers are {SIGKILL(-9)}")

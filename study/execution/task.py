@@ -122,6 +122,11 @@ def _answer(perform: Perform, asked: dict[str, object]) -> str:
 def check_limit(seconds: float | None) -> float | None:
     """Wall-clock limit of one task in seconds, if it is one.
 
+    Parameters
+    ----------
+    seconds : float or None
+        None for no limit.
+
     Raises
     ------
     InputError
@@ -134,6 +139,17 @@ def check_limit(seconds: float | None) -> float | None:
 
 
 def stopped_late(limit_s: float) -> Document:
-    """Say that a task was stopped at its wall-clock limit, given in seconds."""
+    """Say that a task was stopped at its wall-clock limit.
+
+    Parameters
+    ----------
+    limit_s : float
+        The limit, s.
+
+    Returns
+    -------
+    dict
+        ``status``, which is ``timeout``, and ``message``.
+    """
     message = f"stopped after {limit_s:g} s, the limit of one computation"
     return {"status": "timeout", "message": message}

@@ -26,6 +26,11 @@ WIDTH = 90
 def stem_of(name: str) -> str:
     """Name of a law as an identifier of Python and C, which is also that of its files.
 
+    Parameters
+    ----------
+    name : str
+        Name of the study; what no identifier holds becomes an underscore.
+
     Examples
     --------
     >>> stem_of("flat-indentation"), stem_of("2 mm")
@@ -36,7 +41,13 @@ def stem_of(name: str) -> str:
 
 
 def sentences(law: ForceLaw) -> list[str]:
-    """Say where a law holds, how near it is, and what it does elsewhere."""
+    """Say where a law holds, how near it is, and what it does elsewhere.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        With its held-out points and the ranges of its constants.
+    """
     held, end = law.held_out, law.force.end_mm
     largest = f"{held.largest_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
     said = [
@@ -70,7 +81,13 @@ def _range(law: ForceLaw, k: int) -> str:
 
 
 def document(law: ForceLaw) -> dict[str, object]:
-    """Document of ``study export --as force-law --json``: plain values, units in the names."""
+    """Document of ``study export --as force-law --json``: plain values, units in the names.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        Displacement in mm, force in N, constants in MPa (exponents plain).
+    """
     return {
         "schema": SCHEMA,
         "kind": "force-law",
@@ -119,7 +136,13 @@ def _uncertainty(law: ForceLaw) -> list[float] | None:
 
 
 def csv_text(law: ForceLaw) -> str:
-    """Knots as CSV: displacement, force, stiffness, gradients."""
+    """Knots as CSV: displacement, force, stiffness, gradients.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        One row a knot: mm, N, N/mm, and N per MPa for each constant (N for a plain exponent).
+    """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     gradients = [f"dF_d{name}" for name in law.gradients]
@@ -131,17 +154,42 @@ def csv_text(law: ForceLaw) -> str:
 
 
 def python_text(law: ForceLaw) -> str:
-    """Python module without imports."""
+    """Python module without imports.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        Written into the module as numbers in mm, N and MPa.
+    """
     return _rendered("force_law.py.j2", law)
 
 
 def c_text(law: ForceLaw) -> str:
-    """C header without includes."""
+    """C header without includes.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        Written into the header as numbers in mm, N and MPa.
+    """
     return _rendered("force_law.h.j2", law)
 
 
 def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
-    """Text of every file of a law, by its path in a folder."""
+    """Text of every file of a law, by its path in a folder; nothing is written.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        Its name gives the names of the files.
+    folder : Path
+        It need not exist.
+
+    Returns
+    -------
+    dict of Path to str
+        JSON, CSV, Python module and C header.
+    """
     stem = stem_of(law.name)
     text = json.dumps(document(law), indent=2, allow_nan=False) + "\n"
     made = {"json": text, "csv": csv_text(law), "py": python_text(law), "h": c_text(law)}

@@ -358,5 +358,11 @@ def _place(value_mm: float, rules: Rules) -> str:
 
 
 def is_caution(note: str) -> bool:
-    """Whether a note on measurements says that they may not be what they seem."""
+    """Whether a note on measurements says that they may not be what they seem.
+
+    Parameters
+    ----------
+    note : str
+        One of the sentences that reading and conditioning leave.
+    """
     return any(mark in note for mark in _CAUTIONS)

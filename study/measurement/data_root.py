@@ -16,6 +16,13 @@ _FIELD = re.compile(r"\{([^{}]*)\}")
 def check_relative(name: str, where: str = "measurements.file") -> None:
     """Refuse a path that is absolute, climbs with ``..`` or holds a NUL.
 
+    Parameters
+    ----------
+    name : str
+        Path as written in the study file, or a pattern of one.
+    where : str
+        Dotted key of the study file, for messages.
+
     Raises
     ------
     InputError
@@ -36,14 +43,30 @@ def check_relative(name: str, where: str = "measurements.file") -> None:
 
 
 def locate(name: str, root: Path, *, citation: str = "", where: str = "measurements.file") -> Path:
-    """Absolute path of one file below ``root``.
+    """Absolute path of one file below the data root.
+
+    Parameters
+    ----------
+    name : str
+        Path relative to the root.
+    root : Path
+        Data root.
+    citation : str
+        Where the data come from, for the message where the file is missing.
+    where : str
+        Dotted key of the study file, for messages.
+
+    Returns
+    -------
+    Path
+        With links resolved.
 
     Raises
     ------
     MissingDataError
         If there is no such file; the message says where it was looked for.
     InputError
-        If a link leads outside the root.
+        If the path is not relative, or a link leads outside the root.
     """
     check_relative(name, where)
     path = root / name
@@ -69,7 +92,18 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
 def locate_pattern(
     pattern: str, root: Path, *, citation: str = "", where: str = "measurements.files"
 ) -> list[tuple[str, dict[str, str]]]:
-    """Files below ``root`` that match a pattern such as ``"compression-{specimen}.csv"``.
+    """Files below the data root that match a pattern such as ``"compression-{specimen}.csv"``.
+
+    Parameters
+    ----------
+    pattern : str
+        Path relative to the root; each ``{name}`` stands for one or more characters.
+    root : Path
+        Data root.
+    citation : str
+        Where the data come from, for the message where nothing matches.
+    where : str
+        Dotted key of the study file, for messages.
 
     Returns
     -------
@@ -81,7 +115,7 @@ def locate_pattern(
     MissingDataError
         If nothing matches.
     InputError
-        If the pattern is malformed.
+        If the pattern is malformed, or more files match than are read.
     """
     check_relative(pattern, where)
     names = _FIELD.findall(pattern)

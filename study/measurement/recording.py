@@ -72,6 +72,13 @@ class Recordings:
 def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
     """Read the files of a specification; its rules (range, points, zero, sign) are not asked for.
 
+    Parameters
+    ----------
+    spec : MeasurementSpec
+        Which files, columns, rows and groups.
+    root : Path
+        Data root.
+
     Raises
     ------
     InputError
@@ -272,7 +279,13 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
 
 
 def capped(faults: Sequence[Fault]) -> list[Fault]:
-    """Shorten a long list of faults, and say by how many."""
+    """Shorten a long list of faults, and say by how many.
+
+    Parameters
+    ----------
+    faults : sequence of Fault
+        All that were found; the first :data:`MAX_FAULTS` are kept.
+    """
     if len(faults) <= MAX_FAULTS:
         return list(faults)
     return [

@@ -71,7 +71,18 @@ class Range:
 
 
 def csv_path(value: object) -> str:
-    """Read the path of a table."""
+    """Read the path of a table.
+
+    Parameters
+    ----------
+    value
+        Raw value: a path relative to the data root.
+
+    Raises
+    ------
+    Bad
+        If it is no such path, ends in neither .csv nor .csv.gz, or is a pattern.
+    """
     path = relative_path(value)
     if not path.lower().endswith(ENDINGS):
         raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
@@ -81,7 +92,18 @@ def csv_path(value: object) -> str:
 
 
 def csv_pattern(value: object) -> str:
-    """Read a pattern such as ``"indentation-{specimen}.csv"``."""
+    """Read a pattern such as ``"indentation-{specimen}.csv"``.
+
+    Parameters
+    ----------
+    value
+        Raw value: a path relative to the data root, with one group or more.
+
+    Raises
+    ------
+    Bad
+        If it is no such path, ends in neither .csv nor .csv.gz, or its groups are faulty.
+    """
     pattern = relative_path(value)
     if not pattern.lower().endswith(ENDINGS):
         raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
@@ -95,7 +117,23 @@ def csv_pattern(value: object) -> str:
 
 
 def read_range(value: object) -> Range:
-    """Read ``["1 %", "20 %"]`` or ``["0.3 mm", "6 mm"]``."""
+    """Read ``["1 %", "20 %"]`` or ``["0.3 mm", "6 mm"]``.
+
+    Parameters
+    ----------
+    value
+        Raw value: a list of two texts, both in percent of the height or both lengths.
+
+    Returns
+    -------
+    Range
+        In percent or mm.
+
+    Raises
+    ------
+    Bad
+        If it is none, does not rise from 0 or more, or reaches 100 %.
+    """
     mend = 'write, for example, ["1 %", "20 %"] or ["0.3 mm", "6 mm"]'
     if not isinstance(value, list) or len(value) != 2:
         raise Bad(f"must be two values, got {shown(value)}", mend)
@@ -119,7 +157,18 @@ def read_range(value: object) -> Range:
 
 
 def rows(value: object) -> dict[str, Labels]:
-    """Read a choice of rows: column -> label, or labels."""
+    """Read a choice of rows: column -> label, or labels.
+
+    Parameters
+    ----------
+    value
+        Raw value: a table; a row is chosen if every column named has one of its labels.
+
+    Raises
+    ------
+    Bad
+        If it is no table or an empty one, or a label is none.
+    """
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
     return {name(column): _labels(wanted) for column, wanted in value.items()}
@@ -151,7 +200,13 @@ def _unit(dimension: str) -> Read:
 
 
 def groups_of(pattern: str) -> list[str]:
-    """Names of the groups in a pattern such as ``"indentation-{specimen}.csv"``."""
+    """Names of the groups in a pattern such as ``"indentation-{specimen}.csv"``.
+
+    Parameters
+    ----------
+    pattern : str
+        As :func:`csv_pattern` reads it.
+    """
     return _FIELD.findall(pattern)
 
 

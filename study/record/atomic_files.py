@@ -155,7 +155,13 @@ def _make_folder(folder: Path, system: FileSystem) -> list[Path]:
 
 
 def is_leftover(name: str) -> bool:
-    """Whether the name of a file is of those that an interrupted write leaves behind."""
+    """Whether the name of a file is of those that an interrupted write leaves behind.
+
+    Parameters
+    ----------
+    name : str
+        Without its folder.
+    """
     return name.startswith(".") and name.endswith(TEMPORARY)
 
 

@@ -85,8 +85,10 @@ def fault_of_fits(fits: Mapping[str, FitDocument], needed: Sequence[str] = _NEED
 
     Parameters
     ----------
+    fits : mapping of str to FitDocument
+        By the name under which the record keeps them.
     needed : sequence of str
-        Keys that it must have.
+        Keys that each must have.
     """
     for name, fit in fits.items():
         lost = [key for key in needed if key not in fit]
@@ -110,6 +112,8 @@ def fault_of_curves(
 
     Parameters
     ----------
+    curves : mapping of CurveKey to Curve
+        Measured and predicted ones; a prediction must reach the end of its measured curve.
     directions : sequence of ScoreDocument
         What was scored, and needs a prediction.
     """
@@ -125,7 +129,13 @@ def fault_of_curves(
 
 
 def fault_of_series(rows: list[NumericalRow]) -> str:
-    """Say which refined cell has not one value a mesh; empty if each has."""
+    """Say which refined cell has not one value a mesh; empty if each has.
+
+    Parameters
+    ----------
+    rows : list of NumericalRow
+        Of the right keys and types; one without meshes is whole.
+    """
     for number, row in enumerate(rows):
         if len(row.get("series", ())) != len(row.get("mesh_size", ())):
             return f"its {number}.series has another length than its mesh_size"
@@ -133,7 +143,13 @@ def fault_of_series(rows: list[NumericalRow]) -> str:
 
 
 def fault_of_comparisons(rows: list[ValidationRow]) -> str:
-    """Say which comparison has columns of unequal length; empty if none has."""
+    """Say which comparison has columns of unequal length; empty if none has.
+
+    Parameters
+    ----------
+    rows : list of ValidationRow
+        Of the right keys and types.
+    """
     for number, row in enumerate(rows):
         columns: Mapping[str, object] = row
         if len({len(cast("list[float]", columns[name])) for name in _ALONG}) > 1:

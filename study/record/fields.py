@@ -24,6 +24,16 @@ _NAME = re.compile(r"fields-[0-9a-f]{16}\.npz")
 def pack(fields: Mapping[str, ArrayLike]) -> tuple[str, bytes]:
     """File name and content of some arrays.
 
+    Parameters
+    ----------
+    fields : mapping of str to array_like
+        Numbers, flags or text.
+
+    Returns
+    -------
+    (name, data) : str and bytes
+        ``fields-HASH.npz``, the hash being that of the content, and the compressed archive.
+
     Raises
     ------
     TypeError
@@ -40,17 +50,38 @@ def pack(fields: Mapping[str, ArrayLike]) -> tuple[str, bytes]:
 
 
 def is_name(name: object) -> bool:
-    """Whether a text is the name of a file of arrays, and no path to somewhere else."""
+    """Whether a text is the name of a file of arrays, and no path to somewhere else.
+
+    Parameters
+    ----------
+    name
+        As a record gives it; anything but a text is none.
+    """
     return isinstance(name, str) and _NAME.fullmatch(name) is not None
 
 
 def fits(name: str, data: bytes | None) -> bool:
-    """Whether the content of a file is the one that its name promises."""
+    """Whether the content of a file is the one that its name promises.
+
+    Parameters
+    ----------
+    name : str
+        One that :func:`is_name` accepts.
+    data : bytes or None
+        None where the file could not be read.
+    """
     return data is not None and hashlib.sha256(data).hexdigest()[:16] == name[7:23]
 
 
 def unpack(data: bytes, path: Path) -> dict[str, Stored]:
     """Arrays of a file.
+
+    Parameters
+    ----------
+    data : bytes
+        Content of the file, as :func:`pack` makes it.
+    path : Path
+        Where it was read, for messages.
 
     Raises
     ------

@@ -23,6 +23,11 @@ _DIGITS = 16
 def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
     """Leave the versions of libraries alone.
 
+    Parameters
+    ----------
+    versions : mapping of str to str
+        Of this program, of Python and of libraries, by name.
+
     Examples
     --------
     >>> libraries_of({"study": "1+ab", "python": "3.11.7", "numpy": "2.2.1"})
@@ -32,7 +37,13 @@ def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
 
 
 def name_of(versions: Mapping[str, str]) -> str:
-    """Short name of a set of libraries; empty where none is known."""
+    """Short name of a set of libraries; empty where none is known.
+
+    Parameters
+    ----------
+    versions : mapping of str to str
+        As :func:`libraries_of` takes them.
+    """
     found = libraries_of(versions)
     return hashlib.sha256(canonical(found).encode()).hexdigest()[:_DIGITS] if found else ""
 
@@ -62,6 +73,16 @@ class OtherLibraries:
 
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """List the libraries that differ, each with both versions.
+
+    Parameters
+    ----------
+    then, now : mapping of str to str
+        As :func:`libraries_of` takes them.
+
+    Returns
+    -------
+    dict of str to (str, str)
+        Version then and now; ``"none"`` where it was not installed.
 
     Examples
     --------

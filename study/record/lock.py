@@ -35,6 +35,11 @@ _LENGTH = 512
 def exclusive(folder: Path) -> Iterator[None]:
     """Hold the lock of a results folder, or say who holds it.
 
+    Parameters
+    ----------
+    folder : Path
+        An existing one; the lock is held until the context ends.
+
     Raises
     ------
     StoreError
@@ -87,7 +92,18 @@ def _take(handle: int) -> None:
 
 
 def holder(folder: Path) -> dict[str, object]:
-    """Read what the lock file says of its owner; empty if unreadable or never locked."""
+    """Read what the lock file says of its owner; empty if unreadable or never locked.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder.
+
+    Returns
+    -------
+    dict
+        ``pid``, ``host`` and ``since`` (ISO time in UTC) of the last owner, and its progress.
+    """
     try:
         handle = _opened(folder, os.O_RDONLY)
     except OSError:
@@ -102,7 +118,13 @@ def holder(folder: Path) -> dict[str, object]:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether a runner is at work in the folder just now."""
+    """Whether a runner is at work in the folder just now.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder; false also where its lock file cannot be opened.
+    """
     try:
         handle = _opened(folder, os.O_RDONLY)
     except OSError:
@@ -119,7 +141,15 @@ def is_locked(folder: Path) -> bool:
 
 
 def sign(folder: Path, progress: Mapping[str, object]) -> None:
-    """Add ``progress`` to what the owner of the lock says of itself."""
+    """Add progress to what the owner of the lock says of itself.
+
+    Parameters
+    ----------
+    folder : Path
+        Results folder, locked by this process; nothing is written where it has no lock file.
+    progress : mapping
+        Values that JSON has; it replaces the progress that was written before.
+    """
     owner = {name: value for name, value in holder(folder).items() if name in _OWNER}
     try:
         handle = _opened(folder, os.O_WRONLY)

@@ -105,7 +105,13 @@ class ManifestFolder(SealedFolder):
 
 
 def is_same(first: ManifestDocument | None, second: ManifestDocument) -> bool:
-    """Whether two runs compute and ask the same."""
+    """Whether two runs compute and ask the same.
+
+    Parameters
+    ----------
+    first, second : ManifestDocument
+        Their ``cases`` and ``design`` are compared; no ``first`` (None) is never the same.
+    """
     if first is None:
         return False
     return all(first.get(key) == second.get(key) for key in ("cases", "design"))

@@ -268,7 +268,13 @@ def _key(key: object, where: str) -> str:
 
 
 def canonical(content: object) -> str:
-    """JSON text that is the same for equal content."""
+    """JSON text that is the same for equal content.
+
+    Parameters
+    ----------
+    content
+        Values that JSON has; nan and infinity raise ValueError.
+    """
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -281,7 +287,13 @@ _SEALED = re.compile(
 
 
 def seal(content: object) -> str:
-    """JSON text of ``content`` with schema and checksum."""
+    """JSON text of a content with schema and checksum.
+
+    Parameters
+    ----------
+    content
+        As :func:`canonical` takes it.
+    """
     text = canonical(content)
     checksum = hashlib.sha256(text.encode()).hexdigest()
     return f'{{"schema":{SCHEMA},"checksum":"{checksum}","content":{text}}}\n'
@@ -289,6 +301,13 @@ def seal(content: object) -> str:
 
 def unseal(text: str | bytes, source: str) -> object:
     """Content of a sealed text, as JSON gives it.
+
+    Parameters
+    ----------
+    text : str or bytes
+        As :func:`seal` writes it, or the same JSON laid out in another way.
+    source : str
+        Name of the file, for messages.
 
     Raises
     ------

@@ -39,7 +39,13 @@ from study.record.survey import StoredRecords, Survey
 
 
 def laid_by(input_hash: str) -> str:
-    """Name of the file of a record that another one took the place of."""
+    """Name of the file of a record that another one took the place of.
+
+    Parameters
+    ----------
+    input_hash : str
+        Hash of the inputs of the record that was replaced.
+    """
     return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
 
 

@@ -21,7 +21,12 @@ REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
 
 
 def is_repeat(extra: Mapping[str, object]) -> bool:
-    """Whether a case repeats another one for an error term; ``extra`` is that of its record.
+    """Whether a case repeats another one for an error term.
+
+    Parameters
+    ----------
+    extra : mapping
+        ``extra`` of its record.
 
     Examples
     --------
@@ -32,7 +37,15 @@ def is_repeat(extra: Mapping[str, object]) -> bool:
 
 
 def replicate(extra: Mapping[str, object], name: str) -> int:
-    """Read the number that a case has among its repeats, by a key of :data:`REPLICATES`."""
+    """Read the number that a case has among its repeats.
+
+    Parameters
+    ----------
+    extra : mapping
+        ``extra`` of its record; without the key, the case is the one that others repeat.
+    name : {"mesh_seed", "noise_seed"}
+        Key of :data:`REPLICATES`.
+    """
     number = extra.get(name)
     return number if isinstance(number, int) and number else REPLICATES[name]
 
@@ -86,7 +99,20 @@ def table(records: Sequence[Record]) -> DataFrame:
 
 
 def cell_names(frame: DataFrame, factors: Sequence[str]) -> Series[str]:
-    """Name the cell of every row: its levels joined by ``:``."""
+    """Name the cell of every row: its levels joined by ``:``.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        One row a case.
+    factors : sequence of str
+        Columns that hold the levels.
+
+    Returns
+    -------
+    Series of str
+        With the index of the table.
+    """
     import pandas as pd
 
     columns = [frame[name].astype(str) for name in factors]
@@ -103,6 +129,17 @@ def answered_often(
     ----------
     known : DataFrame
         The rows with an answer.
+    factors : sequence of str
+        Columns that hold the levels.
+    block : str
+        Column that holds the block.
+    blocks : int
+        Number of blocks of the study.
+
+    Returns
+    -------
+    Series of bool
+        With the index of ``known``.
     """
     cell = cell_names(known, factors)
     return 2 * known[block].groupby(cell).transform("nunique") > blocks
@@ -110,6 +147,15 @@ def answered_often(
 
 def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:
     """Write a table as CSV, whole or not at all.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Written without its index.
+    path : Path
+        File to write; an old one is replaced.
+    system : FileSystem, optional
+        Operations that change the disk.
 
     Raises
     ------

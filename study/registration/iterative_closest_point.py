@@ -164,7 +164,15 @@ def register(
 
 
 def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
-    """Motions to begin from: none, centers together, and principal axes together, four ways."""
+    """Motions to begin from: none, centers together, and principal axes together, four ways.
+
+    Parameters
+    ----------
+    surface : TriangleSurface
+        The fixed surface, mm.
+    cloud : ndarray, shape (n, 3)
+        Points that are to be moved, mm.
+    """
     vertices = surface.points[np.unique(surface.triangles)]
     target, own = np.median(vertices, axis=0), np.median(cloud, axis=0)
     starts = [identity(), RigidMotion(np.eye(3), target - own)]

@@ -49,7 +49,19 @@ class Sliding:
 
 
 def motion_slopes(away: Array) -> Array:
-    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6)."""
+    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6).
+
+    Parameters
+    ----------
+    away : ndarray, shape (n, 3)
+        Points less the center of rotation, mm.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 6)
+        Derivative of each coordinate at no motion: mm per rad in the first three columns, plain in
+        the last three.
+    """
     slopes = np.zeros((len(away), 3, 6))
     x, y, z = away.T
     slopes[:, 0, 1], slopes[:, 0, 2] = z, -y
@@ -107,7 +119,17 @@ class NormalEquations:
 
 
 def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEquations:
-    """Linearize the distances from moved points to their closest ones about their center."""
+    """Linearize the distances from moved points to their closest ones about their center.
+
+    Parameters
+    ----------
+    moved : ndarray, shape (n, 3)
+        Points, mm.
+    found : Closest
+        Their closest points.
+    weights : ndarray, shape (n,)
+        Weights for center and arm, 0 or more; points count alike where all are 0.
+    """
     center = np.average(moved, axis=0, weights=weights) if weights.any() else moved.mean(axis=0)
     away = moved - center
     arm = float(np.sqrt(np.average((away**2).sum(axis=1), weights=weights + 1e-300)))

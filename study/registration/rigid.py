@@ -75,21 +75,43 @@ def identity() -> RigidMotion:
 
 
 def rotation_of(vector: Array) -> Array:
-    """Rotation about a vector by its length in rad (Rodrigues), shape (3, 3)."""
+    """Rotation about a vector by its length in rad (Rodrigues), shape (3, 3).
+
+    Parameters
+    ----------
+    vector : ndarray, shape (3,)
+        Axis times the angle in rad.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Axis of a rotation times its angle in rad, shape (3,)."""
+    """Axis of a rotation times its angle in rad, shape (3,).
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Proper rotation.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 def turned_about(center: Array, vector: Array, shift: Array) -> RigidMotion:
-    """Motion that turns by a rotation vector (rad) about a center, then shifts (mm)."""
+    """Motion that turns about a center, then shifts.
+
+    Parameters
+    ----------
+    center : ndarray, shape (3,)
+        Center of the rotation, mm.
+    vector : ndarray, shape (3,)
+        Axis of the rotation times its angle in rad.
+    shift : ndarray, shape (3,)
+        Translation, mm.
+    """
     rotation = rotation_of(vector)
     return RigidMotion(rotation, center - rotation @ center + shift)
 
@@ -136,7 +158,13 @@ class PairedFit:
 
 
 def on_a_line(points: Array) -> bool:
-    """Whether points, shape (n, 3), lie on one line, or all at one place."""
+    """Whether points lie on one line, or all at one place.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        At least two.
+    """
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(extent[1] <= COLLINEAR_SHARE * extent[0])
 

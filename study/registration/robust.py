@@ -23,12 +23,31 @@ ISOLATED = 3.0
 
 
 def scale_of(residuals: Array, center: float = 0.0) -> float:
-    """Estimate the standard deviation of normal residuals by their median size."""
+    """Estimate the standard deviation of normal residuals by their median size.
+
+    Parameters
+    ----------
+    residuals : ndarray
+        In any unit, which the result has too.
+    center : float
+        Their center, in the same unit.
+    """
     return float(np.median(np.abs(residuals - center)) / NORMAL_MAD)
 
 
 def biweight(standardized: Array) -> Array:
-    """Weights of residuals over their scale: 1 at zero, 0 from 4.685 on."""
+    """Weights of residuals over their scale: 1 at zero, 0 from 4.685 on.
+
+    Parameters
+    ----------
+    standardized : ndarray
+        Residuals over their scale, of either sign.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape, from 0 to 1.
+    """
     inside = np.clip(1 - (standardized / BIWEIGHT) ** 2, 0, None)
     return np.asarray(inside**2)
 
@@ -37,6 +56,13 @@ def inlier_scale(residuals: Array, start: float | None = None) -> float:
     """Estimate the standard deviation of those residuals that the biweight gives weight.
 
     The median of all would grow by half where three in ten points are outliers.
+
+    Parameters
+    ----------
+    residuals : ndarray
+        About zero, in any unit, which the result has too.
+    start : float, optional
+        Scale to begin from; by default that of all residuals.
     """
     scale = scale_of(residuals) if start is None else start
     for _ in range(SCALE_STEPS):
@@ -82,11 +108,21 @@ def sandwich(slope: Array, residuals: Array, scale: float, groups: Ints | None =
 
 
 def isolated(points: Array) -> Flags:
-    """Which points of a cloud have no company: outliers by the cloud alone, shape (n,).
+    """Which points of a cloud have no company: outliers by the cloud alone.
 
     The mean distance to the nearest neighbors of every point is compared with the others' in
     logarithms (Rusu et al. 2008 do so without). No surface is asked, so a region in which a
     model is wrong is never taken for an outlier.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        In any unit; of :data:`NEIGHBORS` or fewer none is isolated.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        True for an outlier.
     """
     from scipy.spatial import cKDTree
 

@@ -129,6 +129,23 @@ def algebraic_sphere(points: Array) -> tuple[Array, float]:
 
     Least sum of (A |x|^2 + B.x + D)^2 under |B|^2 - 4 A D = 1, so that near the sphere the
     algebraic distance is the geometric one.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        On or near the sphere, mm.
+
+    Returns
+    -------
+    center : ndarray, shape (3,)
+        In mm.
+    radius : float
+        In mm.
+
+    Raises
+    ------
+    InputError
+        If the points lie in a plane.
     """
     middle = points.mean(axis=0)
     size = float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean()))

@@ -145,7 +145,13 @@ def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
 
 
 def sentences(found: SensorRequirement) -> list[str]:
-    """Say what is known how well, what it needs, and where first order holds."""
+    """Say what is known how well, what it needs, and where first order holds.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Its first sentence is about the constant that is known worst.
+    """
     worst, k = found.propagation.worst, found.coverage
     said = [
         f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that is "
@@ -200,12 +206,26 @@ def _linear(one: Simulation) -> str:
 
 
 def percent(share: float) -> str:
-    """Write a share in percent, three digits."""
+    """Write a share in percent, three digits.
+
+    Parameters
+    ----------
+    share : float
+        1 is 100 %.
+    """
     return f"{100 * share:.3g} %"
 
 
 def size(source: ErrorSource, value: float) -> str:
-    """Write an error with its unit."""
+    """Write an error with its unit.
+
+    Parameters
+    ----------
+    source : ErrorSource
+        Gives the unit: mm or N; a share is written in percent.
+    value : float
+        Standard uncertainty in that unit; infinity is written ``any``, NaN ``none``.
+    """
     if math.isinf(value):
         return "any"
     if math.isnan(value):
@@ -214,7 +234,13 @@ def size(source: ErrorSource, value: float) -> str:
 
 
 def document(found: SensorRequirement) -> dict[str, object]:
-    """Document of ``study require --json``: constants in kPa, exponents plain."""
+    """Document of ``study require --json``: constants in kPa, exponents plain.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        An allowed error that is infinite (any size) or NaN (none) becomes None.
+    """
     sources = found.propagation.sources
     return {
         "name": found.name,

@@ -16,7 +16,20 @@ MOST_MULTIPLES = 6
 
 
 def fraction(value: object) -> float:
-    """Read a share that may be zero: a plain number below 1, or percent."""
+    """Read a share that may be zero: a plain number below 1, or percent.
+
+    Parameters
+    ----------
+    value
+        Raw value: a number from 0 to 0.999, or a text from 0 % to below 100 %.
+
+    Raises
+    ------
+    Bad
+        If it is outside, or neither a number nor a text.
+    UnitError
+        If it is a text that is no percentage.
+    """
     if isinstance(value, str):
         share = units.parse_percent(value) / 100
         if not 0 <= share < 1:
@@ -113,7 +126,15 @@ class Requirement:
 def multiplied(
     position: PositionAccuracy, force: ForceAccuracy, multiple: float
 ) -> tuple[PositionAccuracy, ForceAccuracy]:
-    """Return both sensors with all errors so many times as large."""
+    """Return both sensors with all errors so many times as large.
+
+    Parameters
+    ----------
+    position, force : PositionAccuracy, ForceAccuracy
+        Standard uncertainties of both sensors.
+    multiple : float
+        Factor of all of them, scales included.
+    """
     return (
         replace(
             position,

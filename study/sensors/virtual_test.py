@@ -67,7 +67,20 @@ class Sampling:
 
 
 def rows_mm(depth_mm: float, points: int) -> Array:
-    """Displacements of the rows of a test, even, the last one at its depth; shape (points,)."""
+    """Displacements of the rows of a test, even, the last one at its depth.
+
+    Parameters
+    ----------
+    depth_mm : float
+        Final displacement, mm.
+    points : int
+        Number of rows; the unloaded begin is none of them.
+
+    Returns
+    -------
+    ndarray, shape (points,)
+        In mm.
+    """
     return np.asarray(depth_mm * np.arange(1, points + 1) / points)
 
 
@@ -181,7 +194,13 @@ def perform(task: dict[str, object]) -> dict[str, object]:
 
 
 def depth_of(tables: Tables) -> float:
-    """Displacement of a resolved test in mm."""
+    """Displacement of a resolved test in mm.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a problem; ``test`` has a displacement.
+    """
     return Setup.of(tables).test.depth_mm
 
 

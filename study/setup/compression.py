@@ -84,7 +84,20 @@ class Compression:
 
 
 def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
-    """Refuse a displacement into a specimen that reaches its height."""
+    """Refuse a displacement into a specimen that reaches its height.
+
+    Parameters
+    ----------
+    test : Test
+        With a known displacement.
+    height_mm : float
+        Height of the specimen, mm.
+
+    Yields
+    ------
+    Fault
+        Only where the displacement is not smaller than the height.
+    """
     depth = test.depth_mm
     if depth >= height_mm:
         rule = f"{depth:g} mm is not smaller than the specimen's height, {height_mm:g} mm"

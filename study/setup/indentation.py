@@ -116,12 +116,23 @@ def _length(test: Test) -> float:
 
 
 def holds_face(test: Test) -> bool:
-    """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
+    """Whether a flat indenter sticks: it has hold of all that it will hold at once.
+
+    Parameters
+    ----------
+    test : Test
+        An indentation; false where its interface is frictionless or its indenter has no flat face.
+    """
     return test.interface == "bonded" and test.indenter is not None and test.indenter.has_face
 
 
 def indenter_of_test(test: Test) -> Indenter:
     """Indenter of a test.
+
+    Parameters
+    ----------
+    test : Test
+        An indentation.
 
     Raises
     ------

@@ -18,7 +18,13 @@ SMALLEST = 1e-12
 
 
 def shown(value: object) -> str:
-    """Value as a message shows it, cut short."""
+    """Value as a message shows it, cut short.
+
+    Parameters
+    ----------
+    value
+        Anything; its ``repr`` is cut to 60 characters.
+    """
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -26,7 +32,24 @@ def shown(value: object) -> str:
 def quantity(
     dimension: str, low: float = 0.0, high: float = math.inf, *, closed: bool = False
 ) -> Callable[[object], float]:
-    """Reader of a value with its unit, between ``low`` (excluded unless closed) and ``high``."""
+    """Reader of a value with its unit, within a range.
+
+    Parameters
+    ----------
+    dimension : str
+        One of :data:`study.units.INTERNAL`.
+    low, high : float
+        Range in internal units; ``high`` is excluded, and ``low`` unless ``closed``.
+    closed : bool
+        Whether ``low`` itself is allowed.
+
+    Returns
+    -------
+    callable
+        Takes a text such as ``"5 mm"``, returns the number in internal units. It raises
+        :class:`Bad` outside the range or for a size that no test has, and UnitError for a text
+        that is no quantity of this dimension.
+    """
 
     def read(value: object) -> float:
         number = units.parse(value, dimension)
@@ -69,7 +92,18 @@ def measured(
 
 
 def finite(value: object) -> float:
-    """Take a number given in Python; a problem checks the range that it needs."""
+    """Take a number given in Python; a problem checks the range that it needs.
+
+    Parameters
+    ----------
+    value
+        As given, in internal units.
+
+    Raises
+    ------
+    Bad
+        If it is no finite real number.
+    """
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise Bad(f"must be a finite number, got {shown(value)}")
     return float(value)
@@ -78,7 +112,22 @@ def finite(value: object) -> float:
 def number(
     low: float = -math.inf, high: float = math.inf, *, closed: bool = False, mend: str = ""
 ) -> Callable[[object], float]:
-    """Reader of a finite plain number between ``low`` and ``high``."""
+    """Reader of a finite plain number within a range.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends of the range, both excluded unless ``closed``.
+    closed : bool
+        Whether both ends are allowed.
+    mend : str
+        What to write instead of a faulty value.
+
+    Returns
+    -------
+    callable
+        Raw value to float; raises :class:`Bad` for anything else, a text and a boolean included.
+    """
 
     def read(value: object) -> float:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -96,7 +145,18 @@ def number(
 
 
 def integer(low: int, high: int) -> Callable[[object], int]:
-    """Reader of a whole number from ``low`` to ``high``."""
+    """Reader of a whole number within a range.
+
+    Parameters
+    ----------
+    low, high : int
+        Ends of the range, both allowed.
+
+    Returns
+    -------
+    callable
+        Raw value to int (``3.0`` is 3); raises :class:`Bad` for anything else.
+    """
 
     def read(value: object) -> int:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -111,7 +171,18 @@ def integer(low: int, high: int) -> Callable[[object], int]:
 
 
 def unit_of_length(value: object) -> str:
-    """Read the name of a unit of length."""
+    """Read the name of a unit of length.
+
+    Parameters
+    ----------
+    value
+        Raw value, such as ``"mm"``.
+
+    Raises
+    ------
+    Bad
+        If it is no text or no unit of length.
+    """
     if not isinstance(value, str):
         raise Bad(f"must be a text, got {shown(value)}", 'for example unit = "mm"')
     try:

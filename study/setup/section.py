@@ -188,7 +188,13 @@ _DECLARED: dict[type, tuple[Key, ...]] = {}
 
 
 def keys_of(kind: type) -> tuple[Key, ...]:
-    """Keys of a section, in the order of the declaration."""
+    """Keys of a section, in the order of the declaration.
+
+    Parameters
+    ----------
+    kind : type
+        Class made by :func:`section`.
+    """
     return _DECLARED[kind]
 
 
@@ -222,7 +228,13 @@ def _reads_of(declared: FieldInfo) -> Reads | None:
 
 
 def written_keys(kind: type) -> tuple[str, ...]:
-    """Keys as they are written in the file, in the order of the declaration."""
+    """Keys as they are written in the file, in the order of the declaration.
+
+    Parameters
+    ----------
+    kind : type
+        Class made by :func:`section`; derived fields are left out, for no file may hold them.
+    """
     return tuple(key.written for key in keys_of(kind) if not key.is_derived)
 
 
@@ -241,7 +253,13 @@ def table_of(resolved: Mapping[str, object], name: str) -> Mapping[str, object]:
 
 
 def values_of(value: object) -> dict[str, object]:
-    """Values of a section by their names, in internal units; sections within it stay."""
+    """Values of a section by their names, in internal units; sections within it stay.
+
+    Parameters
+    ----------
+    value
+        Instance of a class made by :func:`section`.
+    """
     return {key.name: getattr(value, key.name) for key in keys_of(type(value))}
 
 

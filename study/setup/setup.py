@@ -217,7 +217,14 @@ def is_homogeneous(test: Test, shape: str) -> bool:
     """Whether a deformation is the same everywhere, as between frictionless plates.
 
     The closed form is then exact, and space, mesh, order and element shape cannot matter.
-    Whether a surface is a cylinder only its file knows.
+
+    Parameters
+    ----------
+    test : Test
+        One with gravity is never homogeneous.
+    shape : str
+        Shape of the specimen; only :data:`HOMOGENEOUS_SHAPES` can be homogeneous. Whether a surface
+        is a cylinder only its file knows.
     """
     weightless = not test.weight_N_mm3
     return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
@@ -249,24 +256,49 @@ def problem_of(
 
 
 def mesh_level(model: Model) -> float:
-    """Size of a named mesh over the reference size: 1 on the fine one."""
+    """Size of a named mesh over the reference size: 1 on the fine one.
+
+    Parameters
+    ----------
+    model : Model
+        Its ``mesh`` and ``mesh_ratio`` count; a ``mesh_size_mm`` is ignored.
+    """
     return float(model.mesh_ratio**model.level)
 
 
 def specimen_of(resolved: Mapping[str, object]) -> Specimen:
-    """Specimen of its resolved table; a surface found on this machine is read from there."""
+    """Specimen of its resolved table; a surface found on this machine is read from there.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Table ``specimen`` in internal units; ``path``, where there is one, replaces ``file``.
+    """
     if resolved.get("path"):
         resolved = {**resolved, "file": resolved["path"]}
     return section_of("specimen", SPECIMENS[str(resolved["shape"])], resolved)
 
 
 def model_of(resolved: Mapping[str, object]) -> Model:
-    """Discretization of its resolved table."""
+    """Discretization of its resolved table.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Table ``model`` in internal units; defaults where a key is left out.
+    """
     return section_of("model", Model, resolved)
 
 
 def loading_of(resolved: Mapping[str, object]) -> Test:
-    """Test of its resolved table; its displacement may still be open."""
+    """Test of its resolved table; its displacement may still be open.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Table ``test`` in internal units; its ``indenter``, ``motion`` and ``gravity`` are tables
+        or left out.
+    """
     pressed = resolved.get("indenter")
     made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
     moved = resolved.get("motion")
@@ -278,11 +310,23 @@ def loading_of(resolved: Mapping[str, object]) -> Test:
 
 
 def indenter_of(resolved: Mapping[str, object]) -> Indenter:
-    """Indenter of its resolved table."""
+    """Indenter of its resolved table.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Table ``test.indenter`` in internal units, with its ``shape``.
+    """
     return section_of("test.indenter", INDENTERS[str(resolved["shape"])], resolved)
 
 
 def known_height_mm(resolved: Mapping[str, object]) -> float | None:
-    """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
+    """Height in mm of a specimen's resolved table; None for a surface that nobody looked for.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Table ``specimen`` in internal units.
+    """
     height = resolved.get("height_mm")
     return None if height is None else finite(height)

@@ -96,7 +96,13 @@ class PlateFit:
 
 
 def rms(errors: Array) -> float:
-    """Root mean square length of vectors, shape (n, 3)."""
+    """Root mean square length of vectors.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, 3)
+        One vector a marker, mm.
+    """
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 
 def document(beside: Beside) -> dict[str, object]:
-    """Comparison as plain JSON."""
+    """Comparison as plain JSON.
+
+    Parameters
+    ----------
+    beside : Beside
+        Where an effect has no low or high end, its ``ci95`` becomes None.
+    """
     from dataclasses import asdict
 
     rows = []

@@ -17,7 +17,15 @@ GRID = 5
 
 
 def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
-    """Collect the settings of every case that ended, and whether it failed."""
+    """Collect the settings of every case that ended, and whether it failed.
+
+    Parameters
+    ----------
+    design : Design
+        Its factors say which settings are parts of a range.
+    records : sequence of Record
+        One a case that ended, with an answer or without.
+    """
     parts = {
         factor.name: parts_of(factor)
         for factor in design.factors
@@ -35,7 +43,13 @@ def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
 
 
 def parts_of(factor: Factor) -> Mapping[str, str]:
-    """Part of a range that the setting of every label lies in, by its ends in words."""
+    """Part of a range that the setting of every label lies in, by its ends in words.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of any kind; the mapping is empty for one without a range.
+    """
     span = factor.span
     if span is None:
         return {}

@@ -74,7 +74,13 @@ class Edges:
 
 
 def volume(points: Array, triangles: Ints) -> float:
-    """Volume enclosed by triangles that face outward; negative where they face inward."""
+    """Volume enclosed by triangles that face outward; negative where they face inward.
+
+    Parameters
+    ----------
+    points, triangles : ndarray, shape (n, 3) and (m, 3)
+        Vertices, whose unit cubed the volume has, and the vertices of each triangle by number.
+    """
     corners = points[triangles]
     # from the middle: about a far origin the sum is of products that cancel to their last digits
     corners = corners - corners.mean(axis=(0, 1))
@@ -83,28 +89,27 @@ def volume(points: Array, triangles: Ints) -> float:
 
 
 def area(points: Array, triangles: Ints) -> float:
-    """Area of triangles."""
+    """Total area of triangles.
+
+    Parameters
+    ----------
+    points, triangles : ndarray, shape (n, 3) and (m, 3)
+        Vertices, whose unit squared the area has, and the vertices of each triangle by number.
+    """
     corners = points[triangles]
     twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(twice, axis=1).sum() / 2)
 
 
 def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
-    """Check a surface and turn its triangles outward.
+    """Check a surface and turn its triangles outward; one InputError tells all of its faults.
 
     Parameters
     ----------
-    points : ndarray, shape (n, 3)
-        As the file has them.
-    triangles : ndarray of int, shape (m, 3)
-        Points of each triangle.
+    points, triangles : ndarray, shape (n, 3) and (m, 3)
+        Vertices in the unit of the file, as it has them, and the vertices of each triangle.
     name, unit : str
         Of the file, for messages.
-
-    Raises
-    ------
-    InputError
-        With all faults at once.
     """
     where = f"specimen.file: {name}"
     bad = ~np.isfinite(points[triangles]).all(axis=(1, 2))
@@ -280,10 +285,8 @@ def first_intersection(points: Array, triangles: Ints) -> tuple[int, int, Array,
 
     Parameters
     ----------
-    points : ndarray, shape (n, 3)
-        Vertices.
-    triangles : ndarray of int, shape (m, 3)
-        Points of each triangle, none of them degenerate.
+    points, triangles : ndarray, shape (n, 3) and (m, 3)
+        Vertices, and the vertices of each triangle, none of them degenerate.
 
     Returns
     -------

@@ -151,17 +151,23 @@ class Body:
 
 
 def height_of(specimen: Specimen) -> float:
-    """Height of a specimen in mm; that of a surface is read from its file."""
+    """Height of a specimen in mm; that of a surface is read from its file.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        Of any shape; a faulty file raises as :func:`body` does.
+    """
     return body(specimen).height_mm if isinstance(specimen, Enclosed) else specimen.height_mm
 
 
 def body(surface: Enclosed) -> Body:
     """Read or make, check and stand up the surface of a specimen.
 
-    Raises
-    ------
-    InputError
-        With everything that is wrong with the file.
+    Parameters
+    ----------
+    surface : Surface or Brain
+        Everything that is wrong with its file is told by one InputError.
     """
     if isinstance(surface, Brain):
         return _made(surface)
@@ -217,10 +223,10 @@ def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, 
 def unit_mm(unit: str) -> float:
     """Length of a unit in mm.
 
-    Raises
-    ------
-    InputError
-        If it is no unit of length.
+    Parameters
+    ----------
+    unit : str
+        Its symbol; one that is no unit of length raises InputError.
     """
     try:
         return parse(f"1 {unit}", "length")
@@ -231,7 +237,7 @@ def unit_mm(unit: str) -> float:
 
 
 def turned_up(points: Array, axis: str) -> Array:
-    """Turn points so that an axis of theirs points up.
+    """Turn points, never mirrored, so that an axis of theirs points up.
 
     Parameters
     ----------
@@ -239,11 +245,6 @@ def turned_up(points: Array, axis: str) -> Array:
         Coordinates.
     axis : str
         One of :data:`AXES`.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Turned, never mirrored.
 
     Raises
     ------
@@ -288,10 +289,10 @@ def _implausible(extent: Array, unit: str) -> tuple[str, ...]:
 def read_triangles(path: Path) -> tuple[Array, Ints]:
     """Vertices and triangles of an STL (ASCII or binary), PLY or OBJ file, as written.
 
-    Raises
-    ------
-    InputError
-        If the file is too large, empty, malformed or holds other faces than triangles.
+    Parameters
+    ----------
+    path : Path
+        InputError if it is too large, empty, malformed or holds other faces than triangles.
     """
     where = f"specimen.file: {path.name}"
     points, triangles = read_mesh(path, where)
@@ -308,10 +309,8 @@ def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:
 
     Parameters
     ----------
-    path : Path
-        The file.
-    where : str
-        Its name in messages.
+    path, where : Path and str
+        The file, and its name in messages.
 
     Returns
     -------

@@ -110,7 +110,20 @@ def read_recording(declared: RecordingTable, root: Path) -> Recording:
 
 
 def coordinates(table: CsvTable, columns: Triple) -> Array:
-    """Coordinates in three columns of a table, shape (n, 3), in its unit."""
+    """Coordinates in three columns of a table.
+
+    Parameters
+    ----------
+    table : CsvTable
+        One row a sample.
+    columns : tuple of str
+        Names of the columns of x, y and z.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        In the unit of the table.
+    """
     return np.column_stack([table.numbers(column) for column in columns])
 
 
@@ -128,6 +141,11 @@ def _check_time(time: Array, table: CsvTable) -> None:
 def visits_to(labels: Sequence[str]) -> tuple[Visit, ...]:
     """Find runs of equal labels.
 
+    Parameters
+    ----------
+    labels : sequence of str
+        Stage of every sample, in the order of the recording.
+
     Examples
     --------
     >>> [(v.stage, v.begin, v.end) for v in visits_to(["a", "a", "b", "a"])]
@@ -140,9 +158,20 @@ def visits_to(labels: Sequence[str]) -> tuple[Visit, ...]:
 
 
 def passes(visits: Sequence[Visit]) -> Ints | None:
-    """Pass of the motion that every visit belongs to; None where passes are not complete.
+    """Pass of the motion that every visit belongs to.
 
     A pass visits every stage once. Comparing stages within passes takes a drift out.
+
+    Parameters
+    ----------
+    visits : sequence of Visit
+        In the order of the recording.
+
+    Returns
+    -------
+    ndarray of int, shape (visits,), or None
+        Number of the pass, from 0; None where a pass is not complete, or there are fewer than two
+        passes or stages.
     """
     stages = list(dict.fromkeys(visit.stage for visit in visits))
     count, left = divmod(len(visits), len(stages))
@@ -161,6 +190,12 @@ def correlation_time(series: Array) -> float:
     Sokal 1997: the sum 1 + 2 sum rho_k is cut at the first lag beyond five times itself, so
     that the noise of far lags does not add up. The mean of n samples then has the variance of
     n over this many independent ones.
+
+    Parameters
+    ----------
+    series : ndarray, shape (n,)
+        Samples at even times; 1 is returned where they are fewer than :data:`FEWEST_SAMPLES`, or
+        all alike.
     """
     n = len(series)
     away = series - series.mean()

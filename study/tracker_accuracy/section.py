@@ -25,7 +25,18 @@ Triple = tuple[str, str, str]
 
 
 def triple(value: object) -> Triple:
-    """Read the names of three columns."""
+    """Read the names of three columns.
+
+    Parameters
+    ----------
+    value
+        Raw value: a list of three different labels.
+
+    Raises
+    ------
+    Bad
+        If it is anything else.
+    """
     if not isinstance(value, list) or len(value) != 3:
         raise Bad(f"must be three columns, got {shown(value)}", 'for example ["x", "y", "z"]')
     x, y, z = (label(one) for one in value)
@@ -35,28 +46,72 @@ def triple(value: object) -> Triple:
 
 
 def two_triples(value: object) -> tuple[Triple, Triple]:
-    """Read the columns of two points."""
+    """Read the columns of two points.
+
+    Parameters
+    ----------
+    value
+        Raw value: a list of two lists, each as :func:`triple` reads it.
+
+    Raises
+    ------
+    Bad
+        If it is anything else.
+    """
     if not isinstance(value, list) or len(value) != 2:
         raise Bad(f"must be the columns of two points, got {shown(value)}")
     return triple(value[0]), triple(value[1])
 
 
 def triples(value: object) -> dict[str, Triple]:
-    """Read markers: a name and three columns each."""
+    """Read markers: a name and three columns each.
+
+    Parameters
+    ----------
+    value
+        Raw value: a table of lists, each as :func:`triple` reads it.
+
+    Raises
+    ------
+    Bad
+        If it is anything else, or empty.
+    """
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { tip = ["x", "y", "z"] }')
     return {label(key): triple(columns) for key, columns in value.items()}
 
 
 def pair(value: object) -> tuple[str, str]:
-    """Read the names of two markers."""
+    """Read the names of two markers.
+
+    Parameters
+    ----------
+    value
+        Raw value: a list of two different labels.
+
+    Raises
+    ------
+    Bad
+        If it is anything else.
+    """
     if not isinstance(value, list) or len(value) != 2 or value[0] == value[1]:
         raise Bad(f"must be two markers, got {shown(value)}", 'for example ["tip", "tail"]')
     return label(value[0]), label(value[1])
 
 
 def two_files(value: object) -> tuple[str, str]:
-    """Read the files of two scanned spheres."""
+    """Read the files of two scanned spheres.
+
+    Parameters
+    ----------
+    value
+        Raw value: a list of two paths, each as :func:`study.measurement.section.csv_path` reads it.
+
+    Raises
+    ------
+    Bad
+        If it is anything else.
+    """
     if not isinstance(value, list) or len(value) != 2:
         raise Bad(f"must be two files, got {shown(value)}", 'for example ["a.csv", "b.csv"]')
     return csv_path(value[0]), csv_path(value[1])
@@ -259,6 +314,11 @@ def load_tracking(path: str | Path) -> TrackingFile:
 
 def is_tracking(path: str | Path) -> bool:
     """Whether a file is one of ``study tracking``: it has a table ``[recording]``.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file.
 
     Raises
     ------

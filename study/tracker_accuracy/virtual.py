@@ -145,7 +145,21 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
 
 
 def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
-    """Give samples in their order; markers stand ``apart_mm`` from each other along the needle.
+    """Give samples in their order.
+
+    Parameters
+    ----------
+    errors : Errors
+        Sizes of the errors, number of passes, samples at each stop, and seed.
+    markers : int
+        Number of markers on the needle.
+    apart_mm : float
+        Distance from each marker to the next along the needle, mm.
+
+    Yields
+    ------
+    Sample
+        ``places_mm`` has shape (markers, 3).
 
     Examples
     --------
@@ -170,7 +184,15 @@ def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
 
 
 def scanned_sphere(center: Array, random: np.random.Generator) -> Array:
-    """Points on the part of a sphere that a scanner above it sees, shape (n, 3), mm."""
+    """Points on the part of a sphere that a scanner above it sees, shape (n, 3), mm.
+
+    Parameters
+    ----------
+    center : ndarray, shape (3,)
+        Of the sphere, mm.
+    random : numpy.random.Generator
+        Source of the places and of the noise of the scan.
+    """
     z = 1 - 2 * _SEEN * random.random(_SCANNED)
     turn = 2 * np.pi * random.random(_SCANNED)
     flat = np.sqrt(1 - z**2)

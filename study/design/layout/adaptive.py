@@ -144,6 +144,18 @@ def _start(factors: Sequence[Factor], runs: int, seed: int) -> Array:
 def share_of(index: int, count: int) -> float:
     """Share that stands for one of some listed levels.
 
+    Parameters
+    ----------
+    index : int
+        Of the level, from 0.
+    count : int
+        Number of levels.
+
+    Returns
+    -------
+    float
+        Middle of the level's equal part of 0 to 1.
+
     Examples
     --------
     >>> share_of(0, 2), share_of(1, 2)

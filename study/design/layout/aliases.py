@@ -45,6 +45,11 @@ def defining_words(runs: Array) -> tuple[Word, ...]:
 def resolution(runs: Array) -> int | None:
     """Length of the shortest constant product; None where there is none (a full factorial).
 
+    Parameters
+    ----------
+    runs : ndarray, shape (runs, factors)
+        -1 and 1.
+
     Examples
     --------
     >>> half = np.array([[-1, -1, 1], [-1, 1, -1], [1, -1, -1], [1, 1, 1]], dtype=float)
@@ -55,7 +60,13 @@ def resolution(runs: Array) -> int | None:
 
 
 def aliases(runs: Array) -> tuple[Alias, ...]:
-    """Pairs of main effects and two-way interactions with correlated columns."""
+    """Pairs of main effects and two-way interactions with correlated columns.
+
+    Parameters
+    ----------
+    runs : ndarray, shape (runs, factors)
+        -1 and 1.
+    """
     terms = [w for w in _words(runs.shape[1], 2) if len(w) <= 2]
     columns = np.array([_column(runs, word) for word in terms])
     products = columns @ columns.T / len(runs)
@@ -76,12 +87,28 @@ def _column(runs: Array, word: Word) -> Array:
 
 
 def term_name(word: Word, names: Sequence[str]) -> str:
-    """Name of a term as an analysis writes it: ``"A"`` or ``"A:B"``."""
+    """Name of a term as an analysis writes it: ``"A"`` or ``"A:B"``.
+
+    Parameters
+    ----------
+    word : tuple of int
+        Columns of the factors in the term.
+    names : sequence of str
+        Of the factors, in the order of the columns.
+    """
     return ":".join(names[i] for i in word)
 
 
 def defining_relation(runs: Array, names: Sequence[str]) -> str:
-    """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial."""
+    """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial.
+
+    Parameters
+    ----------
+    runs : ndarray, shape (runs, factors)
+        -1 and 1.
+    names : sequence of str
+        Of the factors, in the order of the columns.
+    """
     words = defining_words(runs)
     if not words:
         return ""
@@ -90,7 +117,20 @@ def defining_relation(runs: Array, names: Sequence[str]) -> str:
 
 
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
-    """Alias table in words: what cannot be told from what, main effects first."""
+    """Alias table in words: what cannot be told from what, main effects first.
+
+    Parameters
+    ----------
+    runs : ndarray, shape (runs, factors)
+        -1 and 1.
+    names : sequence of str
+        Of the factors, in the order of the columns.
+
+    Returns
+    -------
+    list of str
+        Empty where the design tells all main effects and two-way interactions apart.
+    """
     partners: dict[Word, list[Alias]] = {}
     for alias in aliases(runs):
         partners.setdefault(alias.term, []).append(alias)
@@ -120,6 +160,11 @@ def _words_of(word: Word, names: Sequence[str]) -> str:
 
 def clear_order(found: int | None) -> int | None:
     """Highest order of terms that are free of one another at a resolution; None for all.
+
+    Parameters
+    ----------
+    found : int or None
+        Resolution as :func:`resolution` returns it; None where nothing is aliased.
 
     Examples
     --------

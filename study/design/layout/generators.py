@@ -55,6 +55,18 @@ def fractional(
 def by_resolution(count: int, resolution: int) -> Array:
     """Smallest two-level fraction of a number of factors with at least a resolution.
 
+    Parameters
+    ----------
+    count : int
+        Number of factors.
+    resolution : int
+        Least one; III is 3.
+
+    Returns
+    -------
+    ndarray, shape (runs, count)
+        -1 and 1.
+
     Raises
     ------
     ValueError
@@ -66,7 +78,18 @@ def by_resolution(count: int, resolution: int) -> Array:
 
 
 def plackett_burman(count: int) -> Array:
-    """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305)."""
+    """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305).
+
+    Parameters
+    ----------
+    count : int
+        Number of factors.
+
+    Returns
+    -------
+    ndarray, shape (runs, count)
+        -1 and 1; the number of runs is the next multiple of 4 above ``count``.
+    """
     from pydoe import pbdesign
 
     return np.asarray(pbdesign(count), dtype=float)
@@ -139,7 +162,20 @@ def box_behnken(count: int) -> Array:
 
 
 def latin_hypercube(count: int, runs: int, seed: int) -> Array:
-    """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices."""
+    """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices.
+
+    Parameters
+    ----------
+    count, runs : int
+        Number of factors and of runs.
+    seed : int
+        Of the random generator; the same seed gives the same sample.
+
+    Returns
+    -------
+    ndarray, shape (runs, count)
+        Shares of the ranges of the factors.
+    """
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -147,7 +183,22 @@ def latin_hypercube(count: int, runs: int, seed: int) -> Array:
 
 
 def sobol(count: int, runs: int, seed: int) -> Array:
-    """Scrambled Sobol sequence in 0 to 1; ``runs`` is a power of two, which keeps its balance."""
+    """Scrambled Sobol sequence in 0 to 1.
+
+    Parameters
+    ----------
+    count : int
+        Number of factors.
+    runs : int
+        A power of two, which keeps the balance of the sequence; others are rounded down to one.
+    seed : int
+        Of the scrambling; the same seed gives the same sample.
+
+    Returns
+    -------
+    ndarray, shape (runs, count)
+        Shares of the ranges of the factors.
+    """
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)

@@ -66,6 +66,15 @@ def _contrasts(size: int) -> Array:
 def efficiency(rows: Sequence[Row], sizes: Sequence[int], words: Sequence[Word]) -> float:
     """D-efficiency: det(X'X)^(1/p) / n, 1 for an orthogonal design and 0 where terms are aliased.
 
+    Parameters
+    ----------
+    rows : sequence of tuple of int
+        Index of the level of every factor, one tuple a cell.
+    sizes : sequence of int
+        Number of levels of every factor.
+    words : sequence of tuple of int
+        Factors of every term, by number; the mean is added.
+
     Examples
     --------
     >>> half = [(0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 0)]

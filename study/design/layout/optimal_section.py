@@ -84,6 +84,18 @@ class DOptimal:
 def words_of(names: Sequence[str], value: object) -> tuple[Word, ...]:
     """Read an order of interaction or a list of terms as the numbers of their factors.
 
+    Parameters
+    ----------
+    names : sequence of str
+        Of all factors, in order.
+    value
+        Raw value: the highest order of interaction, or a list of terms such as ``"a:b"``.
+
+    Returns
+    -------
+    tuple of tuple of int
+        Numbers of the factors of every term, from 0 and rising.
+
     Raises
     ------
     Bad

@@ -24,6 +24,11 @@ def case_id(content: object) -> str:
     Numbers are coerced first (``1`` and ``1.0`` are one), keys sorted. Labels, names and
     citations are no content.
 
+    Parameters
+    ----------
+    content
+        As :func:`plain` takes it; a ``path`` within it is ignored.
+
     Examples
     --------
     >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
@@ -33,7 +38,19 @@ def case_id(content: object) -> str:
 
 
 def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
-    """Names of some content in every block, of which it is walked once.
+    """Names of some content in every block; the content is walked once.
+
+    Parameters
+    ----------
+    content : mapping
+        Document of a cell, without its block.
+    blocks : sequence of str or None
+        Label of every block; None for a study without blocks.
+
+    Returns
+    -------
+    list of str
+        One :func:`case_id` a block, in the same order.
 
     Examples
     --------
@@ -51,6 +68,11 @@ def _name(text: str) -> str:
 
 def canonical_json(content: object) -> str:
     """One spelling of JSON for equal content.
+
+    Parameters
+    ----------
+    content
+        As :func:`plain` takes it; a ``path`` within it is ignored.
 
     Raises
     ------
@@ -70,7 +92,13 @@ def _text(named: Json) -> str:
 
 
 def without_places(value: Json) -> Json:
-    """Content without ``path``: where a file lies on this machine names nothing."""
+    """Content without ``path``: where a file lies on this machine names nothing.
+
+    Parameters
+    ----------
+    value
+        Plain JSON values; mappings and lists are walked at every depth.
+    """
     if isinstance(value, dict):
         return {k: without_places(v) for k, v in value.items() if k != "path"}
     return [without_places(v) for v in value] if isinstance(value, list) else value
@@ -86,6 +114,17 @@ def plain(value: object) -> Json: ...
 
 def plain(value: object) -> Json:
     """Plain JSON values of a configuration, numbers coerced.
+
+    Parameters
+    ----------
+    value
+        Mappings, lists, tuples, arrays, dataclasses and atoms, nested at will. The citation of a
+        MeasurementSpec is left out.
+
+    Returns
+    -------
+    dict, list or atom
+        A whole float of a size below 2**53 is an int.
 
     Raises
     ------

@@ -126,6 +126,11 @@ def of_test(
 
     What all tests share is common to the tests that take it from the file; a test's own
     parameter is at most common to its curves.
+
+    Parameters
+    ----------
+    shared, own : mapping of str to mapping
+        Parameters of the file and of the test, by key, as :func:`nuisance_from` returns them.
     """
     within = {
         key: replace(one, each="curve" if one.each == "curve" else "test")

@@ -15,12 +15,37 @@ from study.setup.test_section import TEST_KINDS, TestSection
 
 
 def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Specimen:
-    """Read a specimen: its shape says which keys it has."""
+    """Read a specimen: its shape says which keys it has.
+
+    Parameters
+    ----------
+    table : mapping
+        The table as written.
+    faults : Faults
+        Where faults go.
+    path : str
+        Of the table.
+    """
     return read_variant(SPECIMENS, "shape", table, path, faults)
 
 
 def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
-    """Read how the specimen is loaded; the measured range may give the displacement later."""
+    """Read how the specimen is loaded; the measured range may give the displacement later.
+
+    Parameters
+    ----------
+    table : mapping
+        The table as written.
+    faults : Faults
+        Where faults go.
+    path : str
+        Of the table.
+
+    Returns
+    -------
+    TestSection
+        With its base filled in, and an indenter only where its kind takes one.
+    """
     found = read_table(TestSection, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
     base = found.base if "base" in written else found.held_below

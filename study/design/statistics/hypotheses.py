@@ -80,7 +80,19 @@ _MEND = 'for example matters = "material", or larger = "material" with than = "m
 def expected_from(
     value: object, factors: Sequence[Factor], responses: Sequence[Response], faults: Faults
 ) -> tuple[Expected, ...]:
-    """Read every ``[[expected]]``: one kind of :data:`KINDS` each, ``source`` and ``response``."""
+    """Read every ``[[expected]]``: one kind of :data:`KINDS` each, ``source`` and ``response``.
+
+    Parameters
+    ----------
+    value
+        Raw list of tables; None where there is none.
+    factors : sequence of Factor
+        Of the design, without the faulty ones.
+    responses : sequence of Response
+        Of the design; a faulty one has no name.
+    faults : Faults
+        Where faults go; a faulty table is left out.
+    """
     if value is None:
         return ()
     if not isinstance(value, list) or len(value) > MAX_EXPECTED:

@@ -71,7 +71,20 @@ def analysis_from(
 
 
 def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
-    """Terms that a design can tell, where the file does not ask for others."""
+    """Terms that a design can tell, where the file does not ask for others.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        Which combinations are run.
+    factors : sequence of Factor
+        All of the design, in the order of the scheme.
+
+    Returns
+    -------
+    "full", int or tuple of str
+        All interactions, the highest order of them, or the terms.
+    """
     if scheme.kind == "full":
         terms = terms_of(scheme, factors)
         return "full" if terms is None else terms
@@ -142,6 +155,13 @@ def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | Non
     """Terms of zipped and nested factors; None for a full factorial.
 
     Of zipped factors the first stands for all; a nested factor stands only beside its parent.
+
+    Parameters
+    ----------
+    scheme : Scheme
+        Which combinations are run.
+    factors : sequence of Factor
+        All of the design, in the order of the scheme.
     """
     if scheme.rows is None:
         return None

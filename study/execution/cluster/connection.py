@@ -62,6 +62,11 @@ class Client(Protocol):
 def connected(scheduler: str | Path | Client) -> Iterator[Client]:
     """Client of a scheduler, closed again unless it was given.
 
+    Parameters
+    ----------
+    scheduler : str, Path or Client
+        Address of a scheduler, its file, or a client that stays open.
+
     Raises
     ------
     InputError
@@ -114,5 +119,11 @@ def _place(scheduler: str) -> dict[str, str]:
 
 
 def first_line(error: BaseException) -> str:
-    """First line of what an error says, or its kind where it says nothing."""
+    """First line of what an error says, or its kind where it says nothing.
+
+    Parameters
+    ----------
+    error : BaseException
+        Of any kind; its further lines are left out.
+    """
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -75,7 +75,13 @@ def serve(
 
 
 def end_run(run: str) -> None:
-    """End the processes of a run on this worker, and remove its files."""
+    """End the processes of a run on this worker, and remove its files.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run, as in the place of :func:`serve`.
+    """
     HERE.end(run)
     folder, _ = _COPIES.pop(run, ("", {}))
     if folder:

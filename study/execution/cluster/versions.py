@@ -20,14 +20,28 @@ ABSENT = "absent"
 
 
 def about(identity: Identity) -> dict[str, str]:
-    """Versions of this machine, Dask's included."""
+    """Versions of this machine, Dask's included.
+
+    Parameters
+    ----------
+    identity : callable
+        Gives names and versions of what decides a number.
+    """
     import distributed
 
     return {**identity(), "distributed": str(distributed.__version__)}
 
 
 def differences(here: Mapping[str, str], there: object) -> str:
-    """Say what differs between this machine and a worker; empty if nothing does."""
+    """Say what differs between this machine and a worker; empty if nothing does.
+
+    Parameters
+    ----------
+    here : mapping of str to str
+        Versions of this machine, by name.
+    there
+        Those of the worker; or the error, itself or as text, that it gave in their stead.
+    """
     if not isinstance(there, Mapping):
         told = first_line(there) if isinstance(there, BaseException) else str(there)
         # the scheduler hands over errors of a worker as text
@@ -41,7 +55,13 @@ def differences(here: Mapping[str, str], there: object) -> str:
 
 
 def refusal(different: Mapping[str, str]) -> str:
-    """Say which workers cannot be used and why, those with the same differences together."""
+    """Say which workers cannot be used and why, those with the same differences together.
+
+    Parameters
+    ----------
+    different : mapping of str to str
+        What differs, by the address of each worker that cannot be used; one at least.
+    """
     alike = Counter(different.values())
     lines = [
         f"    {count} worker{'s' if count > 1 else ''}: {told}"
