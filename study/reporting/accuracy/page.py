@@ -88,7 +88,18 @@ def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
 
 
 def tracker_page(found: TrackerAccuracy) -> AccuracyPage:
-    """Page of a tracker."""
+    """Page of a tracker.
+
+    Parameters
+    ----------
+    found : TrackerAccuracy
+        Lengths in mm. Of distance, displacement and reference, each that is not None has a figure.
+
+    Returns
+    -------
+    AccuracyPage
+        With drawn figures; a figure that cannot be drawn says why.
+    """
     figures = []
     if (distance := found.distance) is not None:
         figures.append(make("tracker-distance", "Distance by stage", lambda: _distance(distance)))
@@ -142,7 +153,18 @@ def _poses(found: ReferenceResult) -> Drawn:
 
 
 def shape_page(found: ShapeDeviation) -> AccuracyPage:
-    """Page of a scanned surface."""
+    """Page of a scanned surface.
+
+    Parameters
+    ----------
+    found : ShapeDeviation
+        Lengths in mm; distances are positive where the scan lies outside the simulated surface.
+
+    Returns
+    -------
+    AccuracyPage
+        With drawn figures; a figure that cannot be drawn says why.
+    """
     frame = scan_figure.deviation_points(found)
     return AccuracyPage(
         kicker="Shape deviation",

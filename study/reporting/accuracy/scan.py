@@ -13,7 +13,18 @@ from study.shape_validation.deviation import MarkerDeviation, ShapeDeviation
 
 
 def answers(found: ShapeDeviation) -> list[str]:
-    """Say in a few sentences what was found."""
+    """Say in a few sentences what was found.
+
+    Parameters
+    ----------
+    found : ShapeDeviation
+        Lengths in mm. Sentences on registration and markers only where these are not None.
+
+    Returns
+    -------
+    list of str
+        Plain text: deviation, coverage, registration, markers.
+    """
     s = found.statistics
     lines = [
         f"The scan lies {quantity(s.mean_absolute, 'mm')} from the simulated surface on average "
@@ -63,7 +74,18 @@ def _markers(found: MarkerDeviation) -> Iterator[str]:
 
 
 def tables(found: ShapeDeviation) -> list[Table]:
-    """Statistics of the deviation, and markers."""
+    """Statistics of the deviation, and markers.
+
+    Parameters
+    ----------
+    found : ShapeDeviation
+        Lengths in mm. Without markers there is one table, with markers there are two.
+
+    Returns
+    -------
+    list of Table
+        Shown with three significant digits; ``raw`` is unrounded.
+    """
     s = found.statistics
     values = {
         "mean": s.mean, "mean of sizes": s.mean_absolute, "RMS": s.rms, "SD": s.sd,

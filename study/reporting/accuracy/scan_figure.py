@@ -42,7 +42,19 @@ VIEWS = (
 
 
 def deviation_points(found: ShapeDeviation) -> pd.DataFrame:
-    """Tabulate registered points with their normals and signed distances, mm."""
+    """Tabulate registered points with their normals and signed distances, mm.
+
+    Parameters
+    ----------
+    found : ShapeDeviation
+        Where it has more than ``MOST_POINTS`` points, as many are picked at equal steps.
+
+    Returns
+    -------
+    DataFrame
+        ``x_mm``, ``y_mm``, ``z_mm``, the unit normal ``normal_x``, ``normal_y``, ``normal_z``, and
+        ``deviation_mm``, positive where the scan lies outside the simulated surface.
+    """
     import pandas as pd
 
     n = len(found.distances)
@@ -54,7 +66,13 @@ def deviation_points(found: ShapeDeviation) -> pd.DataFrame:
 
 
 def draw_histogram(frame: pd.DataFrame) -> Canvas:
-    """Draw the histogram of signed distances, with mean and middle 90 %."""
+    """Draw the histogram of signed distances, with mean and middle 90 %.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of :func:`deviation_points`; only ``deviation_mm`` is read.
+    """
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 2.8)
@@ -72,7 +90,14 @@ def draw_histogram(frame: pd.DataFrame) -> Canvas:
 
 
 def draw_views(frame: pd.DataFrame) -> Canvas:
-    """Draw the body from six sides, colored by the mean deviation of every hexagon."""
+    """Draw the body from six sides, colored by the mean deviation of every hexagon.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of :func:`deviation_points`. A view has the points whose normals face it; a view without
+        any says so.
+    """
     from matplotlib import colormaps
 
     colors = colormaps["RdBu_r"].resampled(COLORS)

@@ -24,7 +24,18 @@ from study.tracker_accuracy.result import TrackerAccuracy
 
 
 def answers(found: TrackerAccuracy) -> list[str]:
-    """Say in a few sentences what was found."""
+    """Say in a few sentences what was found.
+
+    Parameters
+    ----------
+    found : TrackerAccuracy
+        Lengths in mm. What is None among distance, displacement and reference has no sentence.
+
+    Returns
+    -------
+    list of str
+        Plain text, the number of samples first.
+    """
     lines = [f"{count(found.samples, 'sample')} of {count(found.markers, 'marker')}."]
     if found.distance is not None:
         lines += _distance(found.distance, found.alpha)
@@ -135,7 +146,18 @@ def _lever_arm(arm: LeverArm, found: ReferenceResult) -> str:
 
 
 def tables(found: TrackerAccuracy) -> list[Table]:
-    """Stages, stops and poses."""
+    """Stages, stops and poses.
+
+    Parameters
+    ----------
+    found : TrackerAccuracy
+        Lengths in mm.
+
+    Returns
+    -------
+    list of Table
+        One for each of distance, displacement and reference that is not None, in this order.
+    """
     made = []
     if found.distance is not None:
         made.append(_stages(found.distance, found.alpha))

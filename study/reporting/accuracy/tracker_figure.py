@@ -36,7 +36,18 @@ LONGEST_ARROW = 0.15
 
 
 def distance_points(found: DistanceResult) -> pd.DataFrame:
-    """Histogram of the distances of every stage: classes in mm, counts."""
+    """Histogram of the distances of every stage: classes in mm, counts.
+
+    Parameters
+    ----------
+    found : DistanceResult
+        Its samples and the stage of each; all stages share ``CLASSES`` classes.
+
+    Returns
+    -------
+    DataFrame
+        One row a stage and class: ``stage``, ``low_mm``, ``high_mm``, ``samples``.
+    """
     import pandas as pd
 
     edges = np.histogram_bin_edges(found.samples_mm, CLASSES)
@@ -53,7 +64,15 @@ def distance_points(found: DistanceResult) -> pd.DataFrame:
 
 
 def draw_distances(frame: pd.DataFrame, found: DistanceResult) -> Canvas:
-    """Draw a histogram a stage on one axis, with mean and standard."""
+    """Draw a histogram a stage on one axis, with mean and standard.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of :func:`distance_points`; the first ``MOST_STAGES`` stages have a panel.
+    found : DistanceResult
+        Mean of every stage and, where it is known, the standard, mm.
+    """
     import seaborn as sns
 
     stages = list(dict.fromkeys(frame["stage"]))[:MOST_STAGES]
@@ -78,7 +97,19 @@ def draw_distances(frame: pd.DataFrame, found: DistanceResult) -> Canvas:
 
 
 def displacement_points(found: DisplacementResult) -> pd.DataFrame:
-    """Commanded and measured displacement of every stop, their mean and difference, mm."""
+    """Commanded and measured displacement of every stop, their mean and difference, mm.
+
+    Parameters
+    ----------
+    found : DisplacementResult
+        Displacements from home along the axis of the motion; home itself is left out.
+
+    Returns
+    -------
+    DataFrame
+        One row a stop: ``commanded_mm``, ``measured_mm``, ``mean_mm``, and ``difference_mm``,
+        measured less commanded.
+    """
     import pandas as pd
 
     return pd.DataFrame({
@@ -90,7 +121,15 @@ def displacement_points(found: DisplacementResult) -> pd.DataFrame:
 
 
 def draw_displacement(frame: pd.DataFrame, found: DisplacementResult) -> Canvas:
-    """Draw measured on commanded displacement, and their differences with limits of agreement."""
+    """Draw measured on commanded displacement, and their differences with limits of agreement.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of :func:`displacement_points`.
+    found : DisplacementResult
+        Regression line, bias and limits of agreement with their intervals, mm.
+    """
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 3.4)
@@ -114,7 +153,19 @@ def draw_displacement(frame: pd.DataFrame, found: DisplacementResult) -> Canvas:
 
 
 def reference_points(found: ReferenceResult) -> pd.DataFrame:
-    """Every pose in the reference's frame with its residual and errors, mm."""
+    """Every pose in the reference's frame with its residual and errors, mm.
+
+    Parameters
+    ----------
+    found : ReferenceResult
+        Positions in the tracker's frame; the registration moves them to the reference's.
+
+    Returns
+    -------
+    DataFrame
+        One row a pose: ``pose``, ``x_mm``, ``residual_x_mm`` and so for y and z, ``residual_mm``
+        (length of the residual), ``left_out_mm``, ``expected_mm`` (error the registration adds).
+    """
     import pandas as pd
 
     placed = found.fit.motion(found.positions_mm)
@@ -130,7 +181,15 @@ def reference_points(found: ReferenceResult) -> pd.DataFrame:
 
 
 def draw_reference(frame: pd.DataFrame, found: ReferenceResult) -> Canvas:
-    """Draw residuals over the workspace, and errors pose by pose."""
+    """Draw residuals over the workspace, and errors pose by pose.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Of :func:`reference_points`.
+    found : ReferenceResult
+        Not read: the frame has all that is drawn.
+    """
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 3.6)

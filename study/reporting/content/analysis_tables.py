@@ -36,7 +36,13 @@ DIGITS = 5
 
 
 def analysis_of_variance(found: AnalysisResult) -> Table:
-    """Source, DF, SS, MS, F, P for every term, the error and the total."""
+    """Source, DF, SS, MS, F, P for every term, the error and the total.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Corrected p and error strata have columns of their own where the analysis has them.
+    """
     rows = found.anova.rows
     corrected = any(row.p_gg is not None for row in rows)
     strata = len({row.error for row in rows if row.error}) > 1
@@ -69,7 +75,12 @@ def _anova_row(row: Row, corrected: bool, strata: bool) -> tuple[str, ...]:
 
 
 def model_summary(found: AnalysisResult) -> Table | None:
-    """S, R-sq, adjusted and predicted; None where nothing was left over."""
+    """S, R-sq, adjusted and predicted; None where nothing was left over.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+    """
     summary = found.variation.summary
     if summary is None:
         return None
@@ -83,7 +94,13 @@ def model_summary(found: AnalysisResult) -> Table | None:
 
 
 def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
-    """Coefficient, standard error, t, p and variance inflation factor of every column."""
+    """Coefficient, standard error, t, p and variance inflation factor of every column.
+
+    Parameters
+    ----------
+    table, facts : CoefficientTable, Facts of its response
+        None is returned for a table without coefficients.
+    """
     if not table.coefficients:
         return None
     inflated = any(c.vif is not None for c in table.coefficients)
@@ -109,7 +126,13 @@ def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
 
 
 def means(facts: Facts, data: ReportData) -> Table:
-    """Mean of every level of every factor and combination, with interval and letters."""
+    """Mean of every level of every factor and combination, with interval and letters.
+
+    Parameters
+    ----------
+    facts, data : Facts, ReportData
+        Means are in the unit of the response, geometric for a log response.
+    """
     rows: list[tuple[str, ...]] = []
     raw: list[dict[str, object]] = []
     for effect in facts.terms:
@@ -128,7 +151,12 @@ def means(facts: Facts, data: ReportData) -> Table:
 
 
 def simple_effects(facts: Facts, data: ReportData) -> Table | None:
-    """Differences of two levels at each setting of the other factors; None without interaction."""
+    """Differences of two levels at each setting of the other factors; None without interaction.
+
+    Parameters
+    ----------
+    facts, data : Facts, ReportData with better names of factors
+    """
     listed = [(e, one) for e in facts.effects for one in e.simple_effects if one.at]
     if not listed:
         return None
@@ -171,7 +199,12 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
 
 
 def contrasts(facts: Facts) -> Table | None:
-    """Differences of two settings that were asked for by name; None without any."""
+    """Differences of two settings that were asked for by name; None without any.
+
+    Parameters
+    ----------
+    facts : Facts
+    """
     result = facts.response.result
     if result is None or not result.contrasts:
         return None
@@ -184,14 +217,9 @@ def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
     Parameters
     ----------
     result : AnalysisResult
-        With contrasts.
+        With contrasts, one row each; Holm's p stands beside p where several were asked for.
     name, unit : str
         Of the response.
-
-    Returns
-    -------
-    Table
-        One row a difference; Holm's p beside p where several were asked for.
     """
     what = "ratio" if result.request.scale.is_log else "difference"
     level = f"{100 * (1 - result.request.alpha):.4g} %"
@@ -229,7 +257,13 @@ def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
 
 
 def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
-    """All pairs of levels with simultaneous interval and adjusted p."""
+    """All pairs of levels with simultaneous interval and adjusted p.
+
+    Parameters
+    ----------
+    pairs, facts, data : tuple of PairwiseDifference, Facts, ReportData
+        Ratios for a log response. Without pairs None is returned.
+    """
     if not pairs:
         return None
     sign = "/" if facts.ratio else "\N{MINUS SIGN}"
@@ -253,7 +287,13 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
 
 
 def against_reference(factor: str, found: Comparisons, data: ReportData) -> Table:
-    """Every level against a reference (Dunnett)."""
+    """Every level against a reference (Dunnett).
+
+    Parameters
+    ----------
+    factor, found, data : str, Comparisons, ReportData
+        Every pair has the reference second; there is at least one.
+    """
     reference = found.pairs[0].second
     rows = tuple(
         (clean(pair.first), significant(pair.difference), interval(pair.lower, pair.upper),
@@ -268,7 +308,13 @@ def against_reference(factor: str, found: Comparisons, data: ReportData) -> Tabl
 
 
 def checks(found: AnalysisResult) -> Table | None:
-    """Statistic and p of every test of an assumption that applies."""
+    """Statistic and p of every test of an assumption that applies.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        None is returned where no test applies.
+    """
     tests, rows = found.assumptions, []
     rj = tests.normality
     if rj is not None and rj.applicable:
@@ -299,7 +345,13 @@ def checks(found: AnalysisResult) -> Table | None:
 
 
 def unusual(found: UnusualObservations | None) -> Table | None:
-    """Rows with a large residual, a high leverage or a large Cook's distance."""
+    """Rows with a large residual, a high leverage or a large Cook's distance.
+
+    Parameters
+    ----------
+    found : UnusualObservations or None
+        None is returned where it is None or lists no row.
+    """
     if found is None or found.rows.empty:
         return None
     columns = (
@@ -323,7 +375,13 @@ def unusual(found: UnusualObservations | None) -> Table | None:
 
 
 def robustness(found: AnalysisResult, data: ReportData) -> Table | None:
-    """Give p of every term in each defensible analysis."""
+    """Give p of every term in each defensible analysis.
+
+    Parameters
+    ----------
+    found, data : AnalysisResult, ReportData
+        None is returned where no other analysis was made.
+    """
     table = found.assumptions.robustness
     if table is None or not table.p:
         return None

@@ -46,7 +46,18 @@ class CheckGroup:
 
 
 def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
-    """Gather checks of the same name into one, the worst first."""
+    """Gather checks of the same name into one, the worst first.
+
+    Parameters
+    ----------
+    made : sequence of Check
+        In any order; within a group their order stays.
+
+    Returns
+    -------
+    tuple of CheckGroup
+        By outcome: fail, caution, not applicable, pass.
+    """
     by_name: dict[str, list[Check]] = {}
     for check in made:
         by_name.setdefault(check.name, []).append(check)
@@ -55,7 +66,15 @@ def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
 
 
 def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
-    """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
+    """Gather the checks of the run, then the controls, then those of each analysis, worst first.
+
+    Parameters
+    ----------
+    data : ReportData
+        Of its controls only those that fail or caution: the others stand elsewhere on the page.
+    found : sequence of Facts
+        Every response of ``data``; one without effects fails, unless there are surfaces.
+    """
     # controls that pass stand under numerical credibility alone
     bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
     made = [*data.checks, *bad, *_of_cases(data)]

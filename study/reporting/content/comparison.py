@@ -30,12 +30,24 @@ LONGEST = 70
 
 
 def response_of(row: Conclusion, labels: Labels = None) -> str:
-    """Readable name of the response of a conclusion."""
+    """Readable name of the response of a conclusion.
+
+    Parameters
+    ----------
+    row, labels : Conclusion, mapping of str to str or None
+        ``labels`` are better names of responses and factors; a name is made where there is none.
+    """
     return name_of(row.response, labels)
 
 
 def summary(beside: Beside, labels: Labels = None) -> tuple[str, ...]:
-    """Say which conclusions hold: how many, then response by response."""
+    """Say which conclusions hold: how many, then response by response.
+
+    Parameters
+    ----------
+    beside, labels : Beside, mapping of str to str or None
+        ``labels`` are better names of responses and factors.
+    """
     mains = [row for row in beside.conclusions if row.is_main]
     said = [_count(mains, beside)] if mains else []
     for rows in _by_response(beside.conclusions).values():
@@ -153,7 +165,13 @@ def _how(row: Conclusion, beside: Beside) -> str:
 
 
 def effect_of(row: Conclusion, found: Found) -> Effect:
-    """Effect of one study, as the words of a report want it."""
+    """Effect of one study, as the words of a report want it.
+
+    Parameters
+    ----------
+    row, found : Conclusion, Found
+        ``found`` is one of ``row.found``. The effect has no levels and no means.
+    """
     return Effect(
         row.term, (), (), _interval(found.low, found.high), found.effect, found.verdict,
         "ratio" if row.ratio else "difference", practical=found.practical, p=found.p,
@@ -166,13 +184,25 @@ def _interval(low: float | None, high: float | None) -> tuple[float, float] | No
 
 
 def facts_of(row: Conclusion) -> Facts:
-    """Response of a conclusion: its title and unit."""
+    """Response of a conclusion: its title and unit.
+
+    Parameters
+    ----------
+    row : Conclusion
+        No analysis stands behind its facts: they have no effects.
+    """
     unit = clean(row.unit)
     return Facts(ResponseAnalysis(row.response, unit), response_of(row), unit)
 
 
 def answer_lines(beside: Beside | None, labels: Labels = None) -> tuple[str, ...]:
-    """Lines for the answer box: which conclusions hold beside the other study, which do not."""
+    """Lines for the answer box: which conclusions hold beside the other study, which do not.
+
+    Parameters
+    ----------
+    beside, labels : Beside or None, mapping of str to str or None
+        Nothing is said without another study, or where no single factor is compared.
+    """
     if beside is None:
         return ()
     mains = [row for row in beside.conclusions if row.is_main]
@@ -210,7 +240,13 @@ def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:
 
 
 def changes(beside: Beside) -> Table:
-    """Return the inputs that differ, the first thing to read."""
+    """Return the inputs that differ, the first thing to read.
+
+    Parameters
+    ----------
+    beside : Beside
+        One row for each of its changes; values are cut to ``LONGEST`` letters, but in ``raw``.
+    """
     rows = tuple(
         (clean(c.key, LONGEST), *(clean(_absent(c) if v is None else v, LONGEST) for v in c.values))
         for c in beside.changes
@@ -227,7 +263,13 @@ def _absent(change: Change) -> str:
 
 
 def only_lines(beside: Beside, labels: Labels = None) -> tuple[str, ...]:
-    """Name what only one study has, so that nothing is dropped in silence."""
+    """Name what only one study has, so that nothing is dropped in silence.
+
+    Parameters
+    ----------
+    beside, labels : Beside, mapping of str to str or None
+        One line a study and kind (response, factor, term, level).
+    """
     groups: dict[tuple[int, str], list[OnlyInOne]] = {}
     for item in beside.only:
         groups.setdefault((item.study, item.what), []).append(item)
@@ -246,12 +288,24 @@ def _only(item: OnlyInOne, labels: Labels) -> str:
 
 
 def shown(rows: Iterable[Conclusion]) -> list[Conclusion]:
-    """Rows of the short table: factors, and interactions that matter in one of the studies."""
+    """Rows of the short table: factors, and interactions that matter in one of the studies.
+
+    Parameters
+    ----------
+    rows : iterable of Conclusion
+        In the order that is kept.
+    """
     return [row for row in rows if row.is_main or _strong(row)]
 
 
 def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
-    """Name the interactions that the short table leaves out, by what is known of them."""
+    """Name the interactions that the short table leaves out, by what is known of them.
+
+    Parameters
+    ----------
+    rows, labels : iterable of Conclusion, mapping of str to str or None
+        All conclusions of one response. Empty text where nothing is left out.
+    """
     groups: dict[str, list[str]] = {}
     for row in rows:
         if not row.is_main and not _strong(row):
@@ -261,19 +315,37 @@ def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
 
 
 def quiet_lines(beside: Beside, labels: Labels = None) -> tuple[tuple[str, str], ...]:
-    """Response and what is known of the interactions that its table leaves out."""
+    """Response and what is known of the interactions that its table leaves out.
+
+    Parameters
+    ----------
+    beside, labels : Beside, mapping of str to str or None
+        A response of which nothing is left out has no line.
+    """
     groups = _by_response(beside.conclusions).values()
     lines = [(response_of(rows[0], labels), quiet_line(rows, labels)) for rows in groups]
     return tuple((title, line) for title, line in lines if line)
 
 
 def short(row: Conclusion) -> str:
-    """Conclusion without what the verdicts beside it say."""
+    """Conclusion without what the verdicts beside it say.
+
+    Parameters
+    ----------
+    row : Conclusion
+        Of its conclusion, what stands before a colon: ``holds in both``, ``differs``.
+    """
     return row.conclusion.partition(":")[0]
 
 
 def table(beside: Beside, labels: Labels = None) -> Table:
-    """Two rows a term, one for each study; grouped by response."""
+    """Two rows a term, one for each study; grouped by response.
+
+    Parameters
+    ----------
+    beside, labels : Beside, mapping of str to str or None
+        The rows leave out what :func:`shown` does; ``raw`` has every conclusion.
+    """
     rows, raw = [], []
     for group in _by_response(beside.conclusions).values():
         for row in shown(group):

@@ -57,6 +57,12 @@ _PATTERN = re.compile(
 def glossed(text: str) -> Markup:
     """Escape a text, with the first of each term that the glossary holds explained on hover.
 
+    Parameters
+    ----------
+    text : str
+        Plain text. Terms that are short or common words, such as ``p`` and ``block``, stay as
+        they are.
+
     Examples
     --------
     >>> print(glossed("1 pp < 2 pp"))
@@ -74,7 +80,13 @@ def glossed(text: str) -> Markup:
 
 
 def explained(term: str) -> Markup:
-    """Escape one word, explained on hover where the glossary holds it."""
+    """Escape one word, explained on hover where the glossary holds it.
+
+    Parameters
+    ----------
+    term : str
+        Written exactly as in ``TERMS``; any other text is only escaped.
+    """
     meaning = TERMS.get(term)
     if meaning is None:
         return escape(term)

@@ -37,7 +37,20 @@ _UNKNOWN = "the study has no answer"
 
 
 def table(data: ReportData, found: Sequence[Facts]) -> Table:
-    """One row an expectation: what, by whom, what was found, and whether it came true."""
+    """One row an expectation: what, by whom, what was found, and whether it came true.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its expectations, and the rows that cells are compared by.
+    found : sequence of Facts
+        An expectation of a response that is not among them has no answer.
+
+    Returns
+    -------
+    Table
+        The verdict is ``holds``, ``does not hold`` or ``cannot tell``.
+    """
     by_name = {facts.name: facts for facts in found}
     rows = []
     for item in data.expected:

@@ -25,7 +25,20 @@ _SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 
 def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
-    """Return the methods paragraph: design, measurements, scoring, statistics, software."""
+    """Return the methods paragraph: design, measurements, scoring, statistics, software.
+
+    Parameters
+    ----------
+    data : ReportData
+        What is not known, such as the source of the measurements, is left out.
+    found : sequence of Facts
+        Each response with effects has a sentence on its analysis of variance.
+
+    Returns
+    -------
+    str
+        Plain text in one line.
+    """
     parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]

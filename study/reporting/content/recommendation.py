@@ -47,7 +47,15 @@ if TYPE_CHECKING:
 
 
 def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
-    """Name the best cell of the first response that has a better end, and the tie around it."""
+    """Name the best cell of the first response that has a better end, and the tie around it.
+
+    Parameters
+    ----------
+    data : ReportData
+        Where it has conditions or unknowns, the best choices are named, at every condition.
+    found : sequence of Facts
+        Tried in this order; a better end is ``"lower"`` or ``"higher"``.
+    """
     for facts in found:
         if facts.response.better not in ("lower", "higher"):
             continue
@@ -143,6 +151,10 @@ def cost_front(
 
     Parameters
     ----------
+    data : ReportData
+        Computing time of each case in the column ``seconds``, where it is known.
+    facts : Facts
+        The response; the lower mean is the better one unless ``better`` is ``"higher"``.
     factors : sequence of str, optional
         Factors that make a cell, all by default.
 
@@ -179,6 +191,13 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     """Say which choices to use: the cheapest within the practical difference of the best.
 
     Conditions get a recommendation each; over what nobody measured the mean is taken.
+
+    Parameters
+    ----------
+    data : ReportData
+        Roles of the factors, and the computing time of each case in s, where it is known.
+    facts : Facts
+        The response; the lower mean is the better one unless ``better`` is ``"higher"``.
     """
     chosen = roles.factors_of(data, roles.CHOICE)
     if not chosen:
@@ -239,6 +258,18 @@ def cheaper(data: ReportData, facts: Facts) -> str:
     """Say which modelling choice (``model.*``) may be the cheaper one, level against level.
 
     Only factors of the computation are compared: plates or specimens are no choice.
+
+    Parameters
+    ----------
+    data : ReportData
+        Computing time of each case in s, in the column ``seconds``.
+    facts : Facts
+        The response and its main effects.
+
+    Returns
+    -------
+    str
+        One sentence a factor; empty without computing times or a better end of the response.
     """
     if not facts.response.better or "seconds" not in data.table:
         return ""
@@ -275,7 +306,15 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
 
 
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
-    """Say what would change the answer."""
+    """Say what would change the answer.
+
+    Parameters
+    ----------
+    data : ReportData
+        Surfaces, where it has any, are all that is spoken of.
+    found : sequence of Facts
+        Every response; effects that are open, fragile or not resolved are named.
+    """
     if data.surfaces:
         return response_surface.would_change(data)
     parts = [*_surer(data, found), *_closer_to_reality(data)]

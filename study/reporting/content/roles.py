@@ -29,24 +29,63 @@ _SAID = {
 
 
 def role(data: ReportData, factor: str) -> str:
-    """Role of a factor; a choice where none was declared."""
+    """Role of a factor; a choice where none was declared.
+
+    Parameters
+    ----------
+    data : ReportData
+        Declared roles by factor.
+    factor : str
+        Key of a factor.
+
+    Returns
+    -------
+    {"choice", "condition", "unknown"}
+    """
     return data.roles.get(factor, CHOICE)
 
 
 def factors_of(data: ReportData, *roles: str) -> list[str]:
-    """Factors with one of some roles, in the order of the design."""
+    """Factors with one of some roles, in the order of the design.
+
+    Parameters
+    ----------
+    data : ReportData
+        Factors and their declared roles.
+    *roles : {"choice", "condition", "unknown"}
+        Roles that count.
+    """
     return [name for name in data.factors if role(data, name) in roles]
 
 
 def settings(data: ReportData) -> list[dict[str, str]]:
-    """Every combination of the levels of the conditions; one empty one where there are none."""
+    """Every combination of the levels of the conditions; one empty one where there are none.
+
+    Parameters
+    ----------
+    data : ReportData
+        A condition with a single level is left out.
+
+    Returns
+    -------
+    list of dict of str to str
+        Level by condition; the last condition changes fastest.
+    """
     names = [n for n in factors_of(data, CONDITION) if len(data.factors[n]) > 1]
     combined = product(*(data.factors[name] for name in names))
     return [dict(zip(names, levels, strict=True)) for levels in combined]
 
 
 def at(data: ReportData, setting: Mapping[str, str]) -> ReportData:
-    """Copy of a study with the rows of one setting of its conditions alone."""
+    """Copy of a study with the rows of one setting of its conditions alone.
+
+    Parameters
+    ----------
+    data : ReportData
+        The copy shares all but the table.
+    setting : mapping of str to str
+        Level by factor; an empty one keeps all rows.
+    """
     table = data.table
     for name, level in setting.items():
         table = table[table[name].astype(str) == level]
@@ -54,12 +93,33 @@ def at(data: ReportData, setting: Mapping[str, str]) -> ReportData:
 
 
 def named(setting: Mapping[str, str], data: ReportData) -> str:
-    """Name a setting: ``range 40 %``."""
+    """Name a setting: ``range 40 %``.
+
+    Parameters
+    ----------
+    setting : mapping of str to str
+        Level by factor; an empty one has an empty name.
+    data : ReportData
+        Better names of the factors.
+    """
     return ", ".join(f"{name_of(n, data.labels)} {clean(v)}" for n, v in setting.items())
 
 
 def by_condition(data: ReportData, found: Sequence[Facts]) -> list[str]:
-    """Say at which levels of a condition each choice matters."""
+    """Say at which levels of a condition each choice matters.
+
+    Parameters
+    ----------
+    data : ReportData
+        Roles and levels of the factors.
+    found : sequence of Facts
+        Simple effects of their factors at the levels of the conditions.
+
+    Returns
+    -------
+    list of str
+        A sentence a condition, response and choice, where every level has simple effects.
+    """
     return [
         line
         for condition in factors_of(data, CONDITION)
@@ -86,7 +146,20 @@ def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportDat
 
 
 def apart(difference: float, effect: Effect) -> float:
-    """How far two levels are apart, whichever is higher."""
+    """How far two levels are apart, whichever is higher.
+
+    Parameters
+    ----------
+    difference : float
+        In the unit of the response, or a ratio where the effect is one.
+    effect : Effect
+        Tells which of the two it is.
+
+    Returns
+    -------
+    float
+        Not negative, a ratio 1 or more; a ratio that is not positive comes back as it is.
+    """
     if effect.is_ratio:
         return max(difference, 1 / difference) if difference > 0 else difference
     return abs(difference)
@@ -98,6 +171,11 @@ def _largest(effects: Sequence[SimpleEffect], effect: Effect) -> SimpleEffect:
 
 def together(verdicts: Sequence[str]) -> str:
     """Verdict of several simple effects: any that matters decides, else all must agree.
+
+    Parameters
+    ----------
+    verdicts : sequence of str
+        Of one factor at one level of a condition.
 
     Examples
     --------
@@ -114,7 +192,15 @@ def together(verdicts: Sequence[str]) -> str:
 
 
 def unknowns(data: ReportData, found: Sequence[Facts]) -> list[str]:
-    """Say of every fact that nobody measured what it would change, and whether to measure it."""
+    """Say of every fact that nobody measured what it would change, and whether to measure it.
+
+    Parameters
+    ----------
+    data : ReportData
+        Factors whose role is ``"unknown"``.
+    found : sequence of Facts
+        Every response; an unknown without an effect on any of them has no sentence.
+    """
     lines = []
     for name in factors_of(data, UNKNOWN):
         effects = [(f, e) for f in found for e in f.effects if e.term == name]

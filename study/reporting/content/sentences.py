@@ -47,7 +47,13 @@ _SOURCES = {
 
 
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
-    """Sentences that answer the study's question: what matters, what does not, so what."""
+    """Sentences that answer the study's question: what matters, what does not, so what.
+
+    Parameters
+    ----------
+    data, found : ReportData, sequence of Facts
+        Every response; without effects of any, surfaces or failures are spoken of.
+    """
     if not any(facts.terms for facts in found):
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
@@ -232,7 +238,12 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 
 
 def error_term(facts: Facts, data: ReportData) -> str:
-    """Say where the error of the table comes from and what its p answers."""
+    """Say where the error of the table comes from and what its p answers.
+
+    Parameters
+    ----------
+    facts, data : Facts, ReportData with the name of its blocks
+    """
     term = facts.error_term
     if term is None:
         return "No error term: the response was not analyzed."
@@ -272,7 +283,12 @@ _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor.
 
 
 def numerical(found: Sequence[Facts]) -> str:
-    """Say what the numerical uncertainty beside an effect is; empty where none is known."""
+    """Say what the numerical uncertainty beside an effect is; empty where none is known.
+
+    Parameters
+    ----------
+    found : sequence of Facts
+    """
     known = [facts for facts in found if any(e.u_num is not None for e in facts.terms)]
     if not known:
         return ""
@@ -296,7 +312,13 @@ VIRTUAL = (
 
 
 def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
-    """Statements about the error term, each once, with the responses that it holds for."""
+    """Statements about the error term, each once, with the responses that it holds for.
+
+    Parameters
+    ----------
+    data, found : ReportData, sequence of Facts
+        The responses are empty for a statement that all of several responses share.
+    """
     by_text: dict[str, list[str]] = {}
     for facts in found:
         for text in (error_term(facts, data), distinct(facts, data)):
@@ -309,7 +331,13 @@ def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, st
 
 
 def distinct(facts: Facts, data: ReportData) -> str:
-    """Say how many computations were really different."""
+    """Say how many computations were really different.
+
+    Parameters
+    ----------
+    facts, data : Facts, ReportData
+        The text is empty where all cells differ, or where it is not known.
+    """
     total = data.planned
     if facts.distinct is None or facts.distinct >= total:
         return ""
@@ -331,11 +359,6 @@ def partial(data: ReportData) -> str:
     ----------
     data : ReportData
         Rows of its table are the cases that ended, failed ones included.
-
-    Returns
-    -------
-    str
-        One or two sentences.
     """
     planned = data.planned * max(len(data.blocks), 1)
     if len(data.table) >= planned:
@@ -347,7 +370,12 @@ def partial(data: ReportData) -> str:
 
 
 def failures(items: Sequence[Failure], total: int) -> str:
-    """Failures in one sentence; none is said plainly."""
+    """Failures in one sentence; none is said plainly.
+
+    Parameters
+    ----------
+    items, total : sequence of Failure, int (cases that ended)
+    """
     if not items:
         return f"None: {'the case' if total == 1 else f'all {total:,} cases'} gave a response."
     kinds: dict[str, int] = {}

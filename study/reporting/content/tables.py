@@ -38,7 +38,15 @@ if TYPE_CHECKING:
 
 
 def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
-    """One row a factor and response, and interactions that are not negligible."""
+    """One row a factor and response, and interactions that are not negligible.
+
+    Parameters
+    ----------
+    found : sequence of Facts
+        Sizes in the unit of each response, or as ratios.
+    data : ReportData
+        Better names of the factors, and ``alpha`` for the level in the heading.
+    """
     rows, raw = [], []
     for facts in found:
         strong = [e for e in facts.interactions if e.strength == "matters"]
@@ -87,7 +95,20 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
 
 
 def anova(facts: Facts, data: ReportData) -> Table:
-    """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
+    """Return the ANOVA table of the effects; error strata stand in :func:`strata`.
+
+    Parameters
+    ----------
+    facts : Facts
+        The response; without any F the table has sums of squares, and p of Lenth where known.
+    data : ReportData
+        Factors, which tell effects from strata, their better names, and what a block is.
+
+    Returns
+    -------
+    Table
+        ``raw`` has all rows of the analysis, strata too.
+    """
     effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
     corrected = any(row.epsilon_gg is not None for row in effects)
     tested = any(row.f is not None for row in effects)
@@ -136,7 +157,15 @@ def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iter
 
 
 def strata(facts: Facts, data: ReportData) -> Table:
-    """Rows of the ANOVA table that are blocks or error."""
+    """Rows of the ANOVA table that are blocks or error.
+
+    Parameters
+    ----------
+    facts : Facts
+        Sums of squares on the scale of the analysis.
+    data : ReportData
+        Factors, which tell effects from strata, and what a block is.
+    """
     names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
     rows = tuple(
         (
@@ -171,7 +200,21 @@ def _eta(row: Row) -> str:
 
 
 def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
-    """Every cell: how many cases gave a response, its means, its cost."""
+    """Every cell: how many cases gave a response, its means, its cost.
+
+    Parameters
+    ----------
+    data : ReportData
+        Cases with their status, responses and, where known, seconds.
+    found : sequence of Facts
+        A response that is no column of the table is left out.
+
+    Returns
+    -------
+    Table
+        Cells in the order of the design. A mean is over the blocks that all cells share,
+        geometric for a log response; the mean time is over all cases of the cell.
+    """
     factors = list(data.factors)
     known = [facts for facts in found if facts.name in data.table]
     means = {
@@ -209,7 +252,15 @@ def _columns(frame: pd.DataFrame, *names: str) -> list[list[object]]:
 
 
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
-    """Numerical uncertainty of each kind of discretization."""
+    """Numerical uncertainty of each kind of discretization.
+
+    Parameters
+    ----------
+    items : sequence of NumericalUncertainty
+        One row each, in the unit of its response; ``u_num`` of a response in percent is in pp.
+    data : ReportData
+        Better names of factors and responses.
+    """
     names = list(dict.fromkeys(name for item in items for name in item.levels))
     rows = tuple(
         (
@@ -246,7 +297,13 @@ def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
 
 
 def failures(data: ReportData) -> Table:
-    """Every failed case with what was said."""
+    """Every failed case with what was said.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its failures, one row each; a message is cut to 400 letters.
+    """
     rows = tuple(
         (
             clean(item.case_id, 16),

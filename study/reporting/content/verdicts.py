@@ -53,7 +53,10 @@ PLUS_MINUS = "\u00b1"
 def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
     """One sentence: what a factor does to a response, and how sure that is.
 
-    The verdict itself comes from the analysis; this says it with its numbers.
+    Parameters
+    ----------
+    effect, facts, labels : Effect, Facts, mapping of str to str or None
+        The verdict comes from the analysis and is said with its numbers; ``labels`` name factors.
     """
     name = term_name(effect.term, labels)
     if effect.range is None:
@@ -86,14 +89,25 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
 
 
 def sole_setting(effect: Effect) -> SimpleEffect | None:
-    """Return the simple effect that carries *matters* where the average does not."""
+    """Return the simple effect that carries *matters* where the average does not.
+
+    Parameters
+    ----------
+    effect : Effect
+        None is returned for other verdicts, a single setting, or an average that matters too.
+    """
     if effect.verdict != MATTERS or effect.matters_on_average or not effect.depends_on_settings:
         return None
     return effect.deciding_simple
 
 
 def told(effect: Effect) -> str:
-    """Verdict as a table says it, so that the average beside it does not contradict it."""
+    """Verdict as a table says it, so that the average beside it does not contradict it.
+
+    Parameters
+    ----------
+    effect : Effect with its simple effects
+    """
     return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
 
 
@@ -126,7 +140,12 @@ def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
 
 
 def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
-    """Return a simple effect with its interval and its numerical uncertainty."""
+    """Return a simple effect with its interval and its numerical uncertainty.
+
+    Parameters
+    ----------
+    one, effect, facts : SimpleEffect, Effect that has it, Facts of the response
+    """
     number = shown_difference(one.difference, effect, facts)
     ends = one.ci_simultaneous if one.verdict == MATTERS else one.ci
     if ends is None:
@@ -139,13 +158,23 @@ def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
 
 
 def setting(one: SimpleEffect, labels: Labels = None) -> str:
-    """Name a setting: ``at element order linear, mesh fine``."""
+    """Name a setting: ``at element order linear, mesh fine``.
+
+    Parameters
+    ----------
+    one, labels : SimpleEffect, mapping of str to str (better names of factors) or None
+    """
     listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in one.at)
     return f"at {listed}" if listed else "whatever the other factors"
 
 
 def robust(effect: Effect, facts: Facts) -> str:
-    """Say whether a claim holds with any one block left out; empty where that is not known."""
+    """Say whether a claim holds with any one block left out; empty where that is not known.
+
+    Parameters
+    ----------
+    effect, facts : Effect, Facts with the name of a block
+    """
     if effect.lost_without is None:
         return ""
     block = facts.block
@@ -231,7 +260,12 @@ WHAT_IF: tuple[tuple[str, str], ...] = (
 
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
-    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
+    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one.
+
+    Parameters
+    ----------
+    facts, alpha : Facts (False without the test), float (size of the test)
+    """
     found = facts.assumptions.normality
     if found is None:
         return False
@@ -245,7 +279,12 @@ def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
 
 
 def normality(facts: Facts, alpha: float = 0.05) -> str:
-    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
+    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable.
+
+    Parameters
+    ----------
+    facts, alpha : Facts, float (size of the test)
+    """
     found = facts.assumptions.normality
     if found is None or found.rj is None:
         reason = (found and found.reason) or "there are no residuals to test"
@@ -266,18 +305,33 @@ def normality(facts: Facts, alpha: float = 0.05) -> str:
 
 
 def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
-    """Whether a test rejects; a Monte-Carlo p decides where there is one."""
+    """Whether a test rejects; a Monte-Carlo p decides where there is one.
+
+    Parameters
+    ----------
+    test, alpha : SpreadTest (False where it does not apply), float (size of the test)
+    """
     p = p_of(test)
     return p is not None and p < alpha
 
 
 def p_of(test: SpreadTest) -> float | None:
-    """Return the p of a test that decides: the Monte-Carlo one where there is one."""
+    """Return the p of a test that decides: the Monte-Carlo one where there is one.
+
+    Parameters
+    ----------
+    test : SpreadTest; None is returned where it does not apply
+    """
     return test.p if test.p_monte_carlo is None else test.p_monte_carlo
 
 
 def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
-    """Bartlett or Levene in one sentence."""
+    """Bartlett or Levene in one sentence.
+
+    Parameters
+    ----------
+    test, found, alpha : {"bartlett", "levene"}, SpreadTest or None, float (size of the test)
+    """
     title = test.capitalize()
     if found is None or found.statistic is None:
         reason = (found and found.reason) or "it was not run"
@@ -294,7 +348,12 @@ def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
 
 
 def additivity(found: NonAdditivityResult, data: ReportData) -> str:
-    """Tukey's one-degree test in one sentence."""
+    """Tukey's one-degree test in one sentence.
+
+    Parameters
+    ----------
+    found, data : NonAdditivityResult, ReportData with alpha and the name of its blocks
+    """
     rejected = found.p is not None and found.p < data.alpha
     decision = "rejected" if rejected else "not rejected"
     return (
@@ -304,7 +363,13 @@ def additivity(found: NonAdditivityResult, data: ReportData) -> str:
 
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
-    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
+    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon.
+
+    Parameters
+    ----------
+    facts : Facts
+        None is returned where no term has a finite epsilon and degrees of freedom.
+    """
     known = {
         term: found.epsilon_gg
         for term, found in facts.assumptions.sphericity.items()
@@ -317,7 +382,13 @@ def least_sphericity(facts: Facts) -> tuple[str, float] | None:
 
 
 def sphericity(facts: Facts, labels: Labels = None) -> str:
-    """Say how far the correlations between cells are from what an uncorrected F assumes."""
+    """Say how far the correlations between cells are from what an uncorrected F assumes.
+
+    Parameters
+    ----------
+    facts, labels : Facts, mapping of str to str or None
+        The text is empty where no term has an epsilon; ``labels`` are better names of factors.
+    """
     least = least_sphericity(facts)
     if least is None:
         return ""

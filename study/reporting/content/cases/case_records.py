@@ -22,7 +22,18 @@ CELL = "cell-"
 
 
 def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
-    """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
+    """Levels and rows of every cell, cells in the order of the design, rows in that of blocks.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its table has one row a case, failed cases included; without rows there are no cells.
+
+    Returns
+    -------
+    list of (tuple of str, DataFrame)
+        The levels stand in the order of ``data.factors``.
+    """
     if data.table.empty:  # nothing is computed yet, or what was is lost
         return []
     groups = [

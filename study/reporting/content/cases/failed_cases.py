@@ -82,7 +82,15 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
 
 
 def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
-    """Test of every factor: failed cases by level, p, and p adjusted for their number."""
+    """Test of every factor: failed cases by level, p, and p adjusted for their number.
+
+    Parameters
+    ----------
+    pattern : FailurePattern
+        One row of the table for each of its tests; ``raw`` has a row a factor and level.
+    labels : mapping of str to str
+        Better names of factors.
+    """
     rows = tuple(
         (name_of(one.factor, labels), _p(one.p), _p(one.p_holm), _levels(one), one.method)
         for one in pattern.tests
@@ -110,7 +118,13 @@ def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
 
 
 def retried_sentence(items: Sequence[Retried]) -> str:
-    """Say how many cases have other settings than the design's; empty where none has."""
+    """Say how many cases have other settings than the design's; empty where none has.
+
+    Parameters
+    ----------
+    items : sequence of Retried
+        One a case; the status ``"converged"`` counts as an answer.
+    """
     if not items:
         return ""
     solved = sum(item.status == "converged" for item in items)
@@ -123,7 +137,15 @@ def retried_sentence(items: Sequence[Retried]) -> str:
 
 
 def retried_table(items: Sequence[Retried], block: str) -> Table:
-    """List every case whose settings are not those of the design: why, what, and the outcome."""
+    """List every case whose settings are not those of the design: why, what, and the outcome.
+
+    Parameters
+    ----------
+    items : sequence of Retried
+        One row each; several attempts at a case are joined in order.
+    block : str
+        What a block is (``"phantom"``), the head of its column; empty gives ``block``.
+    """
     rows = tuple(
         (
             clean(item.case_id, 16),

@@ -10,7 +10,15 @@ from study.study_result.report_data import ANY, FittedConstant, ReportData
 
 
 def fit_name(fit: FittedConstant, data: ReportData) -> str:
-    """Name a fit by its levels; a factor that one fit serves is any."""
+    """Name a fit by its levels; a factor that one fit serves is any.
+
+    Parameters
+    ----------
+    fit : FittedConstant
+        Its levels, ``ANY`` where one fit serves all levels of a factor.
+    data : ReportData
+        Better names of the factors.
+    """
     parts = (
         f"any {name_of(name, data.labels)}" if level == ANY else clean(level)
         for name, level in fit.levels.items()
@@ -19,13 +27,37 @@ def fit_name(fit: FittedConstant, data: ReportData) -> str:
 
 
 def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
-    """Sort key of a fit: its levels in the order of the design."""
+    """Sort key of a fit: its levels in the order of the design.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Level by factor; not of a fit alone: cells and marked cases are sorted by it too.
+    data : ReportData
+        Order of the levels of each factor.
+
+    Returns
+    -------
+    tuple of int
+        Place of each level; -1 for one that is not in the design, such as ``ANY``.
+    """
     known = ((data.factors.get(name, ()), level) for name, level in levels.items())
     return tuple(order.index(level) if level in order else -1 for order, level in known)
 
 
 def fits(data: ReportData) -> Table:
-    """Fitted constants over the blocks: median, range, uncertainty, identifiability."""
+    """Fitted constants over the blocks: median, range, uncertainty, identifiability.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its fits, values in the unit of each constant and residuals in N.
+
+    Returns
+    -------
+    Table
+        One row for the same levels and constant; ``raw`` has one for every fitted constant.
+    """
     names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
     groups: dict[tuple[str, str], list[FittedConstant]] = {}
     for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
@@ -99,7 +131,13 @@ def _strongest(items: Sequence[FittedConstant]) -> str:
 
 
 def every_fit(data: ReportData) -> Table:
-    """Every fitted constant with its 95 % interval."""
+    """Every fitted constant with its 95 % interval.
+
+    Parameters
+    ----------
+    data : ReportData
+        One row for each of its fits, values in the unit of the constant and residuals in N.
+    """
     rows = tuple(
         (
             fit_name(fit, data),

@@ -13,7 +13,19 @@ _PLATES = {"nominal": "as said", "rigid": "any rigid motion", "slipping": "rigid
 
 
 def marker_errors(data: ReportData) -> Table:
-    """RMS error of the markers of every case and plate, with the motion of the plate."""
+    """RMS error of the markers of every case and plate, with the motion of the plate.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its marked cases, with errors in mm; a motion has mm, deg (tilts, twist) and percent
+        (spread).
+
+    Returns
+    -------
+    Table
+        One row a case and plate. Fitted components stand with their standard errors.
+    """
     shown = sorted(data.markers, key=lambda one: fit_rank(one.levels, data))
     rows = tuple(_row(one, fit) for one in shown for fit in one.fits)
     raw = tuple(

@@ -34,19 +34,34 @@ if TYPE_CHECKING:
 
 
 def title(one: FittedSurface, data: ReportData) -> str:
-    """Name of the response, and where the factors without numbers stand."""
+    """Name of the response, and where the factors without numbers stand.
+
+    Parameters
+    ----------
+    one, data : FittedSurface, ReportData with better names
+    """
     at = listing([f"{name_of(k, data.labels)} {clean(v)}" for k, v in one.labels.items()])
     named = clean(name_of(one.response, data.labels))
     return f"{named} at {at}" if at else named
 
 
 def answer(data: ReportData) -> tuple[str, ...]:
-    """Sentences that answer which numbers drive each response, and how sure that is."""
+    """Sentences that answer which numbers drive each response, and how sure that is.
+
+    Parameters
+    ----------
+    data : ReportData with surfaces, an entry each
+    """
     return tuple(_answer(one, data) for one in data.surfaces)
 
 
 def would_change(data: ReportData) -> str:
-    """Say what would make the answer surer."""
+    """Say what would make the answer surer.
+
+    Parameters
+    ----------
+    data : ReportData with surfaces
+    """
     good = [one.found for one in data.surfaces if one.found is not None]
     parts = []
     poor = [found for found in good if not quality(found) >= 0.9]
@@ -59,7 +74,12 @@ def would_change(data: ReportData) -> str:
 
 
 def quality(found: SurfaceAnalysis) -> float:
-    """Leave-one-out Q2; NaN where no run can be left out."""
+    """Leave-one-out Q2; NaN where no run can be left out.
+
+    Parameters
+    ----------
+    found : SurfaceAnalysis
+    """
     model = found.model
     if not isinstance(model, QuadraticSurface):
         return model.q2
@@ -67,7 +87,12 @@ def quality(found: SurfaceAnalysis) -> float:
 
 
 def accuracy(one: FittedSurface) -> str:
-    """How well runs are predicted from the others."""
+    """How well runs are predicted from the others.
+
+    Parameters
+    ----------
+    one : FittedSurface; empty text where no surface was found
+    """
     found = one.found
     if found is None:
         return ""
@@ -94,7 +119,12 @@ def learns_from_others(found: SurfaceAnalysis) -> bool:
 
 
 def method(one: FittedSurface, data: ReportData) -> str:
-    """Sentences for a methods paragraph: what was fitted, and how it was judged."""
+    """Sentences for a methods paragraph: what was fitted, and how it was judged.
+
+    Parameters
+    ----------
+    one, data : FittedSurface, ReportData; empty text where no surface was found
+    """
     found = one.found
     if found is None:
         return ""
@@ -122,7 +152,12 @@ def method(one: FittedSurface, data: ReportData) -> str:
 
 
 def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
-    """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
+    """Sentences of the section of one surface: accuracy, extremes, what must still be run.
+
+    Parameters
+    ----------
+    one, data : FittedSurface, ReportData; where no surface was found, why
+    """
     found = one.found
     if found is None:
         return (f"No surface: {clean(one.refused)}",)
@@ -149,7 +184,12 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
 
 
 def differences(one: FittedSurface, data: ReportData) -> Iterator[str]:
-    """Say what another level of a factor without numbers changes over the ranges."""
+    """Say what another level of a factor without numbers changes over the ranges.
+
+    Parameters
+    ----------
+    one, data : FittedSurface with differences in its unit, ReportData
+    """
     unit = clean(one.unit)
     for told in one.differences:
         word = "more" if told.mean >= 0 else "less"
@@ -195,7 +235,12 @@ def _shape(one: FittedSurface, data: ReportData) -> Iterator[str]:
 
 
 def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> str:
-    """Write settings with their names and units."""
+    """Write settings with their names and units.
+
+    Parameters
+    ----------
+    at, one, data : mapping of str to float in the factors' own units, FittedSurface, ReportData
+    """
     return listing(
         [
             f"{name_of(name, data.labels)} {quantity(value, one.units.get(name, ''))}"
@@ -205,7 +250,12 @@ def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> s
 
 
 def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
-    """Shares and ranges of the factors, the strongest first; None of a quadratic surface."""
+    """Shares and ranges of the factors, the strongest first; None of a quadratic surface.
+
+    Parameters
+    ----------
+    one, data : FittedSurface, ReportData; also None where the runs carry no indices
+    """
     found = one.found
     if found is None or all(item.index is None for item in found.sensitivity):
         return None
@@ -222,7 +272,12 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
 
 
 def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
-    """Coefficients of a quadratic surface in coded factors; None of an emulator."""
+    """Coefficients of a quadratic surface in coded factors; None of an emulator.
+
+    Parameters
+    ----------
+    one, data : FittedSurface, ReportData with better names of factors
+    """
     model = None if one.found is None else one.found.model
     if not isinstance(model, QuadraticSurface):
         return None

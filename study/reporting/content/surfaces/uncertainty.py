@@ -17,7 +17,15 @@ WORTH = 0.01
 
 
 def answer(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
-    """Sentences of the answer: how sure the response is, and which input to measure better."""
+    """Sentences of the answer: how sure the response is, and which input to measure better.
+
+    Parameters
+    ----------
+    one : FittedSurface
+        With the distribution of the response, in its unit; None of it gives no sentence.
+    data : ReportData
+        Better names of the inputs.
+    """
     told = one.uncertain
     if told is None:
         return ()
@@ -39,7 +47,15 @@ def answer(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
 
 
 def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
-    """Sentences of the section: the surface's own error, and what was held or cut off."""
+    """Sentences of the section: the surface's own error, and what was held or cut off.
+
+    Parameters
+    ----------
+    one : FittedSurface
+        With the distribution of the response, in its unit; None of it gives no sentence.
+    data : ReportData
+        Better names of the inputs.
+    """
     told = one.uncertain
     if told is None:
         return ()
@@ -64,7 +80,15 @@ def lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
 
 
 def table(one: FittedSurface, data: ReportData) -> Table | None:
-    """List the inputs, the one that is worth measuring most first; None where none is uncertain."""
+    """List the inputs, the one that is worth measuring most first; None where none is uncertain.
+
+    Parameters
+    ----------
+    one : FittedSurface
+        Standard deviations are in the unit of its response, gains in percent.
+    data : ReportData
+        Better names of the inputs.
+    """
     told = one.uncertain
     if told is None:
         return None
