@@ -161,7 +161,19 @@ class OnlyInOne:
 
 @dataclass(frozen=True)
 class Beside:
-    """Everything that two studies say beside each other."""
+    """Everything that two studies say beside each other.
+
+    Parameters
+    ----------
+    names : (str, str)
+        Of the studies.
+    changes, conclusions, only
+        What differs in their designs, what both conclude, and what one of them has alone.
+    warnings, summary : tuple of str
+        Sentences.
+    alphas : (float, float)
+        One minus the level of the intervals of each study.
+    """
 
     names: tuple[str, str]
     changes: tuple[Change, ...]
@@ -169,3 +181,4 @@ class Beside:
     only: tuple[OnlyInOne, ...] = ()
     warnings: tuple[str, ...] = ()
     summary: tuple[str, ...] = ()
+    alphas: tuple[float, float] = (0.05, 0.05)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from itertools import product
 from pathlib import Path
 
@@ -80,6 +81,36 @@ def test_a_reference_and_a_decimal_comma(
     assert run(["analyze", str(path), "--response", "y", "--factors", "t", "--decimal", ",",
                 "--reference", "sdt"]) == 2  # fmt: skip
     assert "std" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("error", ["auto", "pooled"])
+def test_a_reference_of_a_log_response_gives_ratios(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, error: str
+) -> None:
+    """Over blocks and with one error alike: ratios of geometric means."""
+    random = np.random.default_rng(4)
+    blocks = random.normal(0, 0.3, 6)
+    y = {
+        (t, c, b): mean * k * np.exp(blocks[b] + random.normal(0, 0.1))
+        for t, mean in (("x", 1.0), ("y", 2.0), ("z", 3.0))
+        for c, k in (("u", 1.0), ("v", 1.3))
+        for b in range(6)
+    }
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{t},{c},b{b},{value}\n" for (t, c, b), value in y.items())
+    path.write_text(f"t,c,block,y\n{rows}")
+    asked = ["analyze", str(path), "--response", "y", "--factors", "t,c", "--block", "block",
+             "--transform", "log", "--reference", "x", "--error", error]  # fmt: skip
+    found = ask(capsys, *asked)["reference"]
+    assert found["scale"] == "ratio"
+    logs = {t: np.mean([np.log(v) for (own, _, _), v in y.items() if own == t]) for t in "xyz"}
+    for pair in found["pairs"]:
+        assert pair["difference"] == pytest.approx(np.exp(logs[pair["first"]] - logs["x"]))
+        assert 1 < pair["lower"] < pair["difference"] < pair["upper"]
+    assert run(asked) == 0
+    printed = capsys.readouterr().out
+    assert "x / " in printed  # simple effects are ratios, too
+    assert re.search(r"Level +ratio", printed)
 
 
 def test_holm_stands_beside_the_raw_p(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import gc
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from string import ascii_letters
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pair:
-    """Difference ``first - second`` with its simultaneous interval and adjusted p."""
+    """Difference ``first - second``, or ratio ``first / second``.
+
+    With its simultaneous interval and adjusted p.
+    """
 
     first: str
     second: str
@@ -42,6 +45,25 @@ class Comparisons:
     alpha: float
     pairs: tuple[Pair, ...]
     letters: dict[str, str]
+    is_ratio: bool = False
+
+    @property
+    def effect(self) -> str:
+        """What a pair is compared by: ``"difference"``, or ``"ratio"`` of a log response."""
+        return "ratio" if self.is_ratio else "difference"
+
+    def as_ratios(self) -> Comparisons:
+        """Copy with differences of logarithms as ratios."""
+        pairs = tuple(
+            replace(
+                one,
+                difference=math.exp(one.difference),
+                lower=math.exp(one.lower),
+                upper=math.exp(one.upper),
+            )
+            for one in self.pairs
+        )
+        return replace(self, pairs=pairs, is_ratio=True)
 
 
 def _checked(groups: Mapping[str, ArrayLike]) -> dict[str, Array]:

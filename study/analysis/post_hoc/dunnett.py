@@ -54,13 +54,13 @@ def dunnett_of_model(
     largest = _largest_t(_correlation(others, own, error), df, seed)
     half = float(np.quantile(largest, 1 - alpha)) * own
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / own]
-    back = np.exp if effect.is_ratio else np.asarray
-    ends = zip(back(means), back(means - half), back(means + half), strict=True)
+    ends = zip(means, means - half, means + half, strict=True)
     pairs = tuple(
         Pair(name, reference, float(d), float(low), float(high), float(one))
         for name, (d, low, high), one in zip(others, ends, p, strict=True)
     )
-    return Comparisons("Dunnett", alpha, pairs, {})
+    compared = Comparisons("Dunnett", alpha, pairs, {})
+    return compared.as_ratios() if effect.is_ratio else compared
 
 
 def _half(pair: PairDifference, is_ratio: bool) -> float:

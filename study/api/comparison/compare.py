@@ -93,6 +93,7 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
         conclusions,
         tuple(dict.fromkeys(only)),
         tuple(_warnings(studies, names, pairs)),
+        alphas=(pairs[0].results[0].request.alpha, pairs[0].results[1].request.alpha),
     )
     return replace(found, summary=summary(found))
 

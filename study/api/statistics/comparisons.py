@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from study.analysis.effects.blocked_dunnett import blocked_dunnett
 from study.analysis.effects.comparisons import Comparisons, dunnett
 from study.analysis.post_hoc.dunnett import dunnett_of_model
@@ -27,7 +29,7 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
     -------
     factor : str
     comparisons : Comparisons
-        Differences from the reference with simultaneous intervals.
+        Differences from the reference with simultaneous intervals; ratios of a log response.
 
     Raises
     ------
@@ -47,10 +49,19 @@ def against_reference(found: AnalysisResult, level: str) -> tuple[str, Compariso
     alpha, seed = found.request.alpha, found.request.seed
     if row.error == "residual" and row.df_error and effect.pairs:
         return factor, dunnett_of_model(effect, wanted, row.df_error, alpha, seed)
+    compared = _of_rows(found, factor, wanted)
+    return factor, compared.as_ratios() if found.request.scale.is_log else compared
+
+
+def _of_rows(found: AnalysisResult, factor: str, reference: str) -> Comparisons:
+    """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
+    alpha, seed = found.request.alpha, found.request.seed
     rows = found.data.residuals
+    if found.request.scale.is_log:
+        rows = rows.assign(response=np.log(rows["response"]))
     if found.data.block is None:
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return factor, dunnett(groups, wanted, alpha=alpha, seed=seed)
+        return dunnett(groups, reference, alpha=alpha, seed=seed)
     means = rows.pivot_table("response", "block", factor, sort=False).dropna()
     by_level = {str(name): means[name].to_numpy() for name in means.columns}
-    return factor, blocked_dunnett(by_level, wanted, alpha=alpha, seed=seed)
+    return blocked_dunnett(by_level, reference, alpha=alpha, seed=seed)

@@ -137,7 +137,8 @@ def _print_simple(found: AnalysisResult, ends: str) -> None:
                 continue
             at = ", ".join(f"{name} {level}" for name, level in one.at)
             number = _number(one.difference, 4)
-            rows.append([effect.term, f"{one.first} - {one.second}", at, number,
+            sign = "/" if found.request.scale.is_log else "-"
+            rows.append([effect.term, f"{one.first} {sign} {one.second}", at, number,
                          _interval(one.ci), one.verdict])  # fmt: skip
     if len(rows) > 1:
         output.table(rows, "Largest simple effects, and those that decide a verdict")
@@ -254,13 +255,16 @@ def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
 def reference_json(factor: str, found: Comparisons) -> dict[str, object]:
     """Comparisons with a reference as ``--json`` shows them."""
     pairs = [asdict(pair) for pair in found.pairs]
-    return {"factor": factor, "method": found.method, "alpha": found.alpha, "pairs": pairs}
+    return {
+        "factor": factor, "method": found.method, "alpha": found.alpha, "scale": found.effect,
+        "pairs": pairs,
+    }  # fmt: skip
 
 
 def print_reference(factor: str, found: Comparisons) -> None:
     """Print the differences from a reference level."""
     ends = f"{100 * (1 - found.alpha):.4g} % interval"
-    rows = [["Level", "difference", ends, "adjusted p"]]
+    rows = [["Level", found.effect, ends, "adjusted p"]]
     rows += [
         [pair.first, _number(pair.difference, 4), _interval((pair.lower, pair.upper)), _p(pair.p)]
         for pair in found.pairs

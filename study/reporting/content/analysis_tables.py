@@ -160,10 +160,11 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
     listed = [(e, one) for e in facts.effects for one in e.simple_effects if one.at]
     if not listed:
         return None
+    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
     rows = tuple(
         (
             term_name(effect.term, data.labels),
-            f"{clean(one.first, 30)} \N{MINUS SIGN} {clean(one.second, 30)}",
+            f"{clean(one.first, 30)} {sign} {clean(one.second, 30)}",
             ", ".join(f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in one.at),
             significant(one.difference),
             interval(*(one.ci or (None, None))),
@@ -173,15 +174,8 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
         for effect, one in listed
     )
     what = "ratio" if facts.ratio else "difference"
-    columns = (
-        "factor",
-        "levels",
-        "at",
-        what,
-        "its own interval",
-        "simultaneous interval",
-        "verdict",
-    )
+    ends = ("its own interval", "simultaneous interval")
+    columns = ("factor", "levels", "at", what, *ends, "verdict")
     note = (
         "A factor makes no practical difference where every own interval lies inside what matters; "
         "it matters where one simultaneous interval lies beyond." + _cut(len(rows))
@@ -302,7 +296,7 @@ def against_reference(factor: str, found: Comparisons, data: ReportData) -> Tabl
     )  # fmt: skip
     name = f"{term_name(factor, data.labels)} against {clean(reference)}"
     ends = f"simultaneous {level(found.alpha)} interval"
-    columns = ("level", "difference", ends, "adjusted p")
+    columns = ("level", found.effect, ends, "adjusted p")
     raw = tuple(plain(pair) for pair in found.pairs)
     return Table(name, columns, rows, 1, 0, f"{found.method}.", raw)
 

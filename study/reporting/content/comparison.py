@@ -12,6 +12,7 @@ from study.reporting.numbers import (
     MISSING,
     clean,
     count,
+    level,
     listing,
     name_of,
     p_value,
@@ -351,8 +352,10 @@ def table(beside: Beside, labels: Labels = None) -> Table:
         for row in shown(group):
             rows += list(_lines(row, beside, labels))
         raw += [line for row in group for line in _raw(row, beside)]
+    one, other = map(level, beside.alphas)
+    ends = f"{one} interval" if one == other else f"interval ({one}; {other})"
     columns = ("response", "factor", "in both", "study", "verdict", "largest difference",
-               "95 % interval", "effect / u_num", "p", "leading level")  # fmt: skip
+               ends, "effect / u_num", "p", "leading level")  # fmt: skip
     return Table("beside", columns, tuple(rows), 5, 1, raw=tuple(raw), grouped=True)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
@@ -26,9 +25,6 @@ from study.reporting.numbers import (
 )
 from study.reporting.report import Facts, cells, practical_of
 from study.study_result.report_data import ReportData
-
-if TYPE_CHECKING:
-    pass
 
 HOLDS = "holds"
 FAILS = "does not hold"

@@ -187,7 +187,6 @@ def _software(data: ReportData) -> str:
     names = [
         f"{clean(key).removeprefix('version of ')} {clean(value)}"
         for key, value in data.provenance.items()
-        if key.lower().removeprefix("version of ")
-        in {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
+        if key.lower().removeprefix("version of ") in _SOFTWARE
     ]
     return sentence(f"software: {listing(names)}; seed {data.seed}") if names else ""

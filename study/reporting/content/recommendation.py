@@ -287,7 +287,7 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
     cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
     times = significant(float(seconds.max() / max(seconds.min(), 1e-9)), 2)
     cost = (
-        f"takes {duration(seconds.min())} a case instead of {duration(seconds.max())} "
+        f"takes {duration(seconds.min())} a case, the other {duration(seconds.max())} "
         f"({times} times as long)"
     )
     name, gap = name_of(effect.term, data.labels), size(effect, facts)

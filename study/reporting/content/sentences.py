@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import Effect, ErrorTerm
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
@@ -30,9 +29,6 @@ from study.reporting.numbers import (
 )
 from study.reporting.report import Facts
 from study.study_result.report_data import FITTED_CURVE, Failure, ReportData
-
-if TYPE_CHECKING:
-    pass
 
 _SOURCES = {
     "E0": "independent replicates in the cells",

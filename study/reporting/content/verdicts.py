@@ -191,12 +191,12 @@ def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str
     if one is None or not effect.depends_on_settings:
         return (
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
-            f"within {practical(effect, facts)}{_repeatable(effect)}"
+            f"within {practical(effect, facts)}{_repeatable(effect, facts)}"
         )
     return (
         f"{name}: no practical difference in the {facts.title}, whatever the other factors; the "
         f"largest at any setting is {simple(one, effect, facts)}, within "
-        f"{practical(effect, facts)}{_repeatable(effect)}"
+        f"{practical(effect, facts)}{_repeatable(effect, facts)}"
     )
 
 
@@ -204,9 +204,9 @@ def _ninety_five(effect: Effect, facts: Facts) -> str:
     return f"{level(facts.alpha)} interval {size_interval(effect, facts)}"
 
 
-def _repeatable(effect: Effect) -> str:
+def _repeatable(effect: Effect, facts: Facts) -> str:
     """Say that a tiny difference may well be real: p never decides alone."""
-    if effect.p is None or effect.p >= 0.05:
+    if effect.p is None or effect.p >= facts.alpha:
         return ""
     return f" (repeatable, {p_phrase(effect.p)}, but too small to matter)"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from study.calibration.lack_of_fit import akaike_weights
 from study.design.sections.calibration_design import CalibrationDesign
@@ -16,9 +16,6 @@ from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.staged_fit import Progress
 from study.runner.tables import with_table
-
-if TYPE_CHECKING:
-    pass
 
 #: energies compared: name, order, label
 CANDIDATES = (
