@@ -229,7 +229,7 @@ def is_formula(text: str) -> bool:
     text : str
         Cell, label or name; spaces before it are passed over.
     """
-    return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text) is None
+    return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text.strip()) is None
 
 
 def label_fault(label: str) -> str:

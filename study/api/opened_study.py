@@ -17,7 +17,7 @@ from study.api.statistics.surface.study_surface import SEE_SURFACE, is_numeric, 
 from study.api.study_notebook import Study
 from study.api.uncertainty.numerical import stored_numerical
 from study.design.load import loads
-from study.design.overview import implausible
+from study.design.plausibility import cautions
 from study.design.spec import Design
 from study.errors import StudyError
 from study.measurement.conditioning import is_caution
@@ -66,7 +66,9 @@ def open_study(
     if later is not None:
         warnings.append(unfinished_note(store, later))
     problems = [one.cell.problem for one in design.treatments]
-    warnings += dict.fromkeys(said for problem in problems for said in implausible(problem))
+    warnings += dict.fromkeys(
+        said for problem in problems for said in cautions(problem.setup, problem.material)
+    )
     warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")

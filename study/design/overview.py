@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from study.canonical import Json, plain
 from study.design.diagnostics import Faults
-from study.design.plausibility import plausibility, plausible_sizes
-from study.design.sections.cell import Cell, CellProblem
+from study.design.plausibility import cautions
+from study.design.sections.cell import Cell
 from study.design.spec import Combination, Design, Factor, Level, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
@@ -351,7 +351,7 @@ def warnings(design: Design) -> tuple[str, ...]:
     found: dict[str, None] = {}
     for one in design.treatments:
         problem = one.cell.problem
-        found.update(dict.fromkeys(implausible(problem)))
+        found.update(dict.fromkeys(cautions(problem.setup, problem.material)))
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
             found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
@@ -364,17 +364,6 @@ def warnings(design: Design) -> tuple[str, ...]:
     if design.converge.ratio < 1.3:
         found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
     return tuple(found)
-
-
-def implausible(problem: CellProblem) -> tuple[str, ...]:
-    """Sentences about moduli and sizes that no soft material or specimen has.
-
-    Parameters
-    ----------
-    problem : CellProblem
-        Resolved without a fault.
-    """
-    return plausibility(problem.material) + plausible_sizes(problem.specimen, problem.model)
 
 
 def _preset_sets(design: Design) -> Sequence[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 from study.design.diagnostics import Faults, is_known
@@ -12,7 +12,7 @@ from study.material.compressibility import Compressibility
 from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.material.registry import ENERGIES
-from study.material.stability import stability
+from study.material.stability import stability, surface_warning
 from study.setup.geometry import (
     Cone,
     Cylinder,
@@ -26,7 +26,7 @@ from study.setup.geometry import (
 from study.setup.material_section import MaterialSection
 from study.setup.plate_motion import PlateMotion
 from study.setup.section import values_of
-from study.setup.setup import Model
+from study.setup.setup import Model, Setup
 from study.setup.test_section import TEST_KINDS
 
 #: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
@@ -336,52 +336,58 @@ def footprint(indenter: Indenter, depth: float | None) -> float | None:
     return wide if shaft is None else min(wide, shaft)
 
 
-def plausibility(material: MaterialSection) -> tuple[str, ...]:
-    """Warnings about moduli that no tissue or silicone has: a unit may be wrong.
+def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
+    """Sentences about moduli, sizes and depths that no soft material, specimen or test has.
 
     Parameters
     ----------
+    setup : Setup
+        Specimen, test and discretization.
     material : MaterialSection
         With its constants, or without.
     """
+    return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
+
+
+def _moduli(material: MaterialSection) -> Iterator[str]:
+    """Moduli that no tissue or silicone has: a unit may be wrong."""
     mu0 = initial_shear_modulus(material)
     low, high = PLAUSIBLE_MPA
-    if mu0 is None or low <= mu0 <= high:
-        return ()
-    return (
-        f"material: an initial shear modulus of {mu0 * 1e3:.4g} kPa is outside {low * 1e3:g} to "
-        f"{high * 1e3:g} kPa, the window of tissue and silicone: is the unit right?",
-    )
+    if mu0 is not None and not low <= mu0 <= high:
+        yield (
+            f"material: an initial shear modulus of {mu0 * 1e3:.4g} kPa is outside {low * 1e3:g} "
+            f"to {high * 1e3:g} kPa, the window of tissue and silicone: is the unit right?"
+        )
+
+
+def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
+    """Compression beyond which the free surface is no longer smooth."""
+    height, depth = setup.height_mm, setup.test.displacement_mm
+    if setup.kind.compresses and height is not None and depth is not None:
+        energy = ENERGIES[material.model]
+        if said := surface_warning(energy, setup.kind.mode, 1 - depth / height):
+            yield f"test.displacement: {said}"
 
 
 #: sizes of specimens that anybody tests, mm: 0.1 mm to 1 m
 PLAUSIBLE_MM = (0.1, 1000.0)
 
 
-def plausible_sizes(specimen: Specimen, model: Model) -> tuple[str, ...]:
-    """Warnings about a specimen of no usual size, and about elements as large as the specimen.
-
-    Parameters
-    ----------
-    specimen : Specimen
-        A surface is passed over: its size stands in its file.
-    model : Model
-        Its mesh size is compared where one is given.
-    """
+def _sizes(specimen: Specimen, model: Model) -> Iterator[str]:
+    """Sizes that no specimen has, and elements as large as it; a surface has its own check."""
     half, height = half_width(specimen), getattr(specimen, "height_mm", None)
     if half is None or height is None or isinstance(specimen, Homogeneous):
-        return ()
+        return
     low, high = PLAUSIBLE_MM
-    found = [
-        f"specimen: {size:g} mm is no usual size of a specimen ({low:g} to {high:g} mm): "
-        "is the unit right?"
-        for size in (2 * half, height)
-        if not low <= size <= high
-    ]
+    for size in (2 * half, height):
+        if not low <= size <= high:
+            yield (
+                f"specimen: {size:g} mm is no usual size of a specimen ({low:g} to {high:g} mm): "
+                "is the unit right?"
+            )
     least = min(half, height)
     if model.mesh_size_mm is not None and model.mesh_size_mm > least:
-        found.append(
+        yield (
             f"model.mesh_size: {model.mesh_size_mm:g} mm is larger than the specimen "
             f"({least:g} mm from its axis or along it): a single element answers"
         )
-    return tuple(found)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from study.arrays import Array
 from study.errors import Fault, InputError
-from study.material.energy import CompressibleEnergy, IsochoricEnergy
+from study.material.energy import CompressibleEnergy, Energy, IsochoricEnergy
 from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL, Mode, response
 from study.material.material import Material
 from study.material.relaxation import unphysical
@@ -180,12 +180,12 @@ def check(
     return ()
 
 
-def surface_warning(material: Material, mode: str, stretch: float) -> str:
+def surface_warning(energy: Energy, mode: str, stretch: float) -> str:
     """Sentence if a compression goes beyond Biot's surface instability; empty otherwise.
 
     Parameters
     ----------
-    material : Material
+    energy : Energy
         One of small strain has no such instability.
     mode : str
         Key of :data:`BIOT_LIMITS`; other modes have no limit.
@@ -193,7 +193,7 @@ def surface_warning(material: Material, mode: str, stretch: float) -> str:
         Smallest one in the loaded direction.
     """
     limit = BIOT_LIMITS.get(mode, 0.0)
-    if material.small_strain or stretch >= limit:
+    if energy.small_strain or stretch >= limit:
         return ""
     return (
         f"beyond stretch {limit:.4f} in {mode} compression the free surface of a neo-Hookean "

@@ -78,6 +78,14 @@ def test_solve_in_words(home: Path) -> None:
     assert "4.2040" in answer.out or "4.204" in answer.out
 
 
+def test_a_compression_beyond_the_smooth_surface_is_told_of(home: Path) -> None:
+    """V45: the surface of a neo-Hookean body is unstable below stretch 0.443746 (Biot 1963)."""
+    for depth, warned in (("5.5 mm", False), ("5.6 mm", True)):  # of a height of 10 mm
+        answer = study("solve", "problem.toml", "-s", f'test.displacement="{depth}"')
+        assert answer.code == 0, answer.err
+        assert ("Biot" in answer.err) is warned
+
+
 def test_solve_that_does_not_converge_exits_1(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # a solver that gives up takes minutes to do so: the real answer of an easy problem, renamed
     found = replace(api.solve("problem.toml"), status="not-converged", message="gave up at 1 mm")

@@ -18,6 +18,7 @@ from study.design.load import (
 )
 from study.errors import InputError
 from study.setup.material_section import MaterialSection
+from study.setup.setup import Setup
 
 PROBLEM = """
 schema = 1
@@ -401,8 +402,8 @@ def test_files_of_another_kind_are_named() -> None:
 def test_plausibility_warns_of_units() -> None:
     wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
     told, none = (
-        plausibility.plausibility(MaterialSection.of(loads_problem(text)))
-        for text in (wrong, PROBLEM)
+        plausibility.cautions(Setup.of(tables), MaterialSection.of(tables))
+        for tables in map(loads_problem, (wrong, PROBLEM))
     )
     assert "is the unit right?" in told[0]
     assert none == ()

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
+from study.material.energies.polynomial import index_pair
 from study.material.homogeneous import UNIAXIAL, response
 from study.material.material import Material
+from study.material.registry import is_constant
 from study.material.stability import (
     BIOT_LIMITS,
     BIOT_ROOT,
@@ -65,8 +67,16 @@ def test_biot_limits():
     assert BIOT_LIMITS["equibiaxial"] == pytest.approx(0.666142, abs=5e-7)
     assert BIOT_LIMITS["uniaxial"] == pytest.approx(0.443746, abs=5e-7)
     material = Material("neo-hookean", {"C10": 0.5}, incompressible=True)
-    assert surface_warning(material, "uniaxial", 0.5) == ""
-    assert "Biot" in surface_warning(material, "uniaxial", 0.4)
+    assert surface_warning(material.energy, "uniaxial", 0.5) == ""
+    assert "Biot" in surface_warning(material.energy, "uniaxial", 0.4)
+
+
+@pytest.mark.parametrize("name", ["C00", "C000", "C010", "C1", "D10"])
+def test_no_constant_has_two_names(name: str) -> None:
+    with pytest.raises(InputError, match="is not a polynomial constant"):
+        index_pair(name)
+    assert not is_constant(name)
+    assert index_pair("C100") == (10, 0)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from study.api.folders import problem_tables
 from study.api.single.notebook import SolvedProblem
+from study.design import plausibility
 from study.design.load import load_problem
-from study.design.plausibility import plausibility, plausible_sizes
 from study.forward.finite_element import at_steps
 from study.material.stability import check
 from study.record.record import plain
@@ -83,9 +83,7 @@ def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, .
         For a faulty problem.
     """
     tables = load_problem(problem, overrides)
-    setup = Setup.of(tables)
-    material = MaterialSection.of(tables)
-    return plausibility(material) + plausible_sizes(setup.specimen, setup.model)
+    return plausibility.cautions(Setup.of(tables), MaterialSection.of(tables))
 
 
 def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:

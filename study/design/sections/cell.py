@@ -14,7 +14,7 @@ from study.setup.forward_model import ForwardModel
 from study.setup.geometry import Enclosed, Specimen, Surface
 from study.setup.material_section import MaterialSection
 from study.setup.section import values_of
-from study.setup.setup import Model
+from study.setup.setup import Model, Setup
 from study.setup.test_kind import Test
 from study.setup.test_section import TestSection
 
@@ -50,6 +50,11 @@ class CellProblem:
     measurements: MeasurementSpec | None = None
     forward: ForwardModel | None = None
     markers: MarkerSpec | None = None
+
+    @property
+    def setup(self) -> Setup:
+        """Specimen, test and discretization."""
+        return Setup(self.specimen, self.test.loading(), self.model, self.height_mm)
 
     @property
     def height_mm(self) -> float | None:

@@ -300,7 +300,7 @@ def index_pair(name: str) -> tuple[int, int]:
     >>> index_pair("C20"), index_pair("C01")
     ((2, 0), (0, 1))
     """
-    match = re.fullmatch(r"C(\d+)(\d)", name)
+    match = re.fullmatch(r"C(\d|[1-9]\d+)(\d)", name)
     if match is None or match.groups() == ("0", "0"):
         raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))
     return int(match[1]), int(match[2])
