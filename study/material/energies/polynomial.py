@@ -28,6 +28,9 @@ from study.material.energy import (
 #: coefficients of a polynomial in two variables, as :func:`_columns` orders them
 Coefficients = tuple[tuple[float, ...], ...]
 
+#: name of a constant: the power of the first invariant less 3, then a digit for the second
+_NAME = re.compile(r"C(\d|[1-9]\d+)(\d)", re.ASCII)
+
 
 class TableEnergy(InvariantEnergy):
     """Polynomial of I1 - 3 and I2 - 3, whose coefficients may be any functions of its constants."""
@@ -278,7 +281,7 @@ class Polynomial(PolynomialEnergy):
 
     def has_constant(self, name: str) -> bool:
         """Cij; C00 would be an energy without a stress."""
-        return name != "C00" and re.fullmatch(r"C\d+\d", name) is not None
+        return name != "C00" and _NAME.fullmatch(name) is not None
 
 
 @functools.cache
@@ -300,7 +303,7 @@ def index_pair(name: str) -> tuple[int, int]:
     >>> index_pair("C20"), index_pair("C01")
     ((2, 0), (0, 1))
     """
-    match = re.fullmatch(r"C(\d|[1-9]\d+)(\d)", name)
+    match = _NAME.fullmatch(name)
     if match is None or match.groups() == ("0", "0"):
         raise InputError(Fault(f"material.{name}", "is not a polynomial constant such as C10"))
     return int(match[1]), int(match[2])
