@@ -247,7 +247,7 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
     InputError
         If it is missing, with where it was looked for and what it is, or faulty.
     """
-    table = config.get("markers")
+    table = table_of(config, "markers")
     if not table:
         return config
     name, where, missing = str(table["file"]), "markers.file", list[Fault]()
@@ -257,7 +257,7 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
         except MissingDataError as error:
             missing += error.faults
             continue
-        specimen = specimen_of(config["specimen"])
+        specimen = specimen_of(table_of(config, "specimen"))
         if isinstance(specimen, Block):  # what is wrong with the file is told before a run
             read_markers(MarkerSpec.from_dict(table), path, specimen)
         sha = hashlib.sha256(path.read_bytes()).hexdigest()

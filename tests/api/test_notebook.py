@@ -11,6 +11,7 @@ import pytest
 
 import study
 from study.design import load
+from study.design.load import load_problem
 from study.errors import InputError
 from tests.cli.small import write_files
 
@@ -162,6 +163,9 @@ def test_a_series_is_shown(home: Path) -> None:
     assert frame.value.to_list() == found["value"]
     assert "<table" in found._repr_html_()
     assert found.plot()._repr_svg_().startswith("<svg")
+    resolved = load_problem("problem.toml")
+    del resolved["converge"]  # keys of the program alone, as a setting of a study has them
+    assert study.converge(resolved, results="out")["value"] == found["value"]
     numbers = study.grid_convergence(sizes=[1, 2, 4], values=[0.97050, 0.96854, 0.96178])
     assert numbers.to_frame().value.to_list() == [0.97050, 0.96854, 0.96178]
     assert numbers.verdict[:20] in numbers._repr_html_()

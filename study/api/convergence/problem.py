@@ -15,6 +15,7 @@ from study.api.convergence.result import ProblemConvergence
 from study.api.folders import RESULTS, design_root, problem_tables
 from study.api.opened_study import open_study
 from study.design.load import file_kind, load
+from study.design.study_file import Converge
 from study.errors import Fault, InputError
 from study.runner.numerical import curve_quantities
 from study.runner.numerical.case_series import stored_convergence
@@ -150,7 +151,8 @@ def problem(
     """Refine one problem until its meshes are enough, and study the other errors beside."""
     tables = problem_tables(source, overrides)
     name = "problem" if isinstance(source, Mapping) else Path(source).stem
-    spec = tables["converge"]
+    spec = tables.get("converge")
+    spec = spec if isinstance(spec, Converge) else Converge()  # tables of the program have none
     curve_quantities.quantity(spec.qoi)
     formal = promised(problem_of(tables))
     if formal_order is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 from study.design.sections.content import case_id
 from study.measurement.marker_section import MarkerSpec
@@ -13,14 +12,14 @@ from study.setup import setup
 from study.setup.forward_model import ForwardModel
 from study.setup.geometry import Enclosed, Specimen, Surface
 from study.setup.material_section import MaterialSection
-from study.setup.section import values_of
+from study.setup.section import table_of, values_of
 from study.setup.setup import Model, Setup
 from study.setup.test_kind import Test
 from study.setup.test_section import TestSection
 
 #: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
 #: to be computed. Inside the room a cell is a value of the classes below.
-Config = dict[str, Any]
+Config = dict[str, object]
 
 #: keys of a test that few have: its course in time, a stretch before it; left out where they say
 #: nothing
@@ -105,7 +104,7 @@ class CellProblem:
         kept, specimen = self.document(), self.specimen
         if isinstance(specimen, Enclosed) or not self.has_closed_form:
             return kept
-        test = {k: v for k, v in kept["test"].items() if k != "steps"}
+        test = {k: v for k, v in table_of(kept, "test").items() if k != "steps"}
         area = float(f"{specimen.area_mm2:.12g}")
         reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
         return {**kept, "specimen": reduced, "test": test, "model": None}
