@@ -36,6 +36,11 @@ _UNSAFE = re.compile(
 def significant(value: float | None, digits: int = 3) -> str:
     """Three significant digits, never an exponent for the sizes met in a laboratory.
 
+    Parameters
+    ----------
+    value, digits : float or None, int
+        None and what is not finite become a dash; significant digits, at least 1.
+
     Examples
     --------
     >>> significant(0.0123456), significant(12345.6), significant(2.0), significant(None)
@@ -79,7 +84,13 @@ def p_phrase(p: float | None) -> str:
 
 
 def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
-    """Write a number with its unit, kept together by a space that does not break."""
+    """Write a number with its unit, kept together by a space that does not break.
+
+    Parameters
+    ----------
+    value, unit, digits : float or None, str, int
+        As for :func:`significant`; a ``unit`` of ``""`` or ``"1"`` is not written.
+    """
     number = significant(value, digits)
     if number == MISSING or unit in ("", "1"):
         return number
@@ -179,6 +190,8 @@ def inside(
 
     Parameters
     ----------
+    value, low, high : float or None
+        Estimate and ends, not rounded; None where there is none.
     shown, ends : str
         The estimate and its interval as they would be printed.
 
@@ -279,6 +292,11 @@ def clean(text: object, longest: int = 0) -> str:
     """User text without control and direction characters, shortened where asked.
 
     A character that XML forbids becomes the replacement character, so nothing vanishes.
+
+    Parameters
+    ----------
+    text, longest : object, int
+        Whatever ``str`` takes; characters at most, 0 for all of them.
     """
     shown = _UNSAFE.sub("\ufffd", str(text))
     if longest and len(shown) > longest:
@@ -288,6 +306,11 @@ def clean(text: object, longest: int = 0) -> str:
 
 def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
     """Readable name of a factor or a response.
+
+    Parameters
+    ----------
+    key, labels : str, mapping of str to str or None
+        Column or dotted key; names by key that come before all others.
 
     Examples
     --------
@@ -342,6 +365,8 @@ def folded(found: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...
     ----------
     found : sequence of (str, str)
         Title of the response, warning; a warning about a term begins with it and a colon.
+    data : ReportData
+        For the factors, which terms are made of, and their shown names.
 
     Returns
     -------

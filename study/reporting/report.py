@@ -26,7 +26,15 @@ _Value = TypeVar("_Value", Effect, SimpleEffect, Row)
 
 
 def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
-    """Smallest difference that matters in the response's unit; 0 where none was declared."""
+    """Smallest difference that matters in the response's unit; 0 where none was declared.
+
+    Parameters
+    ----------
+    facts : Facts
+        The response, with its difference as declared.
+    frame : DataFrame
+        Means of the cells in column ``mean``: a relative difference is a share of their mean.
+    """
     value = facts.response.practical or 0.0
     return value * abs(float(frame["mean"].mean())) if facts.response.relative else value
 
@@ -137,7 +145,18 @@ class Facts:
 
 
 def facts(data: ReportData) -> tuple[Facts, ...]:
-    """Read every analysis of a report."""
+    """Read every analysis of a report.
+
+    Parameters
+    ----------
+    data : ReportData
+        With the results of its analyses.
+
+    Returns
+    -------
+    tuple of Facts
+        One a response, in the order of the design; one that was not analyzed has no terms.
+    """
     return tuple(_read(data, response) for response in data.responses)
 
 
@@ -181,7 +200,15 @@ def _as_designed(effect: Effect, factors: Mapping[str, Sequence[str]]) -> Effect
 
 
 def is_effect(row: Row, factors: Sequence[str]) -> bool:
-    """Whether a row of the table is an effect, not the blocks or an error stratum."""
+    """Whether a row of the table is an effect, not the blocks or an error stratum.
+
+    Parameters
+    ----------
+    row : Row
+        Of the ANOVA table.
+    factors : sequence of str
+        Columns of the factors.
+    """
     return set(row.term.split(":")) <= set(factors)
 
 
@@ -190,6 +217,13 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
 
     Cells answered in half of the blocks or fewer are left out, as in the analysis. All rows
     where there are no blocks, or none that all cells share.
+
+    Parameters
+    ----------
+    data : ReportData
+        For the table, the factors and the blocks.
+    response : str
+        Column of the response; rows without a value are left out.
     """
     known = data.table.dropna(subset=[response])
     if not data.blocks or "block" not in known or known.empty:
@@ -206,6 +240,15 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
 
 def cells(data: ReportData, response: str, factors: Sequence[str] | None = None) -> pd.DataFrame:
     """Mean response of every cell, or by the levels of some factors; best (lowest) first.
+
+    Parameters
+    ----------
+    data : ReportData
+        For the table, the blocks, and which responses are analyzed on the log.
+    response : str
+        Column of the response.
+    factors : sequence of str, optional
+        Factors whose levels make a cell; all by default.
 
     Returns
     -------
@@ -242,7 +285,15 @@ class Group:
 
 
 def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
-    """Distinct computations of a response, lowest mean first."""
+    """Distinct computations of a response, lowest mean first.
+
+    Parameters
+    ----------
+    data : ReportData
+        For the table and the factors.
+    facts : Facts
+        The response, with the cells that agree in every block.
+    """
     frame = cells(data, facts.name)
     place = _places(data, facts, frame)
     found: dict[int, list[int]] = {}
@@ -270,6 +321,13 @@ def describe(group: Group, data: ReportData) -> str:
 
     Levels that a group shares with all others of their factor are only said to be any; a
     group that is no full crossing is named by its first cell.
+
+    Parameters
+    ----------
+    group : Group
+        By :func:`groups`.
+    data : ReportData
+        For all levels of the factors, and their shown names.
     """
     chosen = {name: _levels(group, name, data) for name in data.factors}
     total = 1
@@ -297,6 +355,11 @@ def _words(name: str, levels: Sequence[str], data: ReportData) -> str:
 
 def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:
     """Join inputs with dotted keys into one line for each first part, in the order given.
+
+    Parameters
+    ----------
+    inputs : mapping of str to str
+        Values as text with units, by dotted key.
 
     Examples
     --------

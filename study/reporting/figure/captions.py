@@ -33,7 +33,20 @@ if TYPE_CHECKING:
 
 
 def effects(facts: Facts, data: ReportData) -> str:
-    """Name the largest effect, and what the band is."""
+    """Name the largest effect, and what the band is.
+
+    Parameters
+    ----------
+    facts : Facts
+        Its effects; one without a size is passed over.
+    data : ReportData
+        For the shown names of factors.
+
+    Returns
+    -------
+    str
+        Empty where no effect has a size.
+    """
     known = [effect for effect in facts.effects if effect.range is not None]
     if not known:
         return ""
@@ -50,7 +63,15 @@ def effects(facts: Facts, data: ReportData) -> str:
 
 
 def means(facts: Facts, data: ReportData) -> str:
-    """Say which share of the variation between cells each factor has."""
+    """Say which share of the variation between cells each factor has.
+
+    Parameters
+    ----------
+    facts : Facts
+        Its rows of the ANOVA table, for their shares.
+    data : ReportData
+        For the factors and their shown names.
+    """
     shares = [
         (row.share, term_name(row.term, data.labels))
         for row in facts.rows
@@ -63,7 +84,15 @@ def means(facts: Facts, data: ReportData) -> str:
 
 
 def interactions(facts: Facts, data: ReportData) -> str:
-    """Say which interaction is the largest."""
+    """Say which interaction is the largest.
+
+    Parameters
+    ----------
+    facts : Facts
+        Its interactions and their p; those of three or more factors are passed over.
+    data : ReportData
+        For the shown names of factors.
+    """
     known = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
     key = "lines that are parallel mean that the factors act independently"
     if not known:
@@ -79,7 +108,17 @@ def interactions(facts: Facts, data: ReportData) -> str:
 
 
 def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
-    """Say what the points are, and how far the cells and the blocks differ."""
+    """Say what the points are, and how far the cells and the blocks differ.
+
+    Parameters
+    ----------
+    facts : Facts
+        For the unit, and whether means are geometric.
+    data : ReportData
+        For what a block is called.
+    frame : DataFrame
+        By :func:`study.reporting.figure.effects.cell_points`.
+    """
     shown = frame.drop_duplicates("rank")
     means_of = shown["cell_mean"]
     unit = clean(data.block) or "run"
@@ -102,7 +141,17 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
 
 
 def residuals(facts: Facts, data: ReportData, n: int) -> str:
-    """Summarize the four panels and the test."""
+    """Summarize the four panels and the test.
+
+    Parameters
+    ----------
+    facts : Facts
+        Its test of normality.
+    data : ReportData
+        For the level of that test.
+    n : int
+        Residuals that are drawn.
+    """
     found = facts.assumptions.normality
     verdict = "the test of normality does not apply"
     if found is not None and found.rj is not None:
@@ -118,7 +167,13 @@ def residuals(facts: Facts, data: ReportData, n: int) -> str:
 
 
 def spread(frame: pd.DataFrame) -> str:
-    """Say how far the largest and the smallest standard deviation are apart."""
+    """Say how far the largest and the smallest standard deviation are apart.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`study.reporting.figure.residuals.diagnostics.spread_of_cells`.
+    """
     low, high = float(frame["sd"].min()), float(frame["sd"].max())
     apart = float(frame["low"].max()) > float(frame["high"].min())
     ratio = f"{significant(high / low)} times" if low > 0 else "far above"
@@ -129,7 +184,17 @@ def spread(frame: pd.DataFrame) -> str:
 
 
 def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
-    """Say how cheap a cell within the practical difference is."""
+    """Say how cheap a cell within the practical difference is.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`study.reporting.content.recommendation.cost_front`; not empty.
+    facts : Facts
+        For the unit of a difference.
+    limit : float
+        Smallest difference that matters, in that unit.
+    """
     near = frame[frame["within"]]
     dear = float(frame["seconds"].max())
     cheap = float(near["seconds"].min())
@@ -142,7 +207,15 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
 
 
 def curves(found: CurvePanels, data: ReportData) -> str:
-    """Say what is drawn, what is held fixed, and how large the residuals are."""
+    """Say what is drawn, what is held fixed, and how large the residuals are.
+
+    Parameters
+    ----------
+    found : CurvePanels
+        With one prediction at least.
+    data : ReportData
+        For the shown names of factors.
+    """
     gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
     worst = found.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
     held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
@@ -166,7 +239,15 @@ def curves(found: CurvePanels, data: ReportData) -> str:
 
 
 def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
-    """Say which contrasts stand out, and what the limits are."""
+    """Say which contrasts stand out, and what the limits are.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`study.reporting.figure.residuals.diagnostics.contrasts`.
+    facts : Facts
+        For the unit; contrasts of a log response are log ratios.
+    """
     beyond = frame[frame["active"]]
     m = count(len(frame), "contrast")
     if beyond.empty:
@@ -187,7 +268,15 @@ def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
 
 
 def constants(frame: pd.DataFrame, data: ReportData) -> str:
-    """Compare the scatter between fits with the uncertainty of one fit."""
+    """Compare the scatter between fits with the uncertainty of one fit.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`study.reporting.figure.constants.constant_points`.
+    data : ReportData
+        For what a block is called.
+    """
     sure = frame[frame["identifiable"]]
     vague = len(frame) - len(sure)
     unit = clean(data.block) or "run"

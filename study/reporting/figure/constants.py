@@ -31,12 +31,22 @@ _MOST_PANELS = 4
 def constant_points(data: ReportData) -> pd.DataFrame:
     """Every fitted constant with its interval, in the order of the design.
 
+    Parameters
+    ----------
+    data : ReportData
+        Its fits; one without a value is passed over.
+
     Returns
     -------
     DataFrame
         ``row`` (levels that enter the fit), ``place`` (its index), ``constant``, ``block``,
         ``specimen``, ``value``, ``low``, ``high``, ``standard_error``, ``unit``,
         ``identifiable``.
+
+    Raises
+    ------
+    ValueError
+        If no constant was fitted.
     """
     import pandas as pd
 
@@ -67,7 +77,13 @@ def constant_points(data: ReportData) -> pd.DataFrame:
 
 
 def draw_constants(frame: pd.DataFrame) -> Canvas:
-    """Draw rows of fits; a hollow mark is a constant that the data do not determine."""
+    """Draw rows of fits; a hollow mark is a constant that the data do not determine.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`constant_points`; the four constants with the most fits are drawn.
+    """
     # the constant of most fits first: it is the one that all models share
     names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
     rows = frame.drop_duplicates("place").sort_values("place")

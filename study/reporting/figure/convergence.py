@@ -40,12 +40,31 @@ COLUMNS = 4
 
 
 def label_of(cell: Document) -> str:
-    """Name of a cell: its levels, or the quantity."""
+    """Name of a cell: its levels, or the quantity.
+
+    Parameters
+    ----------
+    cell : mapping
+        One series: ``levels`` of the factors, empty for a single problem, and ``qoi``.
+    """
     return " / ".join(str(v) for v in (cell.get("levels") or {}).values()) or str(cell["qoi"])
 
 
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
-    """One row a mesh: size, value, and what the series says of it."""
+    """One row a mesh: size, value, and what the series says of it.
+
+    Parameters
+    ----------
+    cells : sequence of mapping
+        Series as ``study converge --json`` gives them: meshes finest first, sizes in mm.
+
+    Returns
+    -------
+    DataFrame
+        ``cell``, ``panel`` (its title), ``quantity``, ``unit``, ``mesh_size`` (mm), ``value``,
+        ``behaviour``, ``observed_order``, ``formal_order``, ``order_used``, ``extrapolated`` (the
+        limit) and ``u_num`` (of the finest mesh alone), both in the unit of the value.
+    """
     import pandas as pd
 
     rows = [
@@ -74,7 +93,13 @@ def _titles(cells: Sequence[Document]) -> list[str]:
 
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
-    """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
+    """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`value_points`; the first ``MOST_PANELS`` cells are drawn.
+    """
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     columns = min(COLUMNS, len(groups))
     rows = -(-len(groups) // columns)
@@ -132,7 +157,19 @@ def _free(h: Array, v: Array) -> float:
 
 
 def error_points(cells: Sequence[Document]) -> pd.DataFrame:
-    """Relative distance of every mesh to the limit of its own series, where there is one."""
+    """Relative distance of every mesh to the limit of its own series, where there is one.
+
+    Parameters
+    ----------
+    cells : sequence of mapping
+        As for :func:`value_points`.
+
+    Returns
+    -------
+    DataFrame
+        Columns of :func:`value_points`, and ``error`` over the limit (0.01 is 1 %); only rows where
+        it is finite and not zero.
+    """
     frame = value_points(cells)
     limit = frame["extrapolated"].astype(float)
     frame["error"] = (frame["value"] - limit).abs() / limit.abs()
@@ -141,7 +178,13 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
 
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
-    """Draw the error against the mesh size in logarithms, with the formal slope beside."""
+    """Draw the error against the mesh size in logarithms, with the formal slope beside.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`error_points`; not empty.
+    """
     figure = canvas(WIDTH_IN, 3.8)
     ax = figure.subplots()
     for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
@@ -168,14 +211,34 @@ def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
 
 
 def front_points(front: Document) -> pd.DataFrame:
-    """Error and cost of every mesh of every cell."""
+    """Error and cost of every mesh of every cell.
+
+    Parameters
+    ----------
+    front : mapping
+        One of the ``fronts`` of ``study converge --json``.
+
+    Returns
+    -------
+    DataFrame
+        ``cell``, ``mesh_size`` (mm), ``unknowns``, ``seconds``, ``memory_MB``, ``value`` and
+        ``error`` over the reference of the front (0.01 is 1 %).
+    """
     import pandas as pd
 
     return pd.DataFrame(front["points"])
 
 
 def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
-    """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
+    """Draw the error against seconds, a line a cell, and the accuracy that is wanted.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`front_points`.
+    accuracy : float
+        Wanted error over the reference (0.01 is 1 %).
+    """
     figure = canvas(WIDTH_IN, 3.8)
     ax = figure.subplots()
     ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
@@ -247,7 +310,13 @@ def _legend(ax: Axes) -> None:
 
 
 def value_caption(cells: Sequence[Document]) -> str:
-    """State how many cells converge, and what the marks are."""
+    """State how many cells converge, and what the marks are.
+
+    Parameters
+    ----------
+    cells : sequence of mapping
+        Series with two meshes or more, as for :func:`value_points`.
+    """
     good = [c for c in cells if c["u_num"] is not None]
     shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
     text = f"{len(good)} of {len(cells)} series have an interval"
@@ -262,7 +331,13 @@ def value_caption(cells: Sequence[Document]) -> str:
 
 
 def error_caption(cells: Sequence[Document]) -> str:
-    """State observed beside formal orders, and why the formal order is what it is."""
+    """State observed beside formal orders, and why the formal order is what it is.
+
+    Parameters
+    ----------
+    cells : sequence of mapping
+        As for :func:`value_caption`.
+    """
     orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
     if not orders:
         return "No series has an order."

@@ -38,7 +38,19 @@ _LEGEND_SHARE = 0.9
 
 
 def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
-    """Draw the mean response of each cell against its seconds, front stepped and labeled."""
+    """Draw the mean response of each cell against its seconds, front stepped and labeled.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`study.reporting.content.recommendation.cost_front`; seconds are of one case.
+    facts : Facts
+        For the unit, and which end is better.
+    data : ReportData
+        For the factors, their levels and shown names: two factors are color and shape.
+    practical : float
+        Smallest difference that matters, in the response's unit; 0 for none.
+    """
     color_by, shape_by = _styling(frame, data)
     columns, rows = _legend_shape(color_by[0], shape_by[0], data)
     figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
@@ -194,7 +206,15 @@ def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
 
 
 def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
-    """Draw cells against blocks, a mark where a case failed."""
+    """Draw cells against blocks, a mark where a case failed.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        One row a case: ``cell``, ``block``, ``status``, in the order to be drawn.
+    statuses : sequence of str
+        In the order of the legend; ``converged`` gets a small gray point.
+    """
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
     figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))

@@ -22,7 +22,22 @@ _BESIDE = 0.05
 
 
 def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
-    """Rows of one response with the names of their factors."""
+    """Rows of one response with the names of their factors.
+
+    Parameters
+    ----------
+    rows : sequence of DepthEffect
+        Of every response and depth.
+    response : str
+        Column of the response that is drawn; at least one row is of this response.
+    data : ReportData
+        For the shown names of factors.
+
+    Returns
+    -------
+    DataFrame
+        Fields of :class:`DepthEffect` and ``name``; a number that is None becomes NaN.
+    """
     import pandas as pd
 
     frame = pd.DataFrame([asdict(row) for row in rows if row.response == response])
@@ -32,7 +47,15 @@ def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.D
 
 
 def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw the largest difference of every factor with its interval against depth."""
+    """Draw the largest difference of every factor with its interval against depth.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`points`, depths in mm.
+    facts : Facts
+        For the unit of a difference, and whether it is a ratio.
+    """
     figure = canvas(WIDTH_IN, 3.6)
     ax = figure.subplots()
     _band(ax, frame, facts)
@@ -78,7 +101,15 @@ def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
 
 
 def caption(frame: pd.DataFrame, facts: Facts) -> str:
-    """Say what changes between the shallowest and the deepest look."""
+    """Say what changes between the shallowest and the deepest look.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`points`.
+    facts : Facts
+        For the unit of a difference, and whether it is a ratio.
+    """
     depths = sorted(frame["depth_mm"].unique())
     shallow, deep = (
         frame[frame["depth_mm"] == d].set_index("name") for d in (depths[0], depths[-1])

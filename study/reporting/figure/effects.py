@@ -1,7 +1,6 @@
 """Figures of effects: sizes against what matters, level means, interactions, cells.
 
-Compute, then draw: each ``draw_*`` takes the frame that its function computed, and that
-frame is the figure's CSV.
+Compute, then draw: each ``draw_*`` takes the frame of its function, which is the figure's CSV.
 """
 
 from __future__ import annotations
@@ -60,6 +59,11 @@ def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
 
 def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
     """Draw the largest difference of every term as a notebook shows it.
+
+    Parameters
+    ----------
+    facts, labels : Facts, mapping of str to str
+        The response; shown names by factor (one that is absent is made from its key).
 
     Raises
     ------
@@ -266,18 +270,28 @@ def _sides(means: Sequence[float]) -> list[int]:
 
 
 def axis_label(facts: Facts) -> str:
-    """Name and unit of a response for an axis."""
+    """Name and unit of a response for an axis.
+
+    Parameters
+    ----------
+    facts : Facts
+        The response; the name stands alone where it has no unit.
+    """
     return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
 
 
 def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     """Every observation of each distinct computation with its rank, best first.
 
+    Parameters
+    ----------
+    data, facts, most : ReportData, Facts, int
+        The report; the response; computations at most.
+
     Returns
     -------
     DataFrame
-        ``label`` names the cells of a computation, ``copies`` counts them; the levels are
-        those of the first. At most ``most`` computations.
+        ``label`` names and ``copies`` counts the cells of a computation; levels are of the first.
     """
     import pandas as pd
 

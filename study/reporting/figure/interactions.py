@@ -31,7 +31,21 @@ if TYPE_CHECKING:
 
 
 def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
-    """Mean of every combination of two levels, for every pair of factors."""
+    """Mean of every combination of two levels, for every pair of factors.
+
+    Parameters
+    ----------
+    data : ReportData
+        For the factors and the rows.
+    facts : Facts
+        The response; means of a log response are geometric.
+
+    Returns
+    -------
+    DataFrame
+        ``factor``, ``level``, ``other``, ``other_level``, ``mean`` of the cells in the response's
+        unit.
+    """
     import pandas as pd
 
     frame = cells(data, facts.name)
@@ -50,7 +64,19 @@ def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
 def draw_interactions(
     frame: pd.DataFrame, facts: Facts, factors: Mapping[str, Sequence[str]], data: ReportData
 ) -> Canvas:
-    """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
+    """Draw a matrix: lines above the diagonal, the same means as numbers below it.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`pair_means`.
+    facts : Facts
+        For name and unit of the response.
+    factors : mapping of str to sequence of str
+        Levels of every factor, both in the order to be drawn.
+    data : ReportData
+        For the shown names of factors.
+    """
     k = len(factors)
     figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)

@@ -79,6 +79,8 @@ def picture(
         Vertex numbers: triangles or quadrilaterals, tetrahedra or hexahedra.
     name : str
         Prefix of the ids in the drawing.
+    title : str
+        Accessible name; empty for "deformed mesh".
 
     Returns
     -------

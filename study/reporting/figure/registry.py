@@ -54,6 +54,10 @@ def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
 
     Parameters
     ----------
+    name : str
+        Prefix of the ids in the drawing, and part of the names of its files.
+    title : str
+        Heading, and accessible name of the drawing.
     compute : callable
         Returns the data, a function that draws them, and the caption.
     """
@@ -68,7 +72,23 @@ def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
 
 
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
-    """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its factors, rows and depths.
+    facts : Facts
+        The response; its title and unit are shortened in the figures.
+    without : collection of str
+        Kinds that are not drawn, for example ``"cells"``.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``effects``, ``means``, ``interactions``, ``cells``, ``residuals``, ``spread``,
+        ``contrasts``, ``depth``, ``front``: those that the response has data for.
+    """
     if not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
@@ -104,7 +124,19 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
 
 
 def of_study(data: ReportData) -> dict[str, Figure]:
-    """Figures that belong to no single response."""
+    """Figures that belong to no single response.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its curves, fits, markers, series of meshes, comparisons and failures are drawn.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
+        that the study has data for.
+    """
     found: dict[str, Figure] = {}
     if data.curves:
         found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
@@ -143,7 +175,18 @@ def _validation(data: ReportData) -> Drawn:
 
 
 def slug(text: str) -> str:
-    """File and id name made of letters, digits and hyphens alone."""
+    """File and id name made of letters, digits and hyphens alone.
+
+    Parameters
+    ----------
+    text : str
+        Name as a user wrote it.
+
+    Returns
+    -------
+    str
+        Of 48 characters at most; ``response`` where none is left.
+    """
     return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
 
 

@@ -39,7 +39,21 @@ Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
 
 def drawings(one: FittedSurface, data: ReportData) -> dict[str, tuple[str, Callable[[], Drawn]]]:
-    """Title and maker of every figure of one surface, by kind."""
+    """Title and maker of every figure of one surface, by kind.
+
+    Parameters
+    ----------
+    one : FittedSurface
+        The surface, or why there is none.
+    data : ReportData
+        For the shown names of factors and response.
+
+    Returns
+    -------
+    dict of str to tuple of str and callable
+        ``shares``, ``profiles``, ``contours``, ``left-out``: those that the runs allow; empty where
+        there is no surface.
+    """
     found = one.found
     if found is None:
         return {}

@@ -77,20 +77,37 @@ _XLINK = "http://www.w3.org/1999/xlink"
 
 
 def color_of(index: int) -> str:
-    """Color of the level or series with this index."""
+    """Color of the level or series with this index.
+
+    Parameters
+    ----------
+    index : int
+        From 0; the eighth has the first color again.
+    """
     return PALETTE[index % len(PALETTE)]
 
 
 def word_color_of(index: int) -> str:
-    """Color of a word that names the level or series with this index."""
+    """Color of a word that names the level or series with this index.
+
+    Parameters
+    ----------
+    index : int
+        As for :func:`color_of`.
+    """
     return WORDS[index % len(WORDS)]
 
 
 def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:
     """Return an empty figure that belongs to no global state.
 
-    It lays itself out, which costs most of the time of a figure with many axes: with
-    ``arranged=False`` the caller places them.
+    Parameters
+    ----------
+    width_in, height_in : float
+        Size in inches.
+    arranged : bool
+        Whether it lays itself out, which costs most of the time of a figure with many axes; if not,
+        the caller places them.
     """
     from matplotlib.figure import Figure
 
@@ -226,7 +243,15 @@ def _plain_font(style: str) -> str:
 
 
 def wrap(label: object, width: int = 14, longest: int = 60) -> str:
-    """Label of user text over several lines, broken at spaces and hyphens."""
+    """Label of user text over several lines, broken at spaces and hyphens.
+
+    Parameters
+    ----------
+    label : object
+        Control characters are replaced.
+    width, longest : int
+        Characters of a line, and of all lines; 0 for a ``longest`` without end.
+    """
     text = clean(label, longest)
     # a word a little too long is better read whole than cut
     widest = max(map(len, text.replace("-", "- ").split()), default=0)
@@ -241,6 +266,17 @@ def name_rows(
 
     Matplotlib places the lines of one text by its own measure of their widths, and the font of
     a browser has another: each line is therefore a text of its own that ends at the axis.
+
+    Parameters
+    ----------
+    ax : Axes
+        Its ticks of the vertical axis are replaced.
+    places : iterable of float
+        Heights in data coordinates, one for each name.
+    names : sequence of str
+        May hold line feeds.
+    fontsize : float
+        In points.
     """
     at = list(places)
     ax.set_yticks(at, [""] * len(at))
@@ -263,7 +299,15 @@ def name_rows(
 
 
 def plain_ticks(ax: Axes, axis: str) -> None:
-    """Few ticks, the same decimals on each, no offset and no exponent."""
+    """Few ticks, the same decimals on each, no offset and no exponent.
+
+    Parameters
+    ----------
+    ax : Axes
+        With a linear scale.
+    axis : {"x", "y"}
+        Which of its two axes.
+    """
     from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     target = ax.xaxis if axis == "x" else ax.yaxis
@@ -310,7 +354,17 @@ def log_places(low: float, high: float) -> list[float]:
 
 
 def log_ticks(ax: Axes, axis: str, label: Callable[[float], str] = "{:g}".format) -> None:
-    """Label a logarithmic axis, whose limits are final, at two places at least."""
+    """Label a logarithmic axis, whose limits are final, at two places at least.
+
+    Parameters
+    ----------
+    ax : Axes
+        With a logarithmic scale.
+    axis : {"x", "y"}
+        Which of its two axes.
+    label : callable
+        Text of a tick by its place.
+    """
     from matplotlib.ticker import NullFormatter
 
     low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())

@@ -22,17 +22,41 @@ COLUMNS = 4
 
 
 def label_of(row: Row) -> str:
-    """Name of a cell: its levels."""
+    """Name of a cell: its levels.
+
+    Parameters
+    ----------
+    row : mapping
+        One case beside its measurement: ``levels`` by factor; ``all`` where it has none.
+    """
     return " / ".join(str(v) for v in row["levels"].values()) or "all"
 
 
 def first_block(rows: Sequence[Row]) -> list[Row]:
-    """Rows of the first block, which stand for the others in the figure."""
+    """Rows of the first block, which stand for the others in the figure.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        One a case.
+    """
     return [row for row in rows if row["block"] == rows[0]["block"]]
 
 
 def error_points(rows: Sequence[Row]) -> pd.DataFrame:
-    """One row a place of a curve: E and each part of its uncertainty."""
+    """One row a place of a curve: E and each part of its uncertainty.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        One a case, with arrays along its curve; at least one.
+
+    Returns
+    -------
+    DataFrame
+        ``displacement_mm``, ``simulated_N``, ``measured_N``, ``error_N`` (E, simulated less
+        measured), ``u_num_N``, ``u_input_N``, ``u_data_N``, ``u_val_N``, ``cell``, ``block``.
+    """
     import pandas as pd
 
     names = ("displacement_mm", "simulated_N", "measured_N", "error_N", "u_num_N", "u_input_N",
@@ -47,7 +71,13 @@ def error_points(rows: Sequence[Row]) -> pd.DataFrame:
 
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:
-    """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
+    """Draw E along the curve on the band of u_val, a panel a cell, on shared axes.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`error_points`, of one block; the first ``MOST_PANELS`` cells are drawn.
+    """
     groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
     columns = min(COLUMNS, len(groups))
     count = -(-len(groups) // columns)
@@ -73,7 +103,13 @@ def _panel(ax: Axes, part: pd.DataFrame) -> None:
 
 
 def caption(rows: Sequence[Row]) -> str:
-    """State in how many cells the model's error shows, and what is not known."""
+    """State in how many cells the model's error shows, and what is not known.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        By :func:`first_block`; at least one.
+    """
     beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in rows)
     unknown = sorted({name for row in rows for name in row.get("unknown") or ()})
     lacking = f" Not known, and so left out: {', '.join(unknown)}." if unknown else ""
@@ -85,7 +121,15 @@ def caption(rows: Sequence[Row]) -> str:
 
 
 def table(rows: Sequence[Row], block: str) -> Table:
-    """Compare every case at the end of its curve."""
+    """Compare every case at the end of its curve.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        One a case, of all blocks.
+    block : str
+        What a block is called; empty without blocks.
+    """
     shown = tuple(
         (
             clean(label_of(row)),

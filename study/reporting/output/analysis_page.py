@@ -69,7 +69,13 @@ class AnalysisReport:
 
 
 def prepare(report: AnalysisReport) -> page.Contents:
-    """Compute every sentence, table and figure of the page."""
+    """Compute every sentence, table and figure of the page.
+
+    Parameters
+    ----------
+    report : AnalysisReport
+        Its data hold one response.
+    """
     (item,) = facts(report.data)
     figures = _figures(report, item)
     section = page.Section(
@@ -158,7 +164,20 @@ def _influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> D
 
 
 def answer(report: AnalysisReport, item: Facts) -> tuple[str, ...]:
-    """Answer first: verdicts where a smallest difference that matters was given, else tests."""
+    """Answer first: verdicts where a smallest difference that matters was given, else tests.
+
+    Parameters
+    ----------
+    report : AnalysisReport
+        For the shown names and roles of its factors.
+    item : Facts
+        The response.
+
+    Returns
+    -------
+    tuple of str
+        Sentences; why nothing was analyzed where that is so.
+    """
     if not item.terms:
         return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
     if any(effect.practical is not None for effect in item.effects):
@@ -196,7 +215,15 @@ def _below(p: float | None, item: Facts) -> bool:
 
 
 def render(report: AnalysisReport, contents: page.Contents) -> str:
-    """Return the HTML of computed contents."""
+    """Return the HTML of computed contents.
+
+    Parameters
+    ----------
+    report : AnalysisReport
+        What the page shows.
+    contents : Contents
+        By :func:`prepare`.
+    """
     (item,) = contents.found
     data = contents.data
     text: str = page._environment().get_template("analysis.html.j2").render(

@@ -34,17 +34,41 @@ def data_folder(folder: Path, stem: str) -> Path:
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a text beside, then rename: a reader never sees half a file."""
+    """Write a text beside, then rename: a reader never sees half a file.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that exists.
+    text : str
+        Written as UTF-8.
+    """
     replace_bytes(path, text.encode())
 
 
 def replace_packed(path: Path, text: str) -> None:
-    """Write a gzip file, the same bytes for the same text."""
+    """Write a gzip file, the same bytes for the same text.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that exists.
+    text : str
+        Packed as UTF-8.
+    """
     replace_bytes(path, gzip.compress(text.encode(), 6, mtime=0))
 
 
 def replace_bytes(path: Path, data: bytes) -> None:
-    """Write the bytes of a file beside, then rename; see :func:`replace_file`."""
+    """Write the bytes of a file beside, then rename; see :func:`replace_file`.
+
+    Parameters
+    ----------
+    path : Path
+        In a folder that exists; a link there is replaced, not followed.
+    data : bytes
+        The whole file.
+    """
     partial = path.with_name(path.name + ".part")
     partial.unlink(missing_ok=True)  # what was left there, a link too, is not written through
     with open(partial, "xb") as stream:

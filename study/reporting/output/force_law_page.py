@@ -46,7 +46,13 @@ def write_force_law(
 
 
 def figures(law: ForceLaw) -> list[Figure]:
-    """Force, stiffness and gradients; deviations from the simulation."""
+    """Force, stiffness and gradients; deviations from the simulation.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        With its error bound.
+    """
     points, deviations = force_law.law_points(law), force_law.deviation_points(law)
     uncertain = law.covariance is not None
     caption = (
@@ -74,7 +80,18 @@ def figures(law: ForceLaw) -> list[Figure]:
 
 
 def constants(law: ForceLaw) -> Table:
-    """Constants of the table, their range and what first order leaves out there."""
+    """Constants of the table, their range and what first order leaves out there.
+
+    Parameters
+    ----------
+    law : ForceLaw
+        With its ranges.
+
+    Returns
+    -------
+    Table
+        Moduli in kPa, in MPa in the unrounded rows.
+    """
     rows, raw = [], []
     for one in law.ranges:
         factor, unit = (1.0, "") if is_dimensionless(one.name) else (1e3, " kPa")

@@ -204,12 +204,23 @@ def build(context: ReportData) -> str:
     Nothing is loaded from anywhere: styles and drawings are inline, and the content security
     policy allows no script but the one that sorts tables, by its hash. Every text that came from a
     user is escaped by the templates.
+
+    Parameters
+    ----------
+    context : ReportData
+        Everything that the report shows.
     """
     return render(prepare(context))
 
 
 def render(contents: Contents) -> str:
-    """Return the HTML of computed contents."""
+    """Return the HTML of computed contents.
+
+    Parameters
+    ----------
+    contents : Contents
+        By :func:`prepare`.
+    """
     environment = _environment()
     data = contents.data
     script = table_script()
@@ -262,17 +273,12 @@ def table_script() -> Markup:
 
 
 def policy_hash(script: str) -> str:
-    """Return the source expression that lets a page run this script alone.
+    """Return the source expression (``sha256-`` and digest) that lets a page run this script alone.
 
     Parameters
     ----------
     script : str
         Text between the tags.
-
-    Returns
-    -------
-    str
-        ``sha256-`` and the digest, as a content security policy wants it.
     """
     import base64
     import hashlib
@@ -360,7 +366,13 @@ def _drawing(figure: Figure) -> Markup:
 
 
 def response_note(response: ResponseAnalysis) -> str:
-    """Say what was declared of a response: its unit, what matters, how it is analyzed."""
+    """Say what was declared of a response: its unit, what matters, how it is analyzed.
+
+    Parameters
+    ----------
+    response : ResponseAnalysis
+        What the study file says of it; its analysis is not read.
+    """
     parts = [response.unit] if response.unit else []
     if response.practical is not None:
         if response.relative:

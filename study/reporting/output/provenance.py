@@ -83,13 +83,30 @@ def is_kept(folder: Path, name: str, made_from: str) -> bool:
 
 
 def keep(folder: Path, name: str, made_from: str) -> None:
-    """Note what a report was made from, once it is written; parameters as of :func:`is_kept`."""
+    """Note what a report was made from, once it is written.
+
+    Parameters
+    ----------
+    folder, name, made_from : Path, str, str
+        As of :func:`is_kept`.
+    """
     told = _told(folder, name, made_from)
     replace_file(_note(folder, name), json.dumps(told, indent=1) + "\n")
 
 
 def forget(folder: Path, name: str) -> None:
-    """Have a report made again the next time; parameters as of :func:`is_kept`."""
+    """Have a report made again the next time.
+
+    Parameters
+    ----------
+    folder, name : Path, str
+        As of :func:`is_kept`.
+
+    Raises
+    ------
+    StoreError
+        If the folder of the report's data is a link that leads out of ``folder``.
+    """
     note = _note(folder, name)
     own_folder(folder, note.parent.name)
     note.unlink(missing_ok=True)

@@ -39,7 +39,18 @@ def write_requirement(found: SensorRequirement, out_dir: str | Path) -> Path:
 
 
 def warnings(found: SensorRequirement) -> list[str]:
-    """Say where the answer, which is of first order, must not be trusted."""
+    """Say where the answer, which is of first order, must not be trusted.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Its notes, and its simulations where first order does not hold.
+
+    Returns
+    -------
+    list of str
+        May be empty.
+    """
     return [clean(note) for note in found.notes] + [
         f"At {one.multiple:g} times the given errors first order does not hold: take scatter and "
         "shift of the simulated tests there, not the map."
@@ -49,7 +60,13 @@ def warnings(found: SensorRequirement) -> list[str]:
 
 
 def figures(found: SensorRequirement) -> list[Figure]:
-    """Map of accuracies, and parts of the uncertainty."""
+    """Map of accuracies, and parts of the uncertainty.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Propagated to first order.
+    """
     plane, parts = requirement.map_points(found), requirement.part_points(found)
     wanted = 100 * found.accuracy
     caption = (
@@ -75,7 +92,13 @@ def figures(found: SensorRequirement) -> list[Figure]:
 
 
 def errors(found: SensorRequirement) -> Table:
-    """Every error: as given, and as large as it may be."""
+    """Every error: as given, and as large as it may be.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Standard uncertainties of its sources: mm, N, or a share of the value.
+    """
     rows, raw = [], []
     for k, source in enumerate(found.propagation.sources):
         alone, beside = found.allowed(k)
@@ -97,7 +120,13 @@ def errors(found: SensorRequirement) -> Table:
 
 
 def quantities(found: SensorRequirement) -> Table:
-    """Constants and predicted force with their uncertainties."""
+    """Constants and predicted force with their uncertainties.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Moduli are in MPa there and in kPa in the table.
+    """
     rows, raw = [], []
     for one in found.quantities:
         factor, unit = (1e3, "kPa") if one.unit == "MPa" else (1.0, one.unit)
@@ -114,7 +143,13 @@ def quantities(found: SensorRequirement) -> Table:
 
 
 def simulations(found: SensorRequirement) -> Table:
-    """Scatter in simulated tests beside that of first order."""
+    """Scatter in simulated tests beside that of first order.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        With simulated tests; one whose fits have no answer is passed over.
+    """
     rows, raw = [], []
     for one in found.simulations:
         for s in one.scatters:

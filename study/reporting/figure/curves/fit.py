@@ -46,12 +46,28 @@ class FitPanel:
 
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
-    """Return the figure as SVG, the same bytes for the same data."""
+    """Return the figure as SVG, the same bytes for the same data.
+
+    Parameters
+    ----------
+    panels : sequence of FitPanel
+        Every curve of the calibration; the first 12 are drawn.
+    title : str
+        Above the panels, and accessible name of the figure.
+    """
     return render(lambda: draw_fit(panels, title), "calibration", title)
 
 
 def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
-    """Draw the first curves with their fits, and residuals below each."""
+    """Draw the first curves with their fits, and residuals below each.
+
+    Parameters
+    ----------
+    panels : sequence of FitPanel
+        Every curve; the first 12 are drawn.
+    title : str
+        Above the panels; it also says how many curves there are where not all are drawn.
+    """
     return _draw(panels[:_MOST], title, len(panels))
 
 

@@ -18,11 +18,21 @@ if TYPE_CHECKING:
 def layer_points(data: ReportData) -> pd.DataFrame:
     """RMS error of every layer of every case, all markers fitted with the freest plate.
 
+    Parameters
+    ----------
+    data : ReportData
+        Its cases with markers.
+
     Returns
     -------
     DataFrame
         ``state``, ``group`` (level of the first factor), ``cell``, ``place``, ``layer``,
         ``error_mm``, ``floor_mm``.
+
+    Raises
+    ------
+    ValueError
+        If no marker has a layer.
     """
     import pandas as pd
 
@@ -52,7 +62,13 @@ def _freest(one: MarkedCase) -> dict[str, float]:
 
 
 def draw_layers(frame: pd.DataFrame) -> Canvas:
-    """Draw a panel a state: a line for each cell, colored by the first factor."""
+    """Draw a panel a state: a line for each cell, colored by the first factor.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`layer_points`.
+    """
     states = list(dict.fromkeys(frame["state"]))
     figure = canvas(WIDTH_IN, 2.6)
     panels = figure.subplots(1, len(states), squeeze=False, sharey=True)[0]
@@ -80,7 +96,13 @@ def _panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> None:
 
 
 def caption(frame: pd.DataFrame) -> str:
-    """Say which level of the first factor leaves the smallest error in the last state."""
+    """Say which level of the first factor leaves the smallest error in the last state.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`layer_points`.
+    """
     last = frame[frame["state"] == frame["state"].iloc[-1]]
     mean = last.groupby("group", sort=False)["error_mm"].mean()
     best, error = str(mean.idxmin()), float(mean.min())

@@ -26,7 +26,19 @@ LEVELS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def map_points(found: SensorRequirement) -> pd.DataFrame:
-    """Largest uncertainty of a constant and that of the force, a row for each pair of multiples."""
+    """Largest uncertainty of a constant and that of the force, a row for each pair of multiples.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Propagated to first order.
+
+    Returns
+    -------
+    DataFrame
+        ``position_multiple`` and ``force_multiple`` of the given errors; ``constants_percent`` and
+        ``predicted_force_percent``, expanded uncertainties over the value in percent.
+    """
     import pandas as pd
 
     position, force = (axis.ravel() for axis in np.meshgrid(MULTIPLES, MULTIPLES))
@@ -42,7 +54,15 @@ def map_points(found: SensorRequirement) -> pd.DataFrame:
 
 
 def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
-    """Draw lines of equal uncertainty over the errors of both sensors, for constants and force."""
+    """Draw lines of equal uncertainty over the errors of both sensors, for constants and force.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`map_points`.
+    wanted_percent : float
+        Wanted expanded uncertainty over the value, percent; where it is met is shaded.
+    """
     figure = canvas(WIDTH_IN, 4.0)
     axes = figure.subplots(1, 2, sharey=True)
     n = MULTIPLES.size
@@ -71,7 +91,18 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
 
 
 def part_points(found: SensorRequirement) -> pd.DataFrame:
-    """Relative standard uncertainty of every quantity by every error."""
+    """Relative standard uncertainty of every quantity by every error.
+
+    Parameters
+    ----------
+    found : SensorRequirement
+        Propagated to first order.
+
+    Returns
+    -------
+    DataFrame
+        ``quantity``, ``error`` (sensor and name), ``percent`` of the value.
+    """
     import pandas as pd
 
     return pd.DataFrame(
@@ -84,7 +115,13 @@ def part_points(found: SensorRequirement) -> pd.DataFrame:
 
 
 def draw_parts(frame: pd.DataFrame) -> Canvas:
-    """Draw a group of bars for each error, a bar for each quantity."""
+    """Draw a group of bars for each error, a bar for each quantity.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        By :func:`part_points`.
+    """
     errors, names = list(dict.fromkeys(frame["error"])), list(dict.fromkeys(frame["quantity"]))
     figure = canvas(WIDTH_IN, 0.8 + 0.22 * len(errors) * (len(names) + 0.6))
     ax = figure.subplots()

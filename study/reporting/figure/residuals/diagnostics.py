@@ -53,6 +53,11 @@ def _scores(n: int) -> np.ndarray:
 def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Pointwise 95 % envelope of ``n`` sorted independent normal values.
 
+    Parameters
+    ----------
+    n, spread, seed : int, float, int
+        Number of values; their standard deviation, in their unit; seed of 1000 simulations.
+
     Returns
     -------
     low, high : ndarray, shape (n,)
@@ -186,11 +191,7 @@ def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
 
 
 def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """Residuals of every level, spread about its place.
-
-    A strip plot of seaborn would draw its jitter from the global generator, and the same data
-    would give another page at every run.
-    """
+    """Residuals spread about the place of their level; seaborn's jitter differs at every run."""
     import pandas as pd
 
     rng = np.random.default_rng(seed)
@@ -261,6 +262,11 @@ _HALF_NORMAL_SIMULATIONS = 2000
 
 def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first.
+
+    Parameters
+    ----------
+    facts, data : Facts, ReportData
+        With Lenth's analysis (a ValueError is raised without one); for shown names and the seed.
 
     Returns
     -------

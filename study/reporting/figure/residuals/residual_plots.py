@@ -54,7 +54,15 @@ def residual_points(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def thinned(points: pd.DataFrame, seed: int) -> pd.DataFrame:
-    """At most ``MOST_POINTS`` rows in their order: the largest residuals and a random sample."""
+    """At most ``MOST_POINTS`` rows in their order: the largest residuals and a random sample.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`.
+    seed : int
+        Of the random sample.
+    """
     if len(points) <= MOST_POINTS:
         return points
     size = points["residual"].abs().to_numpy()
@@ -66,7 +74,18 @@ def thinned(points: pd.DataFrame, seed: int) -> pd.DataFrame:
 
 
 def drawn_words(points: pd.DataFrame) -> str:
-    """Say how many of the rows are drawn, where not all are."""
+    """Say how many of the rows are drawn, where not all are.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`, before :func:`thinned`.
+
+    Returns
+    -------
+    str
+        To be appended to a caption; empty where all rows are drawn.
+    """
     if len(points) <= MOST_POINTS:
         return ""
     return (
@@ -76,7 +95,17 @@ def drawn_words(points: pd.DataFrame) -> str:
 
 
 def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str:
-    """Name the panels, and say whether normality is rejected."""
+    """Name the panels, and say whether normality is rejected.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`, before :func:`thinned`.
+    facts : Facts
+        Its test of normality.
+    alpha : float
+        Normality is rejected where p is below.
+    """
     found = facts.assumptions.normality
     verdict = "the test of normality does not apply"
     if found is not None and found.rj is not None:
@@ -91,7 +120,17 @@ def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str
 
 
 def draw_four_in_one(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw probability plot, residuals against fits, histogram, residuals in the order of rows."""
+    """Draw probability plot, residuals against fits, histogram, residuals in the order of rows.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`; here they are thinned, but for the histogram.
+    facts : Facts
+        For the unit, and the test of normality.
+    data : ReportData
+        For the seed.
+    """
     figure = canvas(WIDTH_IN, 5.8)
     (normal, fits), (histogram, order) = figure.subplots(2, 2)
     shown, label = thinned(points, data.seed), _label(facts)
@@ -152,7 +191,17 @@ def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
 
 
 def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw the residuals at every level of every factor, side by side."""
+    """Draw the residuals at every level of every factor, side by side.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`, with a column for each factor.
+    facts : Facts
+        For the unit.
+    data : ReportData
+        For the factors, their levels and shown names, and the seed.
+    """
     figure = canvas(WIDTH_IN, 3.2)
     ax = figure.subplots()
     _against_factors(ax, thinned(points, data.seed), data, _label(facts))
@@ -161,7 +210,15 @@ def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -
 
 
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
-    """Say how many rows move the fit."""
+    """Say how many rows move the fit.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`, before :func:`thinned`.
+    limit : float or None
+        Cook's distance beyond which a row moves the fit; None where it is not known.
+    """
     moving = 0 if limit is None else int((points["cook"] > limit).sum())
     said = f"{count(moving, 'row')} beyond it" if moving else "no row is beyond it"
     line = "" if limit is None else f"; beyond {limit:.2g} a row moves the fit, and {said}"
@@ -172,7 +229,17 @@ def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
 
 
 def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Canvas:
-    """Draw Cook's distance by row, and standardized residual against leverage."""
+    """Draw Cook's distance by row, and standardized residual against leverage.
+
+    Parameters
+    ----------
+    points : DataFrame
+        By :func:`residual_points`.
+    data : ReportData
+        For the seed.
+    limit : float or None
+        As for :func:`influence_caption`; drawn up to three times the largest distance.
+    """
     figure = canvas(WIDTH_IN, 3.2)
     cook, leverage = figure.subplots(1, 2)
     # a row that is fitted exactly has leverage one, and no Cook's distance
