@@ -11,7 +11,7 @@ from study.api.uncertainty.equilibrium_paths import checks_of_paths
 from study.curve import Curve
 from study.design.overview import calibration_factors, equivalent_groups
 from study.material.registry import is_dimensionless
-from study.reporting.numbers import listing, name_of
+from study.reporting.text import listing, name_of
 from study.runner.numerical.case_series import stored_convergence
 from study.runner.numerical.retry import notes_of
 from study.study_result.report_data import (

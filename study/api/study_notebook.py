@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from study.api.assemble import report_data
 from study.errors import Fault, InputError, nearest
-from study.reporting.figure.effects import shown_effect_sizes
+from study.reporting.figure.effects.sizes import shown_effect_sizes
 from study.reporting.notebook import Shown
 from study.reporting.report import facts
 from study.study_result.study_result import StudyResult

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from study.analysis.anova_table import Effect, ErrorTerm, Row, SimpleEffect
 from study.analysis.result import AnalysisResult, Assumptions
 from study.record.table import answered_often, cell_names
-from study.reporting.numbers import clean, count, listing, name_of
+from study.reporting.text import clean, count, listing, name_of
 from study.study_result.report_data import ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:

@@ -11,9 +11,11 @@ from scipy import stats
 from study.analysis.unreplicated import pseudo_standard_error
 from study.curve import Curve
 from study.reporting.content.recommendation import cost_front
-from study.reporting.figure import captions, constants, effects, style
+from study.reporting.figure import captions, constants, style
 from study.reporting.figure.curves import plot, samples
-from study.reporting.figure.residuals import diagnostics
+from study.reporting.figure.effects import cells as cell_means
+from study.reporting.figure.effects import level
+from study.reporting.figure.residuals import contrast, diagnostics
 from study.reporting.output.page import build
 from study.reporting.report import cells, facts
 from study.study_result.report_data import CurvePair, ReportData
@@ -22,7 +24,7 @@ from tests.reporting.example import unreplicated
 
 def test_level_means_are_the_means_of_the_cells(data: ReportData):
     error = facts(data)[0]
-    frame = effects.level_means(error)
+    frame = level.level_means(error)
     expected = data.table.groupby("material")["relative_rms_force_error"].mean()
     for row in frame[frame["factor"] == "material"].itertuples():
         assert row.mean == pytest.approx(expected[row.level], rel=1e-12)  # same sums, other order
@@ -35,7 +37,7 @@ def test_log_cells_are_geometric_means(data: ReportData):
 
 
 def test_cells_are_ranked_best_first(data: ReportData):
-    frame = effects.cell_points(data, facts(data)[0])
+    frame = cell_means.cell_points(data, facts(data)[0])
     shown = frame.drop_duplicates("rank")
     assert np.all(np.diff(shown["cell_mean"].to_numpy()) >= 0)
     assert shown["copies"].sum() == 32
@@ -80,7 +82,7 @@ def test_front_holds_what_no_other_cell_dominates(data: ReportData):
 
 def test_contrasts_beyond_the_margin_are_the_real_ones():
     data = unreplicated()
-    frame = diagnostics.contrasts(facts(data)[0], data)
+    frame = contrast.contrasts(facts(data)[0], data)
     assert set(frame.loc[frame["active"], "contrast"]) == {"material", "plates", "material:plates"}
     # the effect of the material: 2 + 1.5 / 2, noise 0.2 * 2 / sqrt(16) = 0.1
     assert frame["size"].iloc[0] == pytest.approx(2.75, abs=0.3)
@@ -90,7 +92,7 @@ def test_contrasts_beyond_the_margin_are_the_real_ones():
 
 
 def test_half_normal_envelope_holds_null_contrasts():
-    low, high = diagnostics._envelope(15, 1.0, 4)
+    low, high = contrast._envelope(15, 1.0, 4)
     z = np.abs(np.random.default_rng(8).standard_normal((2000, 15)))
     z = np.sort(z / pseudo_standard_error(z)[:, None], axis=1)[:, ::-1]
     # 2000 simulations fix a 2.5 % quantile to about 0.35 %

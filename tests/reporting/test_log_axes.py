@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from study.reporting.figure.axes import log_places, log_ticks
 from study.reporting.figure.convergence import draw_errors, draw_front
-from study.reporting.figure.style import canvas, log_places, log_ticks
+from study.reporting.figure.style import canvas
 
 
 def seen(ax, axis: str) -> list[str]:

@@ -19,7 +19,7 @@ from study.cli.tables import report_tables
 from study.errors import InputError
 from study.reporting.content import tables
 from study.reporting.content.table import Table
-from study.reporting.output import page, write
+from study.reporting.output import latex, page, write
 from study.reporting.report import facts
 from study.study_result.report_data import Check, ReportData
 
@@ -131,10 +131,10 @@ def test_numbers_stay_numbers_in_csv():
 
 
 def test_tex_has_no_command_of_a_user():
-    text = write.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
+    text = latex.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
     assert r"\input" not in text
     assert text.startswith(r"\textbackslash{}input\{")
-    made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
+    made = latex.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
 

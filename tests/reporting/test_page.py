@@ -10,19 +10,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting import numbers
 from study.reporting.content import checks, sentences, tables
-from study.reporting.figure import interactions
+from study.reporting.figure.effects import interactions
 from study.reporting.output.page import (
     Contents,
     build,
-    missing,
     policy_hash,
     prepare,
     render,
     table_script,
 )
 from study.reporting.report import cells, comparable, facts
+from study.reporting.text import folded
 from study.study_result.report_data import Check, Failure, ReportData, ResponseAnalysis
 from tests.reporting.example import FACTORS, with_failures
 
@@ -164,7 +163,7 @@ def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, htm
 
 
 def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
-    assert missing(contents.all_figures) == ()
+    assert not any(figure.missing for figure in contents.all_figures)
     assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
     names = [figure.name for figure in contents.all_figures]
     assert len(names) == len(set(names)) == 15
@@ -286,7 +285,7 @@ def test_warnings_that_differ_in_names_and_numbers_are_one_line(data: ReportData
         ("error", "rows: 3 are missing"),
         ("modulus", "rows: 4 are missing"),
     ]
-    assert numbers.folded(found, data) == (
+    assert folded(found, data) == (
         "Error and modulus: material and space: 1 of 3 degrees of freedom are not estimable.",
         "Error: rows: 3 are missing.",
         "Modulus: rows: 4 are missing.",

@@ -13,8 +13,9 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 
-from study.reporting.figure import effects, interactions, style
-from study.reporting.figure.residuals import diagnostics
+from study.reporting.figure import style
+from study.reporting.figure.effects import cells, interactions, level, sizes
+from study.reporting.figure.residuals import contrast, diagnostics
 from study.reporting.report import Facts, facts
 from study.study_result.report_data import ReportData
 from tests.reporting.example import unreplicated
@@ -63,16 +64,16 @@ def heights(ax: Axes) -> list[float]:
 
 
 def test_main_effects(data: ReportData, error: Facts, used: list[str]):
-    frame = effects.level_means(error)
-    (ax,) = effects.draw_level_means(frame, error, 5.5, None, data).axes
+    frame = level.level_means(error)
+    (ax,) = level.draw_level_means(frame, error, 5.5, None, data).axes
     assert used == ["pointplot"]
     assert heights(ax) == frame["mean"].tolist()
     assert ax.get_xlabel() == ""
 
 
 def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
-    frame = effects.effect_sizes(error, data.labels)
-    (ax,) = effects.draw_effect_sizes(frame, error).axes
+    frame = sizes.effect_sizes(error, data.labels)
+    (ax,) = sizes.draw_effect_sizes(frame, error).axes
     assert used == ["scatterplot"]
     (drawn,) = points(ax)
     assert drawn[:, 0].tolist() == frame["difference"].tolist()
@@ -80,8 +81,8 @@ def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_cells(data: ReportData, error: Facts, used: list[str]):
-    frame = effects.cell_points(data, error)
-    (ax,) = effects.draw_cells(frame, error, 0.5).axes
+    frame = cells.cell_points(data, error)
+    (ax,) = cells.draw_cells(frame, error, 0.5).axes
     assert used == ["lineplot", "stripplot", "scatterplot"]
     *strips, means = points(ax)
     assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
@@ -147,8 +148,8 @@ def test_spread(data: ReportData, error: Facts, used: list[str]):
 def test_contrasts(used: list[str]):
     once = unreplicated()
     found = facts(once)[0]
-    frame = diagnostics.contrasts(found, once)
-    pareto, half = diagnostics.draw_contrasts(frame, found).axes
+    frame = contrast.contrasts(found, once)
+    pareto, half = contrast.draw_contrasts(frame, found).axes
     assert used == ["barplot", "scatterplot"]
     bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
     assert [bar.get_width() for bar in bars] == frame["size"].tolist()

@@ -9,24 +9,21 @@ import pytest
 from study.reporting.numbers import (
     MINUS,
     MISSING,
-    clean,
     decimals_that_count,
     duration,
     f_value,
     interval,
-    listing,
-    name_of,
     p_phrase,
     p_value,
     percent,
     quantity,
     ratio,
     rounded,
-    sentence,
     share,
     significant,
     span,
 )
+from study.reporting.text import clean, listing, name_of, sentence
 
 
 def flat(text: str) -> str:

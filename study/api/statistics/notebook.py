@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from study.analysis.result import AnalysisResult
 from study.api.statistics.table_report import Source, report_data, write_page
-from study.reporting.figure.effects import shown_effect_sizes
+from study.reporting.figure.effects.sizes import shown_effect_sizes
 from study.reporting.notebook import Shown
 from study.reporting.report import facts
 

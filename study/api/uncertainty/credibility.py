@@ -8,7 +8,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.reporting.numbers import listing, percent
+from study.reporting.numbers import percent
+from study.reporting.text import listing
 from study.runner.batch import Progress, computing, default_jobs
 from study.runner.cost import Costs
 from study.runner.numerical import refinement, space_comparison, study_refinement

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from study.reporting.numbers import count, listing, name_of, percent, quantity
+from study.reporting.numbers import percent, quantity
+from study.reporting.text import count, listing, name_of
 from study.study_result.report_data import Check
 
 if TYPE_CHECKING:

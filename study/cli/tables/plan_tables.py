@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.cli import output
-from study.reporting.numbers import count
+from study.reporting.text import count
 
 if TYPE_CHECKING:
     from study.api.planning.augment import Augmentation

@@ -13,10 +13,10 @@ from study.reporting.accuracy import scan_figure, tracker_figure
 from study.reporting.accuracy import tracker as tracker_content
 from study.reporting.content.table import Table
 from study.reporting.figure.registry import Drawn, Figure, make, slug
-from study.reporting.numbers import clean
 from study.reporting.output import write
 from study.reporting.output.files import data_folder, replace_file
 from study.reporting.output.page import _environment
+from study.reporting.text import clean
 from study.shape_validation.deviation import ShapeDeviation
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult

@@ -8,7 +8,8 @@ import numpy as np
 
 from study.registration.iterative_closest_point import Registration
 from study.reporting.content.table import Table
-from study.reporting.numbers import clean, count, quantity, share, significant
+from study.reporting.numbers import quantity, share, significant
+from study.reporting.text import clean, count
 from study.shape_validation.deviation import MarkerDeviation, ShapeDeviation
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
-from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of, plain_ticks
+from study.reporting.figure.axes import plain_ticks
+from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of
 from study.shape_validation.deviation import ShapeDeviation
 
 if TYPE_CHECKING:

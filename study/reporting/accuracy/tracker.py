@@ -7,16 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from study.reporting.content.table import Table
-from study.reporting.numbers import (
-    MISSING,
-    clean,
-    count,
-    interval,
-    level,
-    p_phrase,
-    quantity,
-    significant,
-)
+from study.reporting.numbers import MISSING, interval, level, p_phrase, quantity, significant
+from study.reporting.text import clean, count
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult, StageDistance
 from study.tracker_accuracy.reference import LeverArm, ReferenceResult

@@ -6,16 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.style import (
-    BAND,
-    INK,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    plain_ticks,
-    wrap,
-)
+from study.reporting.figure.axes import plain_ticks, wrap
+from study.reporting.figure.style import BAND, INK, MUTED, WIDTH_IN, canvas, color_of
 from study.tracker_accuracy.displacement import DisplacementResult
 from study.tracker_accuracy.distance import DistanceResult
 from study.tracker_accuracy.reference import ReferenceResult

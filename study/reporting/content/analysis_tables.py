@@ -8,18 +8,9 @@ from typing import TYPE_CHECKING
 from study.analysis.anova_table import Row
 from study.canonical import plain
 from study.reporting.content.table import Table
-from study.reporting.numbers import (
-    MISSING,
-    clean,
-    f_value,
-    interval,
-    level,
-    p_value,
-    percent,
-    significant,
-    term_name,
-)
+from study.reporting.numbers import MISSING, f_value, interval, level, p_value, percent, significant
 from study.reporting.report import Facts
+from study.reporting.text import clean, term_name
 
 if TYPE_CHECKING:
     from study.analysis.effects.comparisons import Comparisons

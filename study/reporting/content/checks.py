@@ -12,8 +12,9 @@ from study.reporting.content import sentences, verdicts
 from study.reporting.content.cases import failed_cases
 from study.reporting.content.sizes import bound
 from study.reporting.content.surfaces import response_surface
-from study.reporting.numbers import clean, count, listing, p_phrase, plural_of, term_name
+from study.reporting.numbers import p_phrase
 from study.reporting.report import Facts
+from study.reporting.text import clean, count, listing, plural_of, term_name
 from study.response_surface.emulator.emulator import GIVEN, RANKED
 from study.study_result.report_data import Check, ReportData
 from study.study_result.response_surface import FittedSurface

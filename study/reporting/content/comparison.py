@@ -8,18 +8,9 @@ from study.analysis.anova_table import Effect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS
 from study.reporting.content.sizes import over_numerical, size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.numbers import (
-    MISSING,
-    clean,
-    count,
-    level,
-    listing,
-    name_of,
-    p_value,
-    sentence,
-    term_name,
-)
+from study.reporting.numbers import MISSING, level, p_value
 from study.reporting.report import Facts
+from study.reporting.text import clean, count, listing, name_of, sentence, term_name
 from study.study_result import comparison
 from study.study_result.comparison import Beside, Change, Conclusion, Found, OnlyInOne
 from study.study_result.report_data import ResponseAnalysis

@@ -10,20 +10,9 @@ from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
 from study.reporting.content.sizes import size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.numbers import (
-    MISSING,
-    THIN,
-    clean,
-    decimals_that_count,
-    level,
-    listing,
-    name_of,
-    quantity,
-    rounded,
-    sentence,
-    term_name,
-)
+from study.reporting.numbers import MISSING, THIN, decimals_that_count, level, quantity, rounded
 from study.reporting.report import Facts, cells, practical_of
+from study.reporting.text import clean, listing, name_of, sentence, term_name
 from study.study_result.report_data import ReportData
 
 HOLDS = "holds"

@@ -6,17 +6,9 @@ from collections.abc import Sequence
 
 from study.reporting.content.sizes import practical
 from study.reporting.content.surfaces import response_surface
-from study.reporting.numbers import (
-    TIMES,
-    clean,
-    count,
-    level,
-    listing,
-    name_of,
-    plural_of,
-    sentence,
-)
+from study.reporting.numbers import TIMES, level
 from study.reporting.report import Facts, grouped_inputs
+from study.reporting.text import clean, count, listing, name_of, plural_of, sentence
 from study.study_result.report_data import ReportData
 
 #: levels beyond which only the ends are written

@@ -22,22 +22,16 @@ from study.reporting.content.sizes import size, size_interval
 from study.reporting.content.surfaces import response_surface
 from study.reporting.numbers import (
     THIN,
-    clean,
-    count,
     decimals_that_count,
     duration,
     level,
-    listing,
-    name_of,
     percent,
-    plural_of,
     quantity,
     rounded,
-    sentence,
     significant,
-    term_name,
 )
 from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
+from study.reporting.text import clean, count, listing, name_of, plural_of, sentence, term_name
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from itertools import product
 from study.analysis.anova_table import Effect, SimpleEffect
 from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
 from study.reporting.content.sizes import shown_difference
-from study.reporting.numbers import clean, listing, name_of, sentence, term_name
 from study.reporting.report import Facts
+from study.reporting.text import clean, listing, name_of, sentence, term_name
 from study.study_result.report_data import ReportData
 
 CHOICE = "choice"

@@ -16,18 +16,9 @@ from study.reporting.content import recommendation, roles
 from study.reporting.content.sizes import change, shown_difference, size
 from study.reporting.content.surfaces import response_surface
 from study.reporting.content.verdicts import setting, sole_setting
-from study.reporting.numbers import (
-    MISSING,
-    clean,
-    count,
-    listing,
-    name_of,
-    percent,
-    plural_of,
-    sentence,
-    term_name,
-)
+from study.reporting.numbers import MISSING, percent
 from study.reporting.report import Facts
+from study.reporting.text import clean, count, listing, name_of, plural_of, sentence, term_name
 from study.study_result.report_data import FITTED_CURVE, Failure, ReportData
 
 _SOURCES = {

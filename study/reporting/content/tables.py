@@ -17,20 +17,17 @@ from study.reporting.content.verdicts import told
 from study.reporting.numbers import (
     MISSING,
     THIN,
-    clean,
     duration,
     f_value,
     interval,
     level,
-    name_of,
     p_value,
-    plural_of,
     quantity,
     share,
     significant,
-    term_name,
 )
 from study.reporting.report import Facts, cells, is_effect
+from study.reporting.text import clean, name_of, plural_of, term_name
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -22,20 +22,15 @@ from study.reporting.content.sizes import (
 from study.reporting.numbers import (
     MISSING,
     THIN,
-    clean,
-    count,
     level,
-    listing,
-    name_of,
     p_phrase,
     ratio_digits,
     rounded,
-    sentence,
     significant,
     span,
-    term_name,
 )
 from study.reporting.report import Facts
+from study.reporting.text import clean, count, listing, name_of, sentence, term_name
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

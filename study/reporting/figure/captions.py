@@ -7,23 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.content.sizes import practical, size, size_interval
-from study.reporting.numbers import (
-    THIN,
-    clean,
-    count,
-    duration,
-    level,
-    listing,
-    name_of,
-    p_phrase,
-    plural_of,
-    quantity,
-    sentence,
-    share,
-    significant,
-    term_name,
-)
+from study.reporting.numbers import THIN, duration, level, p_phrase, quantity, share, significant
 from study.reporting.report import Facts
+from study.reporting.text import clean, count, listing, name_of, plural_of, sentence, term_name
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
@@ -117,7 +103,7 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
     data : ReportData
         For what a block is called.
     frame : DataFrame
-        By :func:`study.reporting.figure.effects.cell_points`.
+        By :func:`study.reporting.figure.effects.cells.cell_points`.
     """
     shown = frame.drop_duplicates("rank")
     means_of = shown["cell_mean"]
@@ -244,7 +230,7 @@ def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
     Parameters
     ----------
     frame : DataFrame
-        By :func:`study.reporting.figure.residuals.diagnostics.contrasts`.
+        By :func:`study.reporting.figure.residuals.contrast.contrasts`.
     facts : Facts
         For the unit; contrasts of a log response are log ratios.
     """

@@ -7,16 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.content.cases.fit_tables import fit_name, fit_rank
-from study.reporting.figure.style import (
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    name_rows,
-    plain_ticks,
-    wrap,
-)
-from study.reporting.numbers import clean
+from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.style import RULE, WIDTH_IN, canvas, color_of
+from study.reporting.text import clean
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -12,20 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.arrays import Array
-from study.reporting.figure.style import (
-    BAND,
-    INK,
-    MARKERS,
-    MUTED,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    log_ticks,
-    plain_ticks,
-    wrap,
-)
-from study.reporting.numbers import clean, name_of, percent
+from study.reporting.figure.axes import log_ticks, plain_ticks, wrap
+from study.reporting.figure.style import BAND, INK, MARKERS, MUTED, RULE, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import percent
+from study.reporting.text import clean, name_of
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,20 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.effects import axis_label
-from study.reporting.figure.style import (
-    MARKERS,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    log_ticks,
-    name_rows,
-    plain_ticks,
-    wrap,
-)
-from study.reporting.numbers import clean, duration, name_of
+from study.reporting.figure.axes import log_ticks, name_rows, plain_ticks, wrap
+from study.reporting.figure.effects.level import axis_label
+from study.reporting.figure.style import MARKERS, MUTED, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import duration
 from study.reporting.report import Facts
+from study.reporting.text import clean, name_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

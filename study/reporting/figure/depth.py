@@ -7,8 +7,9 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from study.reporting.figure.style import BAND, INK, MARKERS, MUTED, WIDTH_IN, canvas, color_of
-from study.reporting.numbers import listing, quantity, term_name
+from study.reporting.numbers import quantity
 from study.reporting.report import Facts
+from study.reporting.text import listing, term_name
 from study.study_result.report_data import DepthEffect, ReportData
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, render
-from study.reporting.numbers import count, quantity, sentence
+from study.reporting.numbers import quantity
+from study.reporting.text import count, sentence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -18,15 +18,15 @@ from study.reporting.figure import (
     convergence,
     cost,
     depth,
-    effects,
-    interactions,
     style,
     validation,
 )
 from study.reporting.figure.curves import marker_layers, plot, samples
-from study.reporting.figure.residuals import diagnostics
-from study.reporting.numbers import clean, name_of
+from study.reporting.figure.effects import cells as cell_means
+from study.reporting.figure.effects import interactions, level, sizes
+from study.reporting.figure.residuals import contrast, diagnostics
 from study.reporting.report import Facts, cells, practical_of
+from study.reporting.text import clean, name_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:
@@ -191,10 +191,10 @@ def slug(text: str) -> str:
 
 
 def _effects(data: ReportData, facts: Facts) -> Drawn:
-    frame = effects.effect_sizes(facts, data.labels)
+    frame = sizes.effect_sizes(facts, data.labels)
     if frame.empty:
         raise ValueError("no effect could be estimated")
-    return frame, lambda: effects.draw_effect_sizes(frame, facts), captions.effects(facts, data)
+    return frame, lambda: sizes.draw_effect_sizes(frame, facts), captions.effects(facts, data)
 
 
 def _depth(data: ReportData, facts: Facts) -> Drawn:
@@ -203,10 +203,10 @@ def _depth(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _contrasts(data: ReportData, facts: Facts) -> Drawn:
-    frame = diagnostics.contrasts(facts, data)
+    frame = contrast.contrasts(facts, data)
     return (
         frame,
-        lambda: diagnostics.draw_contrasts(frame, facts),
+        lambda: contrast.draw_contrasts(frame, facts),
         captions.contrasts(frame, facts),
     )
 
@@ -217,11 +217,11 @@ def _constants(data: ReportData) -> Drawn:
 
 
 def _means(data: ReportData, facts: Facts) -> Drawn:
-    frame, center = effects.level_means(facts), effects.grand_mean(data, facts)
+    frame, center = level.level_means(facts), level.grand_mean(data, facts)
     limit = next((e.practical for e in facts.effects if e.practical is not None), None)
     return (
         frame,
-        lambda: effects.draw_level_means(frame, facts, center, limit, data),
+        lambda: level.draw_level_means(frame, facts, center, limit, data),
         captions.means(facts, data),
     )
 
@@ -236,11 +236,11 @@ def _interactions(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _cells(data: ReportData, facts: Facts) -> Drawn:
-    frame = effects.cell_points(data, facts)
+    frame = cell_means.cell_points(data, facts)
     limit = practical_of(facts, cells(data, facts.name))
     return (
         frame,
-        lambda: effects.draw_cells(frame, facts, limit),
+        lambda: cell_means.draw_cells(frame, facts, limit),
         captions.cells(facts, data, frame),
     )
 

@@ -9,18 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.content.surfaces.response_surface import quality, title
-from study.reporting.figure.style import (
-    BAND,
-    INK,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    name_rows,
-    plain_ticks,
-    wrap,
-)
-from study.reporting.numbers import clean, listing, name_of, percent, quantity, sentence
+from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.style import BAND, INK, MUTED, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import percent, quantity
+from study.reporting.text import clean, listing, name_of, sentence
 from study.response_surface.profile import contour, left_out, profiles, strongest
 
 if TYPE_CHECKING:

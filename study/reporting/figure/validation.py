@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.reporting.content.table import Table
-from study.reporting.figure.style import BAND, MUTED, WIDTH_IN, canvas, color_of, plain_ticks, wrap
-from study.reporting.numbers import MISSING, clean, significant
+from study.reporting.figure.axes import plain_ticks, wrap
+from study.reporting.figure.style import BAND, MUTED, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import MISSING, significant
+from study.reporting.text import clean
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,10 +17,12 @@ from study.reporting.content.table import Table
 from study.reporting.figure import registry
 from study.reporting.figure.registry import Drawn, Figure, make, slug
 from study.reporting.figure.residuals import residual_plots
-from study.reporting.numbers import clean, count, listing, p_phrase, sentence
+from study.reporting.numbers import p_phrase
 from study.reporting.output import page, write
 from study.reporting.output.files import data_folder, replace_file
+from study.reporting.output.latex import document as latex_document
 from study.reporting.report import Facts, facts
+from study.reporting.text import clean, count, listing, sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -304,7 +306,7 @@ def write_analysis(
     if "tex" in asked:
         shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
         captions = [(t.name.capitalize(), t) for _, t in shown]
-        replace_file(latex, write.document(captions, _methods(contents)))
+        replace_file(latex, latex_document(captions, _methods(contents)))
     if "pdf" in asked:
         write.print_page(html, portable)
     return {"html": html, "pdf": html, "tex": latex, "csv": beside / "rows.csv"}[asked[0]]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from study.reporting.content.table import Table
 from study.reporting.figure.registry import Figure, slug
-from study.reporting.numbers import clean
 from study.reporting.output import write
 from study.reporting.output.files import data_folder, replace_file
 from study.reporting.output.page import _environment
+from study.reporting.text import clean
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from study.arrays import Array, Ints
 from study.reporting.content.table import Table
 from study.reporting.figure import convergence
 from study.reporting.figure.registry import Drawn, Figure, make
-from study.reporting.numbers import MISSING, clean, name_of, quantity, sentence, significant
+from study.reporting.numbers import MISSING, quantity, significant
 from study.reporting.output.answer_page import AnswerPage, write_answer
+from study.reporting.text import clean, name_of, sentence
 
 if TYPE_CHECKING:
     from study.reporting.figure.convergence import Document

@@ -12,8 +12,9 @@ from study.material.registry import is_dimensionless
 from study.reporting.content.table import Table
 from study.reporting.figure.haptics import force_law
 from study.reporting.figure.registry import Figure, make
-from study.reporting.numbers import MISSING, clean, significant
+from study.reporting.numbers import MISSING, significant
 from study.reporting.output.answer_page import AnswerPage, write_answer
+from study.reporting.text import clean
 
 
 def write_force_law(

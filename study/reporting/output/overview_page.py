@@ -6,17 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from study.reporting.numbers import (
-    MISSING,
-    clean,
-    duration,
-    interval,
-    name_of,
-    p_value,
-    ratio,
-    significant,
-)
+from study.reporting.numbers import MISSING, duration, interval, p_value, ratio, significant
 from study.reporting.output.page import _environment, policy_hash
+from study.reporting.text import clean, name_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -27,8 +27,9 @@ from study.reporting.content.verdicts import verdict
 from study.reporting.figure import registry, validation
 from study.reporting.figure import response_surface as surface_figures
 from study.reporting.figure.registry import Figure
-from study.reporting.numbers import clean, count, duration, folded, name_of, plural_of, sentence
+from study.reporting.numbers import duration
 from study.reporting.report import Facts, facts, grouped_inputs
+from study.reporting.text import clean, count, folded, name_of, plural_of, sentence
 from study.study_result.report_data import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from study.execution.worker import Worker
     from study.study_result.response_surface import FittedSurface
 
-_NO_FIGURE = "was not drawn"
 _VERSION = "version of "
 
 
@@ -391,10 +391,3 @@ def response_note(response: ResponseAnalysis) -> str:
     if response.better:
         parts.append(f"{response.better} is better")
     return "; ".join(parts)
-
-
-def missing(drawn: Sequence[Figure]) -> tuple[str, ...]:
-    """Sentences about figures that could not be drawn."""
-    return tuple(
-        f"{figure.title} {_NO_FIGURE}: {figure.missing}" for figure in drawn if figure.missing
-    )

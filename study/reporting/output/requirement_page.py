@@ -7,8 +7,9 @@ from pathlib import Path
 from study.reporting.content.table import Table
 from study.reporting.figure.haptics import requirement
 from study.reporting.figure.registry import Figure, make
-from study.reporting.numbers import clean, significant
+from study.reporting.numbers import significant
 from study.reporting.output.answer_page import AnswerPage, write_answer
+from study.reporting.text import clean
 from study.sensors.requirement import SensorRequirement, percent, sentences, size
 
 

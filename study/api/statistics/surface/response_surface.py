@@ -11,7 +11,7 @@ import numpy as np
 from study.analysis.request import threshold
 from study.arrays import Array, Flags
 from study.errors import Fault, InputError, RefusedError, nearest
-from study.reporting.numbers import count
+from study.reporting.text import count
 from study.response_surface.emulator.blocked import (
     BlockedEmulator,
     fit_blocks,

@@ -18,7 +18,7 @@ from study.design.factors import settings_of
 from study.design.statistics.uncertainty import usual_value
 from study.errors import StudyError
 from study.record.table import is_repeat
-from study.reporting.numbers import count
+from study.reporting.text import count
 from study.response_surface.factors import NumericFactor, Runs
 from study.response_surface.propagation import propagate
 from study.study_result.response_surface import FittedSurface

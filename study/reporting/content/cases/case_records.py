@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 from study.reporting.content.cases.fit_tables import fit_rank
 from study.reporting.content.table import Table
-from study.reporting.numbers import MISSING, clean, duration, name_of, quantity
+from study.reporting.numbers import MISSING, duration, quantity
 from study.reporting.report import Facts
+from study.reporting.text import clean, name_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from study.reporting.content.table import Table
-from study.reporting.numbers import MISSING, clean, count, listing, name_of
+from study.reporting.numbers import MISSING
+from study.reporting.text import clean, count, listing, name_of
 
 if TYPE_CHECKING:
     from study.analysis.assumption.failed_cases import FailurePattern, FailureRule, FailureTest

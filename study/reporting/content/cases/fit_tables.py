@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from study.reporting.content.table import Table
-from study.reporting.numbers import MINUS, MISSING, clean, interval, name_of, quantity, share
+from study.reporting.numbers import MINUS, MISSING, interval, quantity, share
+from study.reporting.text import clean, name_of
 from study.study_result.report_data import ANY, FittedConstant, ReportData
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from study.record.document import PlateFitDocument
 from study.reporting.content.cases.fit_tables import fit_rank
 from study.reporting.content.table import Table
-from study.reporting.numbers import MINUS, MISSING, clean, quantity
+from study.reporting.numbers import MINUS, MISSING, quantity
+from study.reporting.text import clean
 from study.study_result.report_data import MarkedCase, ReportData
 
 #: what a plate is taken to do, in words

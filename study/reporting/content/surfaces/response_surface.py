@@ -10,18 +10,14 @@ from study.reporting.content.surfaces import uncertainty
 from study.reporting.content.table import Table
 from study.reporting.numbers import (
     MISSING,
-    clean,
-    count,
     interval,
-    listing,
-    name_of,
     p_phrase,
     p_value,
     percent,
     quantity,
-    sentence,
     significant,
 )
+from study.reporting.text import clean, count, listing, name_of, sentence
 from study.response_surface.emulator.emulator import Emulator
 from study.response_surface.profile import profiles, strongest
 from study.response_surface.quadratic.surface import QuadraticSurface

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.reporting.content.table import Table
-from study.reporting.numbers import MISSING, clean, listing, name_of, percent, quantity
+from study.reporting.numbers import MISSING, percent, quantity
+from study.reporting.text import clean, listing, name_of
 
 if TYPE_CHECKING:
     from study.response_surface.propagation import InputShare

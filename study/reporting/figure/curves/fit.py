@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from study.arrays import Array
 from study.reporting.figure.style import INK, RULE, WIDTH_IN, canvas, color_of, render
-from study.reporting.numbers import clean
+from study.reporting.text import clean
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from study.reporting.figure.style import MUTED, WIDTH_IN, canvas, color_of
-from study.reporting.numbers import clean
+from study.reporting.text import clean
 from study.study_result.report_data import MarkedCase, ReportData
 
 if TYPE_CHECKING:

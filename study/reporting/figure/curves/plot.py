@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.reporting.figure.axes import plain_ticks, wrap
 from study.reporting.figure.curves.samples import CurvePanels, measurements
 from study.reporting.figure.style import (
     DASHES,
@@ -17,11 +18,10 @@ from study.reporting.figure.style import (
     WIDTH_IN,
     canvas,
     color_of,
-    plain_ticks,
     word_color_of,
-    wrap,
 )
-from study.reporting.numbers import THIN, clean, quantity
+from study.reporting.numbers import THIN, quantity
+from study.reporting.text import clean
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

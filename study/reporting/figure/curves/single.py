@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from study.curve import Curve
-from study.reporting.figure.style import RULE, WIDTH_IN, canvas, color_of, plain_ticks
+from study.reporting.figure.axes import plain_ticks
+from study.reporting.figure.style import RULE, WIDTH_IN, canvas, color_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.style import (
-    INK,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    log_ticks,
-    plain_ticks,
-)
+from study.reporting.figure.axes import log_ticks, plain_ticks
+from study.reporting.figure.style import INK, MUTED, WIDTH_IN, canvas, color_of
 from study.sensors.requirement import MULTIPLES, SensorRequirement
 
 if TYPE_CHECKING:

@@ -10,18 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.reporting.figure.axes import plain_ticks
 from study.reporting.figure.residuals.diagnostics import _against_factors, envelope
-from study.reporting.figure.style import (
-    BAND,
-    INK,
-    MUTED,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    plain_ticks,
-)
-from study.reporting.numbers import count, p_phrase, p_value, sentence
+from study.reporting.figure.style import BAND, INK, MUTED, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import p_phrase, p_value
 from study.reporting.report import Facts
+from study.reporting.text import count, sentence
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

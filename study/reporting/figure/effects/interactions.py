@@ -7,21 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.reporting.figure.effects import axis_label
-from study.reporting.figure.style import (
-    DASHES,
-    INK,
-    MARKERS,
-    RULE,
-    WIDTH_IN,
-    canvas,
-    color_of,
-    name_rows,
-    plain_ticks,
-    wrap,
-)
-from study.reporting.numbers import clean, name_of, significant
+from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.effects.level import axis_label
+from study.reporting.figure.style import DASHES, INK, MARKERS, RULE, WIDTH_IN, canvas, color_of
+from study.reporting.numbers import significant
 from study.reporting.report import Facts, cells
+from study.reporting.text import clean, name_of
 from study.study_result.report_data import ReportData
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Figures of effects: their sizes, the means of levels and of cells, and interactions."""
