@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from study.calibration.fit import MeasuredCurve, fit
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 from study.curve import Curve
 from study.forward import finite_element
 from study.runner.fitting import fit_task

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from study.arrays import Array
 from study.calibration.covariance import Uncertainty, influence, uncertainty, verdict_at_end
-from study.calibration.iteration import EvaluationFailed, Function, Iteration, Status
+from study.calibration.function import EvaluationFailed, Function
+from study.calibration.iteration import Iteration, Status
 from study.calibration.levenberg_marquardt import LMResult, levenberg_marquardt
 from study.calibration.measured_curve import MeasuredCurve, curve_faults
-from study.calibration.nuisance import NuisanceEstimate
-from study.calibration.prior import Prior, pseudo_jacobian, pseudo_rows
+from study.calibration.prior import NuisanceEstimate, Prior, pseudo_jacobian, pseudo_rows
 from study.calibration.serial_correlation import SerialCorrelation
 from study.curve import Curve
 from study.errors import Fault, InputError

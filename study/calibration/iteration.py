@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from study.arrays import Array
 from study.calibration.trust_region_step import Linearization, length_of
-from study.errors import Fault, InputError
 
 EPS = float(np.finfo(float).eps)
 
@@ -48,7 +46,35 @@ class Iteration:
 
 @dataclass
 class State:
-    """The search in progress."""
+    """The search in progress.
+
+    Parameters
+    ----------
+    x : ndarray, shape (p,)
+        Best parameters so far, each in its unit.
+    residual, jacobian : ndarray, shapes (n,) and (n, p)
+        There, weighted.
+    reach : ndarray, shape (p,)
+        Largest absolute value of each parameter so far.
+    peak : ndarray, shape (p,)
+        Largest norm of each column of the Jacobian so far; zero where there was no influence.
+    radius : float
+        Of the trust region, in the unit of the residual.
+    rank : int
+        Largest rank of the Jacobian so far.
+    damping : float
+        Levenberg's parameter of the last step.
+    evaluations : int
+        Calls of the model.
+    kink : bool
+        Whether the sum of squares was seen to have a kink here.
+    history : list of Iteration
+        Accepted points, the start first.
+    failed : list of ndarray
+        Parameters at which the model had no answer.
+    failures : list of int
+        How many there were at each accepted point.
+    """
 
     x: Array
     residual: Array
@@ -74,15 +100,111 @@ class State:
         """Scale of the parameters: the peak of their columns' norms, 1 before any influence."""
         return np.where(self.peak > 0, self.peak, 1.0)
 
+    @classmethod
+    def at_start(
+        cls, x: Array, residual: Array, jacobian: Array, resume: Iteration | None
+    ) -> State:
+        """State at the start, or where an earlier search stopped."""
+        norms = np.linalg.norm(jacobian, axis=0)
+        if resume is not None:
+            peak = np.maximum(resume.scale, norms)
+            return cls(x, residual, jacobian, np.abs(x), peak, resume.radius)
+        radius = FIRST_RADIUS * size(norms * x, residual)
+        return cls(x, residual, jacobian, np.abs(x), norms, radius)
 
-def first_state(x: Array, residual: Array, jacobian: Array, resume: Iteration | None) -> State:
-    """State at the start, or where an earlier search stopped."""
-    norms = np.linalg.norm(jacobian, axis=0)
-    if resume is not None:
-        peak = np.maximum(resume.scale, norms)
-        return State(x, residual, jacobian, np.abs(x), peak, resume.radius)
-    radius = FIRST_RADIUS * size(norms * x, residual)
-    return State(x, residual, jacobian, np.abs(x), norms, radius)
+    def is_negligible(self, step: Array) -> bool:
+        """Whether a step changes the residual by less than the parameters' own rounding does."""
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        return length_of(norms * step) <= 2 * EPS * size(norms * self.x, self.residual)
+
+    def snapshot(self, offset: float) -> Iteration:
+        """Make the accepted point for the history."""
+        return Iteration(
+            len(self.history),
+            self.evaluations,
+            self.x.copy(),
+            self.cost,
+            self.radius,
+            self.damping,
+            offset,
+            self.peak.copy(),
+        )
+
+    def accept(self, x: Array, residual: Array, jacobian: Array) -> None:
+        """Move to a better point."""
+        self.x, self.residual, self.jacobian = x, residual, jacobian
+        self.peak = np.maximum(self.peak, np.linalg.norm(jacobian, axis=0))
+        self.reach = np.maximum(self.reach, np.abs(x))
+
+    def gain(self, step: Array, evaluated: tuple[Array, Array] | None) -> float:
+        """Actual over foretold decrease of the sum of squares."""
+        if evaluated is None:
+            return -np.inf
+        change = self.jacobian @ step
+        foretold = -float(change @ (2 * self.residual + change))
+        new = evaluated[0]
+        # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
+        actual = float((self.residual - new) @ (self.residual + new))
+        return actual / foretold if foretold > 0 else -np.inf
+
+    def held_by_bounds(self, low: Array, high: Array) -> NDArray[np.bool_]:
+        """Parameters at a bound that the gradient pushes against."""
+        gradient = self.jacobian.T @ self.residual
+        at_low = (self.x <= low) & (gradient >= 0)
+        return np.asarray(at_low | ((self.x >= high) & (gradient <= 0)))
+
+    def length(self, held: NDArray[np.bool_]) -> float:
+        """Scaled length of the parameters that may move, see :func:`size`."""
+        return size((self.peak * self.x)[~held], self.residual)
+
+    def steepest(self, held: NDArray[np.bool_]) -> float:
+        """Largest cosine between the residual and a column of the Jacobian."""
+        norms = np.linalg.norm(self.jacobian, axis=0) * float(np.linalg.norm(self.residual))
+        slopes = np.abs(self.jacobian.T @ self.residual)
+        return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
+
+    def is_beside_failure(self) -> bool:
+        """Whether the model had no answer at constants next to the best ones."""
+        reach = NEXT_DOOR * self.length(np.zeros(self.x.size, bool))
+        return any(length_of(self.scale * (x - self.x)) <= reach for x in self.failed)
+
+    def is_crawling(self, edge: float) -> bool:
+        """Whether the search creeps along constants at which the model has no answer."""
+        if len(self.history) <= CRAWL:
+            return False
+        gained = self.history[-1 - CRAWL].cost - self.cost
+        blocked = self.failures[-1] - self.failures[-1 - CRAWL]
+        return gained < edge * self.cost and blocked >= 2 and self.is_beside_failure()
+
+    def converged(
+        self, linear: Linearization, held: NDArray[np.bool_], xtol: float, gtol: float
+    ) -> Status | None:
+        """How a search has converged here; None where it has not."""
+        length = float(np.linalg.norm(self.residual))
+        influence = float(np.linalg.norm(self.jacobian, axis=0) @ np.abs(self.x))
+        # a residual is a difference of a few terms, each with a rounding of its own
+        if length <= 4 * EPS * influence or length == 0:
+            return Status.converged_zero
+        if linear.offset <= gtol:
+            return Status.converged_gradient
+        if linear.full_length <= xtol * self.length(held):
+            return Status.converged_step
+        return None
+
+    def trusted(self, status: Status, linear: Linearization, held: NDArray[np.bool_]) -> Status:
+        """No success where a parameter, or a combination, lost the influence it once had.
+
+        Nor where none has any: the residual is then orthogonal to nothing.
+        """
+        first = np.abs(self.history[0].x)
+        if status is Status.no_decrease and np.any((np.abs(self.x) > FAR * first) & (first > 0)):
+            return Status.running_away
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        length = float(np.linalg.norm(self.residual))
+        lost = (norms * self.reach <= 1e-8 * length) & (self.peak > norms) & ~held
+        singular = linear.rank + int(held.sum()) < self.rank or not (held | (norms > 0)).any()
+        doubtful = status.converged and status is not Status.converged_zero
+        return Status.no_influence if doubtful and (singular or np.any(lost)) else status
 
 
 def size(influence: Array, residual: Array) -> float:
@@ -99,221 +221,6 @@ def size(influence: Array, residual: Array) -> float:
     """
     length, left = length_of(influence), float(np.linalg.norm(residual))
     return length if length > EPS * left else left
-
-
-def negligible(state: State, step: Array) -> bool:
-    """Whether a step changes the residual by less than the parameters' own rounding does."""
-    norms = np.linalg.norm(state.jacobian, axis=0)
-    return length_of(norms * step) <= 2 * EPS * size(norms * state.x, state.residual)
-
-
-def snapshot(state: State, offset: float) -> Iteration:
-    """Make the accepted point for the history."""
-    return Iteration(
-        len(state.history),
-        state.evaluations,
-        state.x.copy(),
-        state.cost,
-        state.radius,
-        state.damping,
-        offset,
-        state.peak.copy(),
-    )
-
-
-def accept(state: State, x: Array, residual: Array, jacobian: Array) -> None:
-    """Move to a better point."""
-    state.x, state.residual, state.jacobian = x, residual, jacobian
-    state.peak = np.maximum(state.peak, np.linalg.norm(jacobian, axis=0))
-    state.reach = np.maximum(state.reach, np.abs(x))
-
-
-def gain_of(state: State, step: Array, evaluated: tuple[Array, Array] | None) -> float:
-    """Actual over foretold decrease of the sum of squares."""
-    if evaluated is None:
-        return -np.inf
-    change = state.jacobian @ step
-    foretold = -float(change @ (2 * state.residual + change))
-    new = evaluated[0]
-    # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
-    actual = float((state.residual - new) @ (state.residual + new))
-    return actual / foretold if foretold > 0 else -np.inf
-
-
-def held_by_bounds(state: State, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Parameters at a bound that the gradient pushes against."""
-    gradient = state.jacobian.T @ state.residual
-    at_low = (state.x <= low) & (gradient >= 0)
-    return np.asarray(at_low | ((state.x >= high) & (gradient <= 0)))
-
-
-def size_of(state: State, held: NDArray[np.bool_]) -> float:
-    """Scaled length of the parameters that may move, see :func:`size`."""
-    return size((state.peak * state.x)[~held], state.residual)
-
-
-def steepest(state: State, held: NDArray[np.bool_]) -> float:
-    """Largest cosine between the residual and a column of the Jacobian."""
-    norms = np.linalg.norm(state.jacobian, axis=0) * float(np.linalg.norm(state.residual))
-    slopes = np.abs(state.jacobian.T @ state.residual)
-    return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
-
-
-def beside_failure(state: State) -> bool:
-    """Whether the model had no answer at constants next to the best ones."""
-    reach = NEXT_DOOR * size_of(state, np.zeros(state.x.size, bool))
-    return any(length_of(state.scale * (x - state.x)) <= reach for x in state.failed)
-
-
-def crawling(state: State, edge: float) -> bool:
-    """Whether the search creeps along constants at which the model has no answer."""
-    if len(state.history) <= CRAWL:
-        return False
-    gained = state.history[-1 - CRAWL].cost - state.cost
-    blocked = state.failures[-1] - state.failures[-1 - CRAWL]
-    return gained < edge * state.cost and blocked >= 2 and beside_failure(state)
-
-
-def converged_at(
-    state: State, linear: Linearization, held: NDArray[np.bool_], xtol: float, gtol: float
-) -> Status | None:
-    """How a search has converged here; None where it has not."""
-    length = float(np.linalg.norm(state.residual))
-    influence = float(np.linalg.norm(state.jacobian, axis=0) @ np.abs(state.x))
-    # a residual is a difference of a few terms, each with a rounding of its own
-    if length <= 4 * EPS * influence or length == 0:
-        return Status.converged_zero
-    if linear.offset <= gtol:
-        return Status.converged_gradient
-    if linear.full_length <= xtol * size_of(state, held):
-        return Status.converged_step
-    return None
-
-
-def trusted(status: Status, state: State, linear: Linearization, held: NDArray[np.bool_]) -> Status:
-    """No success where a parameter, or a combination, lost the influence it once had.
-
-    Nor where none has any: the residual is then orthogonal to nothing.
-    """
-    first = np.abs(state.history[0].x)
-    if status is Status.no_decrease and np.any((np.abs(state.x) > FAR * first) & (first > 0)):
-        return Status.running_away
-    norms = np.linalg.norm(state.jacobian, axis=0)
-    length = float(np.linalg.norm(state.residual))
-    lost = (norms * state.reach <= 1e-8 * length) & (state.peak > norms) & ~held
-    singular = linear.rank + int(held.sum()) < state.rank or not (held | (norms > 0)).any()
-    doubtful = status.converged and status is not Status.converged_zero
-    return Status.no_influence if doubtful and (singular or np.any(lost)) else status
-
-
-Function = Callable[[Array], tuple[Array, Array]]
-
-
-def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
-    """Call a function for its residual and Jacobian; None where there is no finite answer.
-
-    Parameters
-    ----------
-    function, x
-        As :func:`study.calibration.levenberg_marquardt` takes them; ``x`` of shape (p,).
-    """
-    if not np.all(np.isfinite(x)):
-        return None
-    try:
-        with np.errstate(all="ignore"):  # a far trial point may overflow: that is a rejection
-            residual, jacobian = function(x.copy())
-    except (EvaluationFailed, OverflowError, ZeroDivisionError):
-        return None
-    residual = np.asarray(residual, float).ravel()
-    jacobian = np.asarray(jacobian, float).reshape(residual.size, x.size)
-    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
-        return None
-    # beyond 1e150 the squares overflow, also those of a parameter's influence on the residual
-    with np.errstate(over="ignore"):
-        sizes = [np.abs(part).max(initial=0) for part in (residual, jacobian, jacobian * x)]
-    return (residual, jacobian) if max(sizes) <= 1e150 else None
-
-
-def checked_bounds(
-    start: Array, bounds: Sequence[tuple[float, float]] | None
-) -> tuple[Array, Array]:
-    """Check a start against its bounds and return them as two arrays.
-
-    Parameters
-    ----------
-    start, bounds
-        Values (p,), and a pair (low, high) for each; None where there are no bounds.
-
-    Raises
-    ------
-    InputError
-        Naming every start value that is not finite or lies outside its bounds.
-    """
-    if start.ndim != 1 or start.size == 0 or not np.all(np.isfinite(start)):
-        raise InputError(Fault("start", f"must be finite numbers in a row, got {start}"))
-    pairs = np.array([(-np.inf, np.inf)] * start.size if bounds is None else bounds, float)
-    if pairs.shape != (start.size, 2) or np.any(pairs[:, 0] >= pairs[:, 1]):
-        raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
-    outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
-    if outside.size:
-        raise InputError(
-            [
-                Fault(
-                    f"start[{i}]",
-                    f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}",
-                    "start inside them or widen them",
-                )
-                for i in outside
-            ]
-        )
-    return pairs[:, 0].copy(), pairs[:, 1].copy()
-
-
-def finite_difference(
-    function: Callable[[Array], Array],
-    x: ArrayLike,
-    *,
-    scheme: str = "central",
-    relative_step: float | None = None,
-    base: Array | None = None,
-) -> Array:
-    """Jacobian of a function that has no gradient, by differences, shape (n, p).
-
-    Parameters
-    ----------
-    function : callable
-        ``x (p,) -> values (n,)``.
-    x : array_like, shape (p,)
-        Where.
-    scheme : str
-        ``central`` (2p calls) or ``forward`` (p calls and ``base``).
-    relative_step : float, optional
-        Step over max(|x|, 1e-8 of the largest |x|); by default eps^(1/3) or eps^(1/2), which
-        balance truncation with rounding of a function exact to eps.
-    base : ndarray, shape (n,), optional
-        ``function(x)`` if it is known already (forward differences).
-    """
-    point = np.asarray(x, dtype=float)
-    eps = float(np.finfo(float).eps)
-    power = 1 / 3 if scheme == "central" else 1 / 2
-    relative = eps**power if relative_step is None else relative_step
-    size = np.maximum(np.abs(point), 1e-8 * (np.abs(point).max(initial=0.0) or 1.0))
-    columns = []
-    forward = scheme == "forward"
-    origin = (function(point) if base is None else base) if forward else np.zeros(0)
-    for i, step in enumerate(relative * size):
-        ahead, behind = point.copy(), point.copy()
-        ahead[i] += step
-        behind[i] -= step
-        if forward:
-            columns.append((function(ahead) - origin) / (ahead[i] - point[i]))
-        else:
-            columns.append((function(ahead) - function(behind)) / (ahead[i] - behind[i]))
-    return np.array(columns).T
-
-
-class EvaluationFailed(Exception):
-    """The model has no answer at these constants; the optimizer rejects the step."""
 
 
 class Status(Enum):

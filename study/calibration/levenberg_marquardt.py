@@ -17,30 +17,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from study.arrays import Array
+from study.calibration.function import Function, checked_bounds, evaluate
 from study.calibration.iteration import (
     EPS,
     SHARES,
     SHORT,
     SMALL,
-    Function,
     Iteration,
     State,
     Status,
-    accept,
-    beside_failure,
-    checked_bounds,
-    converged_at,
-    crawling,
-    evaluate,
-    first_state,
-    gain_of,
-    held_by_bounds,
-    negligible,
-    size_of,
-    snapshot,
-    steepest,
     step_along,
-    trusted,
     turned,
 )
 from study.calibration.trust_region_step import Linearization, bounded_step, length_of
@@ -165,7 +151,7 @@ def levenberg_marquardt(
         empty = np.zeros((0, first.size))
         none = np.zeros(first.size, bool)
         return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
-    state = first_state(first, *evaluated, resume)
+    state = State.at_start(first, *evaluated, resume)
     with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
         status, offset, held = _search(
             function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
@@ -218,13 +204,13 @@ def _search(
 ) -> tuple[Status, float, NDArray[np.bool_]]:
     ftol, xtol, gtol, edge = tolerances
     while True:
-        held = held_by_bounds(state, low, high)
+        held = state.held_by_bounds(low, high)
         linear = Linearization.of(state.jacobian[:, ~held], state.residual, state.scale[~held])
         state.rank = max(state.rank, linear.rank + int(held.sum()))
-        state.history.append(snapshot(state, linear.offset))
+        state.history.append(state.snapshot(linear.offset))
         state.failures.append(len(state.failed))
-        status = converged_at(state, linear, held, xtol, gtol)
-        if status is None and crawling(state, edge):
+        status = state.converged(linear, held, xtol, gtol)
+        if status is None and state.is_crawling(edge):
             status = Status.at_edge
         if status is None and callback is not None and callback(state.history[-1]):
             status = Status.stopped
@@ -232,7 +218,7 @@ def _search(
             limits = (low, high, max_evaluations)
             status = _advance(function, state, held, linear, limits, ftol, edge)
         if status is not None:
-            return trusted(status, state, linear, held), linear.offset, held
+            return state.trusted(status, linear, held), linear.offset, held
 
 
 def _advance(
@@ -254,21 +240,21 @@ def _advance(
         )  # fmt: skip
         trial = np.clip(state.x + step, low, high)
         length = length_of(state.scale * step)
-        if negligible(state, trial - state.x):
+        if state.is_negligible(trial - state.x):
             return _no_step(state, linear, held, answered, (ftol, edge))
         evaluated = evaluate(function, trial)
         state.evaluations += 1
         answered = answered or evaluated is not None
         if evaluated is None:
             state.failed.append(trial)
-        gain = gain_of(state, step, evaluated)
+        gain = state.gain(step, evaluated)
         state.radius, state.damping = updated_radius(state.radius, length, gain, damping), damping
         if evaluated is not None and gain > ACCEPTED:
-            accept(state, trial, *evaluated)
+            state.accept(trial, *evaluated)
             return None
         if linear.offset**2 <= ftol and answered and damping == 0:
             return Status.converged_cost
-        short = 0 < length <= min(SHORT * linear.full_length, SMALL * size_of(state, held))
+        short = 0 < length <= min(SHORT * linear.full_length, SMALL * state.length(held))
         if short and evaluated is not None:
             before, after = state.jacobian.T @ state.residual, evaluated[1].T @ evaluated[0]
             state.kink = turned(before, after, step)
@@ -287,16 +273,16 @@ def _no_step(
     tolerances: tuple[float, float],
 ) -> Status:
     ftol, edge = tolerances
-    if not answered and beside_failure(state):
+    if not answered and state.is_beside_failure():
         return Status.too_many_failures
     # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
     if linear.offset**2 <= HIDDEN * ftol or _is_near_enough(linear, edge):
         return Status.converged_cost
-    if steepest(state, held) <= STATIONARY:
+    if state.steepest(held) <= STATIONARY:
         return Status.converged_gradient
-    if linear.full_length <= 1e-9 * size_of(state, held):
+    if linear.full_length <= 1e-9 * state.length(held):
         return Status.converged_step
-    if beside_failure(state):
+    if state.is_beside_failure():
         return Status.at_edge
     return Status.at_kink if state.kink else Status.no_decrease
 
@@ -324,8 +310,8 @@ def _moved_along(
         trial = np.clip(state.x + share * step, low, high)
         evaluated = evaluate(function, trial)
         state.evaluations += 1
-        if evaluated is not None and gain_of(state, share * step, evaluated) > ACCEPTED:
+        if evaluated is not None and state.gain(share * step, evaluated) > ACCEPTED:
             state.radius = float(np.linalg.norm(state.scale * share * step))
-            accept(state, trial, *evaluated)
+            state.accept(trial, *evaluated)
             return True
     return False

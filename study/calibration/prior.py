@@ -1,4 +1,4 @@
-"""What is known of a parameter before the fit, as one more observation of it.
+"""What is known of a parameter before the fit, as one more observation of it, and after it.
 
 A prior with a mean and a standard uncertainty is a pseudo-observation: a row of the least-squares
 problem that measures the parameter itself (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65). It
@@ -7,8 +7,9 @@ is no measurement of these tests, and is told from them wherever rows are counte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -93,3 +94,36 @@ def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Arr
         moved = inverse[:, list(names).index(one.name)] * one.weight**2 * one.uncertainty
         total += np.outer(moved, moved)
     return total
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """One nuisance parameter after the fit; mm, N, MPa, degrees or plain.
+
+    Parameters
+    ----------
+    name, key : str
+        What it is called, and its key in the file.
+    treated : {"fitted", "propagated"}
+        Whether the tests helped to find it, or its uncertainty was carried to the constants.
+    expected : float
+        Value that was expected before the fit.
+    uncertainty : float or None
+        Standard uncertainty of that; None where nothing was known.
+    value, standard_error : float
+        After the fit.
+    ci95 : tuple of float
+        95 % interval.
+    shares : mapping of str to float
+        By constant: share of its variance that would be gone if this were known exactly.
+    """
+
+    name: str
+    key: str
+    treated: Literal["fitted", "propagated"]
+    expected: float
+    uncertainty: float | None
+    value: float
+    standard_error: float
+    ci95: tuple[float, float]
+    shares: Mapping[str, float]

@@ -10,7 +10,7 @@ import numpy as np
 from study.arrays import Array
 from study.calibration.covariance import student_t
 from study.calibration.fit import Fit, Predict, residual_function
-from study.calibration.iteration import Function
+from study.calibration.function import Function
 from study.calibration.levenberg_marquardt import levenberg_marquardt
 from study.calibration.measured_curve import MeasuredCurve
 from study.errors import RefusedError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 from study.curve import Curve
 from study.errors import Fault, InputError
 from study.forward import finite_element

@@ -9,7 +9,8 @@ from typing import cast
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.function import EvaluationFailed
+from study.calibration.iteration import Status
 from study.calibration.levenberg_marquardt import levenberg_marquardt
 from study.errors import InputError
 from study.sensors.force_model import ForceModel, force_model

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 
 PI = np.pi
 

@@ -5,7 +5,8 @@ import pytest
 
 from study.calibration.covariance import scaled_condition
 from study.calibration.fit import aicc, fit
-from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.function import EvaluationFailed
+from study.calibration.iteration import Status
 from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.profile_likelihood import profile
 from study.curve import Curve

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from study.calibration.fit import fit
-from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.function import EvaluationFailed
+from study.calibration.iteration import Status
 from study.calibration.lack_of_fit import (
     Repeated,
     akaike_weights,

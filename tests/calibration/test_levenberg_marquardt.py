@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.calibration.iteration import EvaluationFailed, Status, finite_difference
+from study.calibration.function import EvaluationFailed, finite_difference
+from study.calibration.iteration import Status
 from study.calibration.levenberg_marquardt import levenberg_marquardt, updated_radius
 from study.calibration.trust_region_step import Linearization, damped_step
 from study.errors import InputError

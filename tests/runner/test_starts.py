@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.iteration import EvaluationFailed, Status
+from study.calibration.function import EvaluationFailed
+from study.calibration.iteration import Status
 from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.design.load import load

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.function import EvaluationFailed
 from study.calibration.identifiability import identify
-from study.calibration.iteration import EvaluationFailed
 from study.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
 from study.calibration.profile_likelihood import profile
 from study.calibration.random_effects import population

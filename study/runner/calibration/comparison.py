@@ -12,7 +12,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import Fit
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 from study.calibration.wald_test import ALPHA, USUAL_POWER, Agreement, agreement
 from study.curve import Curve
 from study.design.sections.calibration_design import CalibrationDesign

@@ -14,7 +14,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import residual_function
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 from study.errors import Fault
 from study.material.energy import Energy
 from study.material.registry import ENERGIES

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from study.calibration.fit import Fit
     from study.calibration.identifiability import Direction, Identifiability
     from study.calibration.lack_of_fit import LackOfFit, Pattern
-    from study.calibration.nuisance import NuisanceEstimate
+    from study.calibration.prior import NuisanceEstimate
     from study.calibration.profile_likelihood import Profile
     from study.calibration.random_effects import Population
     from study.material.convention import Converted

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from study.arrays import Array
-from study.calibration.iteration import EvaluationFailed
+from study.calibration.function import EvaluationFailed
 from study.curve import Curve
 from study.errors import InputError
 from study.forward.exchange import NoAnswer

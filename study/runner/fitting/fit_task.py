@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.calibration.function import EvaluationFailed
 from study.calibration.influence import with_serial_correlation
-from study.calibration.iteration import EvaluationFailed
 from study.calibration.measured_curve import MeasuredCurve
 from study.curve import Curve
 from study.errors import InputError

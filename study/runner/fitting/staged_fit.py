@@ -19,7 +19,8 @@ import numpy as np
 
 from study.arrays import Array
 from study.calibration.fit import fit
-from study.calibration.iteration import EvaluationFailed, Iteration, Status
+from study.calibration.function import EvaluationFailed
+from study.calibration.iteration import Iteration, Status
 from study.curve import Curve
 from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler

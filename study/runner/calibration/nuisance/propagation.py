@@ -20,8 +20,7 @@ from study.calibration.covariance import scaled_inverse
 from study.calibration.fit import Fit, fit
 from study.calibration.influence import with_serial_correlation
 from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.nuisance import NuisanceEstimate
-from study.calibration.prior import Prior, pseudo_jacobian
+from study.calibration.prior import NuisanceEstimate, Prior, pseudo_jacobian
 from study.curve import Curve
 from study.design.sections.calibration_design import CalibratedTest
 from study.runner.calibration.measured_tests import FitCurve
