@@ -104,7 +104,8 @@ def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Out
     Returns
     -------
     kind : {"I", "II", "III"}
-        "auto" is II for balanced data. Unbalanced records take III even where II is asked for.
+        "auto" is II for balanced data and III for others. Unbalanced records take III even where
+        II is asked for.
     out : Outcome
         With a warning where the data are not balanced.
     """

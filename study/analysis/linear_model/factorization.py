@@ -229,7 +229,7 @@ def span(columns: Array) -> Array:
     Parameters
     ----------
     columns : ndarray, shape (r, m)
-        Columns about as long as 1: of a longest one below 1, what is shorter than 1e-9 is dropped.
+        A direction counts if it is longer than 1e-9 times the longest column, and than 1e-9.
     """
     if columns.size == 0:
         return np.zeros((columns.shape[0], 0))
