@@ -130,8 +130,8 @@ def scale_of(out: Outcome, y: Array) -> Scale:
     Returns
     -------
     Scale
-        All differences on it are on the working scale. Its unit is 1, or for a log response
-        1 / geometric mean.
+        With the practical difference and the bound on the working scale, where one unit of the
+        response is 1, or 1 / geometric mean for a log response.
     """
     asked = out.request.scale
     mean = float(np.exp(y.mean())) if asked.is_log else float(y.mean())

@@ -153,7 +153,8 @@ def response_bounds(
     mesh_size : sequence of float
         Size of each mesh, from fine to coarse; only the ratios count.
     formal : float or None
-        Order that the element promises; None for none, so that no small safety factor is taken.
+        Order that the element promises; without one, no order above 1 is taken, and a safety
+        factor of 3.
     noise : float or ndarray, shape (...)
         Growing changes up to this size are no divergence.
 
@@ -195,7 +196,8 @@ def difference_bounds(
     mesh_size : sequence of float
         Size of each mesh, from fine to coarse; only the ratios count.
     formal : float or None
-        Order that the element promises; None for none, so that no small safety factor is taken.
+        Order that the element promises; without one, no order above 1 is taken, and a safety
+        factor of 3.
 
     Returns
     -------

@@ -189,7 +189,7 @@ def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -
     ----------
     k : int
         Number of level combinations; all their pairs are compared.
-    df_term, df : int, float
+    df_term, df : float
         Degrees of freedom of the term, and of the error.
     main : bool
         Whether the term is one factor, for which Tukey and Kramer's multiplier holds.

@@ -149,7 +149,7 @@ def resolution(needed: float) -> str:
     Parameters
     ----------
     needed : float
-        Largest uncertainty that allows the claim; two digits of it are told.
+        Uncertainty below which the claim is allowed; two digits of it are told.
 
     Examples
     --------

@@ -277,7 +277,8 @@ def distinct_rows(columns: Array) -> DistinctRows | None:
     Parameters
     ----------
     columns : ndarray, shape (n, p)
-        Few rows are fewer than 2,000; few repeat where a distinct row stands for fewer than four.
+        Few rows are fewer than 2,000; few repeat where a distinct row stands for fewer than four on
+        average.
     """
     n = columns.shape[0]
     if n < _MANY_ROWS:

@@ -85,7 +85,8 @@ def planned(
     Returns
     -------
     dict of str to tuple of PowerRow
-        For n / 2, n, 2 n and 4 n blocks or replicates; without factors that have no F.
+        For n / 2 (rounded up, 2 at least), n, 2 n and 4 n blocks or replicates; without factors
+        that have no F.
 
     Notes
     -----
