@@ -84,6 +84,18 @@ def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]
 
     No assumption is checked and no block is left out in turn, which takes most of the time.
 
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    request : AnalysisRequest
+        Response, factors, blocks, model, error and scale.
+
+    Returns
+    -------
+    tuple of Effect
+        One a term, in the order of the model; empty for a response that does not vary.
+
     Raises
     ------
     InputError, RefusedError

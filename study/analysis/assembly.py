@@ -28,7 +28,18 @@ if TYPE_CHECKING:
 
 
 def assemble(out: Outcome) -> AnalysisResult:
-    """Check assumptions and freeze the result."""
+    """Check assumptions and freeze the result.
+
+    Parameters
+    ----------
+    out : Outcome
+        With its error term, table and effects found.
+
+    Returns
+    -------
+    AnalysisResult
+        With Holm's p beside the raw ones, and every warning once.
+    """
     found = diagnose(out)
     out = out.warn(*found.warnings, *_inestimable(out.effects))
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None

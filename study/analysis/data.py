@@ -60,6 +60,22 @@ def prepare(
 ) -> Data:
     """Check a table and code its factors.
 
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    response : str
+        Column of numbers; rows where it is missing are left out, counted and named in a warning.
+    factors : sequence of str
+        Columns of the factors, in which no level may be empty.
+    block : str or sequence of str, optional
+        Columns of the blocks, which are coded as factors are; several of them cross.
+
+    Returns
+    -------
+    Data
+        Rows with a response, and the levels that these rows have.
+
     Raises
     ------
     InputError
@@ -237,7 +253,20 @@ class Crossed:
 
 
 def crossed(data: Data, y: Array) -> Crossed:
-    """Cells against blocks; incomplete cells and blocks are left out, and said."""
+    """Cells against blocks; incomplete cells and blocks are left out, and said.
+
+    Parameters
+    ----------
+    data : Data
+        With a block.
+    y : ndarray, shape (n,)
+        Response of every row of ``data``, on the working scale.
+
+    Returns
+    -------
+    Crossed
+        Cells that more than half of the blocks have, in the blocks that have all of these cells.
+    """
     block = data.block or ""
     names = data.layout.levels[block]
     cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)

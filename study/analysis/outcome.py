@@ -90,7 +90,25 @@ class Outcome:
 
 
 def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Outcome]:
-    """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
+    """Type of the sums; unbalanced data take Type III with sum contrasts, and say so.
+
+    Parameters
+    ----------
+    out : Outcome
+        Its request says which type is asked for: {"auto", "I", "II", "III"}.
+    even : bool
+        Whether the data are balanced, or the terms orthogonal, so that all types agree.
+    why : str
+        How the warning begins where they are not.
+
+    Returns
+    -------
+    kind : {"I", "II", "III"}
+        "auto" is II for balanced data and III for others. Unbalanced records take III even where
+        II is asked for.
+    out : Outcome
+        With a warning where the data are not balanced.
+    """
     kind = out.request.sums
     if even:
         return ("II" if kind == "auto" else kind), out
@@ -100,7 +118,21 @@ def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Out
 
 
 def scale_of(out: Outcome, y: Array) -> Scale:
-    """Scale of a response: its practical difference and numerical bound as was asked."""
+    """Scale of a response: its practical difference and numerical bound as was asked.
+
+    Parameters
+    ----------
+    out : Outcome
+        Its request holds the practical difference and the numerical uncertainty.
+    y : ndarray, shape (n,)
+        Response on the working scale: its logarithm where that was asked for.
+
+    Returns
+    -------
+    Scale
+        With the practical difference and the bound on the working scale, where one unit of the
+        response is 1, or 1 / geometric mean for a log response.
+    """
     asked = out.request.scale
     mean = float(np.exp(y.mean())) if asked.is_log else float(y.mean())
     limit = asked.practical
@@ -126,6 +158,18 @@ def range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | N
     """Smallest and largest bound of a difference of two levels, in the unit of the response.
 
     A difference without a numerical error, such as one between meshes, does not count.
+
+    Parameters
+    ----------
+    out : Outcome
+        Its factors that are main effects of the model count, with their first 20 levels each.
+    scale : Scale
+        Its bound is on the working scale.
+
+    Returns
+    -------
+    smallest, largest : float or None
+        Both None where no difference has a bound above zero.
     """
     if scale.bound is None:
         return None, None

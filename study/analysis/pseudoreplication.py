@@ -44,7 +44,13 @@ class CopyGroups:
 
 
 def ulp_floor(y: Array) -> float:
-    """Spread below which doubles of this size are equal: 16 units in the last place."""
+    """Spread below which doubles of this size are equal: 16 units in the last place.
+
+    Parameters
+    ----------
+    y : ndarray
+        Values of any shape; the largest in size counts, and the spread is in their unit.
+    """
     return _ULPS * float(np.spacing(np.abs(y).max()))
 
 

@@ -65,6 +65,17 @@ class Threshold:
 def threshold(practical: Practical) -> Threshold | None:
     """Read a practical difference: a number, text, or as a study file declares it.
 
+    Parameters
+    ----------
+    practical : float, str, Threshold, PracticalDifference or None
+        A number is in the unit of the response; text is as below, with a share of the mean as
+        "% of mean"; None is for no threshold.
+
+    Returns
+    -------
+    Threshold or None
+        A value that is relative is a fraction, 0.1 for 10 %.
+
     Raises
     ------
     InputError
@@ -232,7 +243,13 @@ SMALLEST_ALPHA = 1e-9
 
 
 def alpha_faults(alpha: float) -> list[Fault]:
-    """List what is wrong with an error probability: nothing where it is one."""
+    """List what is wrong with an error probability: nothing where it is one.
+
+    Parameters
+    ----------
+    alpha : float
+        A probability from 1e-9 to below 1, such as 0.05.
+    """
     if SMALLEST_ALPHA <= alpha < 1:
         return []
     rule = f"must be between {SMALLEST_ALPHA:g} and 1, got {alpha!r}"

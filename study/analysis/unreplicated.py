@@ -22,6 +22,17 @@ def lenth_of(data: Data, y: Array, terms: Sequence[Term], seed: int) -> LenthRes
 
     In a two-level design the values are the classical effects. A full grid gives the contrasts
     of all terms; of a saturated fraction the terms of the model fill the space.
+
+    Parameters
+    ----------
+    data : Data
+        One row in every cell of the full grid, or of a saturated fraction.
+    y : ndarray, shape (n,)
+        Response on the working scale.
+    terms : sequence of Term
+        Terms of the model, which count for a fraction only.
+    seed : int
+        Seed of the simulated limits.
     """
     every = terms_of(data.factors) if balanced(data.layout, data.factors) else tuple(terms)
     names, contrasts = orthonormal_contrasts(data.layout, every)
@@ -70,7 +81,18 @@ class NonAdditivityResult:
 
 
 def pseudo_standard_error(contrasts: ArrayLike) -> Array:
-    """Lenth's PSE along the last axis (Lenth 1989, Technometrics 31, 469-473, eq. 3)."""
+    """Lenth's PSE along the last axis (Lenth 1989, Technometrics 31, 469-473, eq. 3).
+
+    Parameters
+    ----------
+    contrasts : array_like, shape (..., m)
+        Sets of m contrasts of equal variance.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the unit of the contrasts; 0 where all of them are 0.
+    """
     size = np.abs(np.asarray(contrasts, dtype=float))
     s0 = 1.5 * np.median(size, axis=-1, keepdims=True)
     kept = np.where(size < 2.5 * s0, size, np.nan)
@@ -110,7 +132,13 @@ def lenth(
     contrasts : array_like, shape (m,)
         Contrasts of equal variance (orthonormal, or the effects of a two-level design).
     names : sequence of str, optional
-        Their names.
+        Their names; by default their numbers from 1.
+    alpha : float
+        Error probability of ``me`` for each contrast, and of ``sme`` for all m together.
+    seed : int
+        Seed of the simulation.
+    simulations : int
+        Number of simulated sets of m contrasts.
 
     Notes
     -----
@@ -141,7 +169,13 @@ def lenth(
 
 
 def half_normal_scores(values: ArrayLike) -> Array:
-    """Half-normal scores Phi^-1(0.5 + 0.5 (r - 0.5)/m) of the absolute values (Daniel 1959)."""
+    """Half-normal scores Phi^-1(0.5 + 0.5 (r - 0.5)/m) of the absolute values (Daniel 1959).
+
+    Parameters
+    ----------
+    values : array_like, shape (m,)
+        Contrasts; r is the rank of the absolute value, and ties share their average rank.
+    """
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
@@ -196,14 +230,35 @@ def _one_df_contrasts(levels: Sequence[str]) -> Array:
 
 
 def two_level_effects(layout: Layout, y: Array, terms: Sequence[Term]) -> dict[str, float]:
-    """Classical effects (mean at high minus mean at low) of a two-level factorial."""
+    """Classical effects (mean at high minus mean at low) of a two-level factorial.
+
+    Parameters
+    ----------
+    layout : Layout
+        Every combination of the two levels of each factor exactly once.
+    y : ndarray, shape (n,)
+        Response of these rows.
+    terms : sequence of Term
+        Terms that are estimated.
+
+    Returns
+    -------
+    dict of str to float
+        By name of the term, in the unit of the response.
+    """
     names, contrasts = orthonormal_contrasts(layout, terms)
     scaled = 2 * (contrasts.T @ (y - y[0])) / np.sqrt(y.size)
     return dict(zip(names, scaled.tolist(), strict=True))
 
 
 def non_additivity(fit: Factored | TwoWayFit) -> NonAdditivityResult:
-    """Tukey's one-degree test (Tukey 1949, Biometrics 5, 232-242) of any additive fit."""
+    """Tukey's one-degree test (Tukey 1949, Biometrics 5, 232-242) of any additive fit.
+
+    Parameters
+    ----------
+    fit : Factored or TwoWayFit
+        With two residual degrees of freedom or more; one of them is that of the test.
+    """
     if fit.df_residual < 2:
         return NonAdditivityResult(None, None, None, "needs two residual degrees of freedom")
     centered = fit.fitted - fit.fitted.mean()
@@ -235,6 +290,8 @@ def functional_shares(
     ----------
     layout : Layout
         Full grid, row-major in ``factors``.
+    factors : sequence of str
+        All factors of the grid; the levels of the last one change fastest.
     y : ndarray, shape (cells,)
         Cell means.
     terms : sequence of Term

@@ -46,7 +46,17 @@ class Extreme:
 
 
 def box_points(k: int, n: int, seed: int = 0) -> Array:
-    """Points that fill the box [-1, 1]^k evenly, shape (n, k); n is a power of two."""
+    """Points that fill the box [-1, 1]^k evenly, shape (n, k); n is a power of two.
+
+    Parameters
+    ----------
+    k : int
+        Number of factors.
+    n : int
+        Number of points.
+    seed : int
+        Of the scrambled Sobol sequence.
+    """
     from scipy.stats import qmc
 
     return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)

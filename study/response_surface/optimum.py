@@ -97,6 +97,11 @@ class Optimum:
 def check_carries(model: Model) -> None:
     """Refuse a surface that does not predict runs it has not seen.
 
+    Parameters
+    ----------
+    model : QuadraticSurface, Emulator or BlockedEmulator
+        With its leave-one-out errors, from which Q2 follows.
+
     Raises
     ------
     RefusedError
@@ -124,6 +129,11 @@ def run_box(runs: Runs) -> tuple[Array, Array]:
     """Give the ends, shape (k,) each, of what was run inside of the coded box.
 
     Nothing is extrapolated beyond them.
+
+    Parameters
+    ----------
+    runs : Runs
+        Their coded settings count, shape (n, k).
     """
     low, high = runs.coded.min(axis=0), runs.coded.max(axis=0)
     return np.maximum(low, -1.0), np.minimum(high, 1.0)
@@ -302,8 +312,14 @@ def spread_over(
 
     Parameters
     ----------
+    model : QuadraticSurface, Emulator or BlockedEmulator
+        Surface of the response.
+    limits : sequence of Limit
+        What other responses may not pass.
+    found : Optimum
+        Best setting of this surface.
     others : sequence of int
-        These factors.
+        Positions of the factors that nobody chooses.
 
     Returns
     -------

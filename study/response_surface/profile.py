@@ -75,12 +75,29 @@ class LeftOut:
 
 
 def profiles(found: SurfaceAnalysis) -> tuple[Profile, ...]:
-    """Profile of every factor, in the order of the factors."""
+    """Profile of every factor, in the order of the factors.
+
+    Parameters
+    ----------
+    found : SurfaceAnalysis
+        With k factors.
+
+    Returns
+    -------
+    tuple of Profile
+        One a factor.
+    """
     return tuple(_profile(found, j) for j in range(len(found.runs.factors)))
 
 
 def strongest(found: SurfaceAnalysis) -> tuple[str, ...]:
-    """Names of the factors, the one that moves the response most first."""
+    """Names of the factors, the one that moves the response most first.
+
+    Parameters
+    ----------
+    found : SurfaceAnalysis
+        Ranked by its sensitivities where it has some, else by the range of each profile.
+    """
     if found.sensitivity:
         return tuple(i.factor for i in sorted(found.sensitivity, key=lambda i: i.rank))
     return tuple(p.factor for p in sorted(profiles(found), key=lambda p: -p.range))
@@ -91,6 +108,8 @@ def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
 
     Parameters
     ----------
+    found : SurfaceAnalysis
+        With two factors or more.
     factors : sequence of str
         Two of the surface's factors: along x, along y.
     """
@@ -114,7 +133,13 @@ def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
 
 
 def left_out(found: SurfaceAnalysis) -> LeftOut | None:
-    """Leave-one-out predictions; None where no run can be left out."""
+    """Leave-one-out predictions; None where no run can be left out.
+
+    Parameters
+    ----------
+    found : SurfaceAnalysis
+        Its runs are told, but for those that a quadratic surface cannot leave out.
+    """
     model = found.model
     if isinstance(model, QuadraticSurface):
         if model.loo is None:

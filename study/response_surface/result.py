@@ -212,7 +212,18 @@ FAR = 100.0
 
 
 def analysis_of_quadratic(found: QuadraticSurface) -> SurfaceAnalysis:
-    """Say what a quadratic surface means."""
+    """Say what a quadratic surface means.
+
+    Parameters
+    ----------
+    found : QuadraticSurface
+        Fitted to the runs.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        Without sensitivities; with the smallest and largest prediction in the box.
+    """
     said = [*found.notes]
     point = found.stationary
     if point is None or not point.established:

@@ -55,7 +55,18 @@ class Diagnostics:
 
 
 def diagnose(out: Outcome) -> Diagnostics:
-    """Check the assumptions that the tests of an analysis rest on."""
+    """Check the assumptions that the tests of an analysis rest on.
+
+    Parameters
+    ----------
+    out : Outcome
+        With its fit; cells against blocks in ``crossed`` are tested contrast by contrast.
+
+    Returns
+    -------
+    Diagnostics
+        With the warnings of ``out`` and those added here.
+    """
     if out.crossed is not None and out.replicates != "noise":
         return _by_contrast(out, out.crossed)
     out, normality, groups = _of_residuals(out)
@@ -113,7 +124,18 @@ def _heavy_block(
 
 
 def is_representative(out: Outcome) -> Flags:
-    """Whether each row belongs to the cell that stands for its copies."""
+    """Whether each row belongs to the cell that stands for its copies.
+
+    Parameters
+    ----------
+    out : Outcome
+        With its groups of copies.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        One a row of the data.
+    """
     return np.isin(out.data.cell, out.copies.representatives)
 
 

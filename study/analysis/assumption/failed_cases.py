@@ -143,6 +143,14 @@ class FailurePattern:
 def cause(status: str, message: str) -> str:
     """Name what many cases may have failed of: what was said first, with dots for its numbers.
 
+    Parameters
+    ----------
+    status : str
+        What the case ended as, such as "not-converged".
+    message : str
+        What the solver said, or nothing; only its first part counts, up to a semicolon or a new
+        line, and at most 120 letters of it.
+
     Examples
     --------
     >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found; press less deep")

@@ -128,7 +128,20 @@ def _lowest(filled: Sequence[Effect], smallest: float | None) -> float | None:
 
 
 def sentences(found: Sequence[FailureBound], missing: int) -> list[str]:
-    """Give one sentence per conclusion that the missing responses could overturn."""
+    """Give one sentence per conclusion that the missing responses could overturn.
+
+    Parameters
+    ----------
+    found : sequence of FailureBound
+        Bounds of every term, as :func:`bounds` gives them.
+    missing : int
+        Number of rows without a response.
+
+    Returns
+    -------
+    list of str
+        Where some conclusions cannot be overturned, a last sentence names their terms.
+    """
     if not found:
         return []
     runs = f"{missing} missing response" + ("s" if missing > 1 else "")

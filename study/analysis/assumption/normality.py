@@ -82,6 +82,11 @@ class NormalityResult:
 def critical_values(n: int) -> tuple[float, float, float]:
     """Critical values of RJ at 10, 5 and 1 % (Ryan and Joiner 1976).
 
+    Parameters
+    ----------
+    n : int
+        Number of values, at least 4.
+
     Examples
     --------
     >>> round(critical_values(10)[1], 10)
@@ -93,7 +98,20 @@ def critical_values(n: int) -> tuple[float, float, float]:
 
 
 def minitab_p(rj: float, n: int) -> str:
-    """P by linear interpolation between the critical values, as Minitab prints it."""
+    """P by linear interpolation between the critical values, as Minitab prints it.
+
+    Parameters
+    ----------
+    rj : float
+        Observed statistic, at most 1.
+    n : int
+        Number of values.
+
+    Returns
+    -------
+    str
+        ``"> 0.100"``, ``"< 0.010"``, or three decimals between them.
+    """
     c10, c05, c01 = critical_values(n)
     if rj > c10:
         return "> 0.100"
@@ -104,6 +122,11 @@ def minitab_p(rj: float, n: int) -> str:
 
 def statistic(values: ArrayLike) -> float:
     """RJ of ``values``: Pearson correlation with the normal scores of their average ranks.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        Data or residuals, finite and not all equal.
 
     Examples
     --------
@@ -198,6 +221,11 @@ def default_simulations(n: int) -> int:
 
     min(100,000, 3e7 / n) up to 1,000 values; 5e6 / n beyond, 1,000 of 5,000 values, in 0.3 s:
     a p of 0.05 then has a standard error of 0.007.
+
+    Parameters
+    ----------
+    n : int
+        Number of values in a design.
     """
     numbers = _MAX_NUMBERS if n <= _MANY_VALUES else _MAX_NUMBERS_OF_MANY
     return int(min(_MAX_SIMULATIONS, numbers / n))
@@ -242,13 +270,30 @@ def exact_p(rj: float, basis: Array, simulations: int, seed: int) -> float:
         Orthonormal basis of the model.
     simulations : int
         Number of simulated designs.
+    seed : int
+        Seed of the simulation.
     """
     below = sum(int(np.count_nonzero(chunk <= rj)) for chunk in null_rj(basis, simulations, seed))
     return (1 + below) / (simulations + 1)
 
 
 def null_rj(basis: Array, simulations: int, seed: int) -> Iterator[Array]:
-    """RJ of the residuals of standard normal data, in pieces that fit the memory."""
+    """RJ of the residuals of standard normal data, in pieces that fit the memory.
+
+    Parameters
+    ----------
+    basis : ndarray, shape (n, p)
+        Orthonormal basis of the model.
+    simulations : int
+        Number of simulated samples of n values.
+    seed : int
+        Seed of the simulation.
+
+    Yields
+    ------
+    ndarray, shape (m,)
+        RJ of m samples; the pieces hold ``simulations`` values together.
+    """
     n = basis.shape[0]
     rng = np.random.default_rng(seed)
     chunk = max(1, int(2e6 // n))
@@ -257,7 +302,15 @@ def null_rj(basis: Array, simulations: int, seed: int) -> Iterator[Array]:
 
 
 def simulated_rj(z: Array, basis: Array) -> Array:
-    """RJ of the residuals of each row of ``z``, shape (m,)."""
+    """RJ of the residuals of each row of ``z``, shape (m,).
+
+    Parameters
+    ----------
+    z : ndarray, shape (m, n)
+        One sample of n values a row.
+    basis : ndarray, shape (n, p)
+        Orthonormal basis of the model.
+    """
     n = z.shape[1]
     scores = _scores(np.arange(1, n + 1), n)
     residual = z - (z @ basis) @ basis.T
@@ -268,7 +321,18 @@ def simulated_rj(z: Array, basis: Array) -> Array:
 
 
 def anderson_darling(values: ArrayLike) -> NormalityResult:
-    """Anderson-Darling test, mean and variance estimated (D'Agostino and Stephens 1986, 4.9)."""
+    """Anderson-Darling test, mean and variance estimated (D'Agostino and Stephens 1986, 4.9).
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        Data or residuals, n >= 8.
+
+    Returns
+    -------
+    NormalityResult
+        A squared, with the p of its value corrected for n; or the reason why there is none.
+    """
     from scipy.special import log_ndtr
 
     x = np.sort(np.asarray(values, dtype=float))
@@ -300,7 +364,18 @@ def _anderson_p(a: float) -> float:
 
 
 def shapiro_wilk(values: ArrayLike) -> NormalityResult:
-    """Shapiro-Wilk test, guarded: scipy calls constant data perfectly normal."""
+    """Shapiro-Wilk test, guarded: scipy calls constant data perfectly normal.
+
+    Parameters
+    ----------
+    values : array_like, shape (n,)
+        Data or residuals, 3 <= n <= 5000.
+
+    Returns
+    -------
+    NormalityResult
+        W and p; or the reason why there is none.
+    """
     x = np.asarray(values, dtype=float)
     reason = "needs n >= 3" if x.size < 3 else _not_applicable(np.r_[x, x], None)
     if reason:

@@ -33,7 +33,19 @@ if TYPE_CHECKING:
 
 
 def hc3(fit: Factored) -> dict[str, WaldTest]:
-    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts.
+
+    Parameters
+    ----------
+    fit : Factored
+        Fit of the rows on the working scale.
+
+    Returns
+    -------
+    dict of str to WaldTest
+        By term; F with the degrees of freedom of the term and of the residual, or the reason why
+        there is none.
+    """
     if fit.df_residual < 1 or float(fit.leverage.max()) > 1 - 1e-10:
         return {
             term_name(t): WaldTest(term_name(t), None, None, None, "a row has leverage one")
@@ -69,6 +81,8 @@ def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> Wald
         Values of each cell, two or more.
     contrast : ndarray, shape (d, cells)
         Rows of the hypothesis.
+    name : str
+        Name of the term in the result.
     """
     return _johansen(_Moments.of(cells), contrast, name)
 
@@ -121,7 +135,24 @@ def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
 def welch_factorial(
     table: pd.DataFrame, response: str, factors: Sequence[str], model: Model = "full"
 ) -> dict[str, WaldTest]:
-    """Welch-James test of every term of a factorial with unequal cell variances."""
+    """Welch-James test of every term of a factorial with unequal cell variances.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run; every cell needs two rows or more.
+    response : str
+        Column of the response, which is not transformed.
+    factors : sequence of str
+        Columns of the factors.
+    model : "full", int or sequence
+        Terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
+
+    Returns
+    -------
+    dict of str to WaldTest
+        By term; the reason where it has no test.
+    """
     data = prepare(table, response, factors)
     return _welch(data, terms_of(data.factors, model))
 
@@ -145,6 +176,13 @@ def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
 
 def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     """Profile likelihood of the Box-Cox exponent in a linear model (Box and Cox 1964).
+
+    Parameters
+    ----------
+    y : ndarray, shape (n,)
+        Response before any transformation.
+    matrix : ndarray, shape (n, p)
+        Columns of the model, which may depend on each other.
 
     Raises
     ------
@@ -199,6 +237,19 @@ def sensitivity(
 
     Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
     positive.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run, without blocks.
+    response : str
+        Column of the response.
+    factors : sequence of str
+        Columns of the factors.
+    model : "full", int or sequence
+        Terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
+    alpha : float
+        Size of the tests, a probability.
     """
     data = prepare(table, response, factors)
     terms = terms_of(data.factors, model)
@@ -206,7 +257,19 @@ def sensitivity(
 
 
 def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: float) -> Sensitivity:
-    """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
+    """As :func:`sensitivity`, of checked data without blocks and the fit of their response.
+
+    Parameters
+    ----------
+    data : Data
+        Checked rows, n of them; several in a cell.
+    terms : sequence of Term
+        Terms of the model, without the intercept.
+    fit : Factored
+        Fit of the terms to the response before any transformation.
+    alpha : float
+        Size of the tests, a probability.
+    """
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
@@ -220,7 +283,17 @@ def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: floa
 def side_by_side(
     terms: Sequence[str], found: Mapping[str, Mapping[str, float | None]], alpha: float
 ) -> Sensitivity:
-    """Table of p, terms against analyses, and in how many each is below alpha."""
+    """Table of p, terms against analyses, and in how many each is below alpha.
+
+    Parameters
+    ----------
+    terms : sequence of str
+        Names of the terms.
+    found : mapping of str to mapping
+        By analysis, the p of each term; None where there is none, which does not count.
+    alpha : float
+        Size of the tests, a probability.
+    """
     p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
     return Sensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
 
@@ -247,7 +320,14 @@ _MOST_CELLS = 600
 
 
 def add_robustness(out: Outcome) -> Outcome:
-    """Outcome with Box-Cox and the table of defensible analyses, where there is an error."""
+    """Outcome with Box-Cox and the table of defensible analyses, where there is an error.
+
+    Parameters
+    ----------
+    out : Outcome
+        With its fit; returned as it is for split plots, crossing blocks, errors other than E0 or
+        own interactions, and more than 600 cells without blocks.
+    """
     if out.fit is None or out.plots is not None or out.data.also:
         return out
     if out.crossed is not None:

@@ -98,6 +98,11 @@ class BlockShare:
 def helmert(k: int) -> Array:
     """Orthonormal Helmert contrasts of ``k`` levels, shape (k, k - 1).
 
+    Parameters
+    ----------
+    k : int
+        Number of levels, at least 2.
+
     Examples
     --------
     >>> helmert(3).round(3).tolist()

@@ -230,8 +230,15 @@ def levene(
         six, .032 at ten (simulated, for a nominal .05). From a hundred values in the smallest
         group on, the F distribution serves. With two values both deviations of a group are
         equal, so the test does not apply.
-    design : ResidualDesign, optional
-        As for :func:`bartlett`.
+    simulations : int
+        Number of simulated samples for a Monte-Carlo p; 0 for none, or as many as ``auto`` takes.
+    seed, approximate, design
+        As for :func:`bartlett`; what is approximate is the p of the F distribution.
+
+    Returns
+    -------
+    LeveneResult
+        Statistic, degrees of freedom of F, p; or the reason why there is none.
     """
     named = _named(groups)
     reason = _fault(named, 3, design)

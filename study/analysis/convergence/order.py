@@ -26,6 +26,19 @@ _HIGHEST = 20.0
 def classify(h: Array, f: Array, tolerance: float = 0.0) -> str:
     """Behaviour of the finest three meshes (all of them for the noise floor).
 
+    Parameters
+    ----------
+    h, f : ndarray, shape (n,)
+        Mesh sizes and values, fine to coarse, n >= 3.
+    tolerance : float
+        Bound of the algebraic error of every value; changes up to ten of it are noise.
+
+    Returns
+    -------
+    str
+        "noise-floor", "inconclusive", "monotone", "oscillatory" or "divergent"; inconclusive where
+        one of the two changes is noise alone.
+
     Examples
     --------
     >>> classify(np.array([1, 2, 2.6]), np.array([1.0, 2.0, 2.6]))
@@ -99,6 +112,11 @@ def observed_order(h: Sequence[float] | Array, f: Sequence[float] | Array) -> fl
 
     The root of (r21^p - 1) / (r21^p (r32^p - 1)) = e21 / e32, which is where the fixed point
     of Celik et al. (2008) ends; a bracketed root also converges for ratios near 1.
+
+    Parameters
+    ----------
+    h, f : sequence of float or ndarray, shape (3,)
+        Mesh sizes, of which only the ratios count, and values of a monotone series.
     """
     return _order(h, (f[1] - f[0]) / (f[2] - f[1]))
 

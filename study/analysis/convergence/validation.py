@@ -66,6 +66,21 @@ def compare(
 ) -> Comparison:
     """E +- u_val along a curve.
 
+    Parameters
+    ----------
+    displacement_mm : array_like, shape (n,)
+        Displacements of both curves.
+    simulated_N, measured_N : array_like, shape (n,)
+        Forces S and D at these displacements.
+    u_num_N, u_input_N, u_data_N : float or array_like, shape (n,), optional
+        Standard uncertainties of the numerics, the inputs and the data; None where one is not
+        known, which counts as zero and is named.
+
+    Returns
+    -------
+    Comparison
+        E = S - D, and u_val as the root of the sum of the squares of the three.
+
     Examples
     --------
     >>> found = compare([1.0, 2.0], [1.0, 2.1], [1.0, 2.0], 0.03, 0.0, 0.04)

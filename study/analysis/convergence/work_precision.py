@@ -62,6 +62,18 @@ def cost_to_accuracy(
 
     Error against seconds is a straight line in logarithms, piece by piece.
 
+    Parameters
+    ----------
+    fronts : mapping of str to sequence of CostPoint
+        Meshes of each discretization, in any order.
+    accuracy : float
+        Wanted relative error, 0.01 for 1 %.
+
+    Returns
+    -------
+    list of CostToAccuracy
+        Discretizations that have no answer come last.
+
     Examples
     --------
     >>> line = [CostPoint(1.0, 0.04, 1.0), CostPoint(0.5, 0.01, 4.0)]
@@ -123,7 +135,13 @@ def reference_value(
 
 
 def pareto(points: Sequence[CostPoint]) -> list[CostPoint]:
-    """Points that no other beats in both error and seconds, cheapest first."""
+    """Points that no other beats in both error and seconds, cheapest first.
+
+    Parameters
+    ----------
+    points : sequence of CostPoint
+        Meshes of any discretizations, in any order.
+    """
     best, kept = np.inf, []
     for point in sorted(points, key=lambda p: (p.seconds, p.error)):
         if point.error < best:
@@ -196,6 +214,10 @@ def mesh_series(
     ----------
     table : DataFrame
         One row a run, as for :func:`study.analysis.analyze`.
+    response : str
+        Column of the response.
+    factors : sequence of str
+        Columns of the factors, ``mesh`` among them.
     mesh : str
         Factor that holds the meshes.
     meshes : sequence of str
@@ -203,6 +225,10 @@ def mesh_series(
     block : str, optional
         Column of the blocks; those that an analysis against blocks would leave out are left
         out here too.
+    model : "full", int or sequence
+        Terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
+    transform : {"none", "log"}
+        ``log`` follows differences of the logarithm of the response.
 
     Returns
     -------

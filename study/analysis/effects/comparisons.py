@@ -82,12 +82,28 @@ def _checked(groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 
 def tukey_kramer(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, equal variances (Tukey 1953, Kramer 1956)."""
+    """All pairs, equal variances (Tukey 1953, Kramer 1956).
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, shape (n_i,)
+        Independent values of each group, two or more.
+    alpha : float
+        Error probability of all intervals together, and of the letters.
+    """
     return _all_pairs("Tukey-Kramer", groups, alpha, equal_var=True)
 
 
 def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, unequal variances (Games and Howell 1976, J. Educ. Stat. 1, 113-125)."""
+    """All pairs, unequal variances (Games and Howell 1976, J. Educ. Stat. 1, 113-125).
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, shape (n_i,)
+        Independent values of each group, two or more.
+    alpha : float
+        Error probability of all intervals together, and of the letters.
+    """
     return _all_pairs("Games-Howell", groups, alpha, equal_var=False)
 
 
@@ -121,6 +137,22 @@ def dunnett(
     groups: Mapping[str, ArrayLike], control: str, *, alpha: float = 0.05, seed: int = 2011
 ) -> Comparisons:
     """Every group against a reference (Dunnett 1955), multivariate t by scipy, seeded.
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, shape (n_i,)
+        Independent values of each group, two or more.
+    control : str
+        Name of the reference group.
+    alpha : float
+        Error probability of all intervals together.
+    seed : int
+        Seed of the random numbers with which the multivariate t is integrated.
+
+    Returns
+    -------
+    Comparisons
+        Each other group minus the reference, without letters.
 
     Raises
     ------
@@ -180,6 +212,11 @@ def _dunnett(
 def holm(p: ArrayLike) -> Array:
     """Holm's adjusted p of a family (Holm 1979).
 
+    Parameters
+    ----------
+    p : array_like, shape (m,)
+        Raw p of all tests of the family; it may be empty.
+
     Examples
     --------
     >>> holm([0.01, 0.04, 0.03]).tolist()
@@ -209,6 +246,13 @@ def _family(
 
 def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, str]:
     """Compact letter display by insert and absorb (Piepho 2004, JCGS 13, 456-466).
+
+    Parameters
+    ----------
+    names : sequence of str
+        Levels, in the order in which letters are given: the largest mean first.
+    different : set of frozenset of str
+        Pairs of levels that are told apart.
 
     Examples
     --------
@@ -241,7 +285,15 @@ def _legendre(n: int) -> tuple[Array, Array]:
 
 
 def range_cdf(w: Array, k: int) -> Array:
-    """P(range of ``k`` standard normals <= w): k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz."""
+    """P(range of ``k`` standard normals <= w): k int phi(z) (Phi(z) - Phi(z - w))^(k-1) dz.
+
+    Parameters
+    ----------
+    w : ndarray
+        Ranges in standard deviations, of any shape, which the result has too.
+    k : int
+        Number of independent normals, at least 2.
+    """
     from scipy.special import ndtr
 
     nodes, weights = _legendre(96)
@@ -271,7 +323,17 @@ def _scale_rule(df: float) -> tuple[Array, Array]:
 
 
 def studentized_range_cdf(q: float, k: int, df: float) -> float:
-    """P(studentized range of ``k`` means with ``df`` <= q) (Tukey 1953; Copenhaver 1988)."""
+    """P(studentized range of ``k`` means with ``df`` <= q) (Tukey 1953; Copenhaver 1988).
+
+    Parameters
+    ----------
+    q : float
+        Range of the means over the standard error of one mean.
+    k : int
+        Number of means.
+    df : float
+        Degrees of freedom of that standard error.
+    """
     if q <= 0:
         return 0.0
     s, weights = _scale_rule(float(df))
@@ -281,6 +343,15 @@ def studentized_range_cdf(q: float, k: int, df: float) -> float:
 @lru_cache(maxsize=1024)
 def studentized_range_quantile(p: float, k: int, df: float) -> float:
     """Quantile of the studentized range.
+
+    Parameters
+    ----------
+    p : float
+        Probability that the range stays below the quantile, 1 - alpha.
+    k : int
+        Number of means.
+    df : float
+        Degrees of freedom of the standard error of a mean.
 
     Examples
     --------

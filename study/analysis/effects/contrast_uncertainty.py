@@ -150,6 +150,11 @@ def response_bounds(
     ----------
     value : ndarray, shape (..., n)
         On two or more meshes from fine to coarse; the finest three count.
+    mesh_size : sequence of float
+        Size of each mesh, from fine to coarse; only the ratios count.
+    formal : float or None
+        Order that the element promises; without one, no order above 1 is taken, and a safety
+        factor of 3.
     noise : float or ndarray, shape (...)
         Growing changes up to this size are no divergence.
 
@@ -188,6 +193,11 @@ def difference_bounds(
     ----------
     value : ndarray, shape (..., n)
         The difference on two or more meshes from fine to coarse; the finest three count.
+    mesh_size : sequence of float
+        Size of each mesh, from fine to coarse; only the ratios count.
+    formal : float or None
+        Order that the element promises; without one, no order above 1 is taken, and a safety
+        factor of 3.
 
     Returns
     -------
@@ -294,6 +304,11 @@ def _ratios(mesh_size: Sequence[float]) -> Array:
 def limit_of(series: CellSeries) -> tuple[float, float] | None:
     """Signed error of the value on the mesh of the study, and its bound.
 
+    Parameters
+    ----------
+    series : CellSeries
+        Values of one cell; one mesh alone gives None, too.
+
     Returns
     -------
     tuple of float or None
@@ -329,6 +344,8 @@ def inherited_uncertainty(
         Signed error of each refined cell on the mesh studied, carried to the contrast.
     bound : ndarray, shape (m,)
         Bound of each of them.
+    order : float
+        Order by which the bound is taken to fall with the mesh size.
 
     Notes
     -----

@@ -51,6 +51,15 @@ class TermEstimate:
 def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
     """Linear combinations of the coefficients that give a term's components and means.
 
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors of the model; its rows do not count.
+    fit : Factored
+        Fit of p columns.
+    term : Term
+        One of its terms, with k combinations of levels.
+
     Returns
     -------
     levels : tuple of str
@@ -93,7 +102,24 @@ def pooled_estimate(
     alpha: float,
     rss: float,
 ) -> TermEstimate:
-    """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
+    """Estimate of a term with the error variance ``rss / df`` (none where df is 0).
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors of the model.
+    fit : Factored
+        Fit of the rows on the working scale.
+    term : Term
+        One of its terms.
+    df, rss : float
+        Degrees of freedom of the error, and its sum of squares on the working scale.
+    p : float or None
+        Deciding p of the term, which the estimate carries on.
+    alpha : float
+        Error probability; simultaneous intervals have the level 1 - alpha together, and those of
+        means 1 - alpha each.
+    """
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
     settings = settings_of(layout, term)
     beta = fit.coefficients()
@@ -120,7 +146,15 @@ def pooled_estimate(
 
 
 def settings_of(layout: Layout, term: Term) -> tuple[tuple[str, ...], ...]:
-    """Levels of the factors of a term in every combination, in the order of its components."""
+    """Levels of the factors of a term in every combination, in the order of its components.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors.
+    term : Term
+        Its last factor changes fastest.
+    """
     return tuple(product(*(layout.levels[name] for name in term)))
 
 
@@ -133,7 +167,15 @@ def t_quantile(upper: float, df: float) -> float: ...
 @overload
 def t_quantile(upper: float, df: Array) -> Array: ...
 def t_quantile(upper: float, df: float | Array) -> float | Array:
-    """Upper quantile of Student's t."""
+    """Upper quantile of Student's t.
+
+    Parameters
+    ----------
+    upper : float
+        Probability above the quantile: 0.025 for a two-sided interval of 95 %.
+    df : float or ndarray
+        Degrees of freedom; the result has its shape.
+    """
     from scipy.special import stdtrit
 
     found = stdtrit(df, 1 - upper)
@@ -141,7 +183,24 @@ def t_quantile(upper: float, df: float | Array) -> float | Array:
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
-    """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe."""
+    """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe.
+
+    Parameters
+    ----------
+    k : int
+        Number of level combinations; all their pairs are compared.
+    df_term, df : float
+        Degrees of freedom of the term, and of the error.
+    main : bool
+        Whether the term is one factor, for which Tukey and Kramer's multiplier holds.
+    alpha : float
+        Error probability of all intervals together.
+
+    Returns
+    -------
+    float
+        Multiplier of the standard error of a difference.
+    """
     from scipy.special import fdtri
 
     if k == 2:
@@ -160,6 +219,22 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
 
     Bonferroni, or Hotelling's T^2 (all contrasts of the term at once) where that is smaller:
     neither needs sphericity.
+
+    Parameters
+    ----------
+    k : int
+        Number of level combinations; all their pairs are compared.
+    df_term : int
+        Degrees of freedom of the term.
+    blocks : int
+        Number of blocks b, two at least; a variance has b - 1 degrees of freedom.
+    alpha : float
+        Error probability of all intervals together.
+
+    Returns
+    -------
+    float
+        Multiplier of the standard error of a difference.
     """
     from scipy.special import fdtri
 

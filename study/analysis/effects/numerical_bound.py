@@ -208,7 +208,21 @@ def _difference(
 def bound_of(
     u: float | Mapping[str, float] | NumericalBound | None, unit: float = 1.0
 ) -> NumericalBound | None:
-    """Bound of whatever was given, with numbers carried to the scale of the analysis."""
+    """Bound of whatever was given, with numbers carried to the scale of the analysis.
+
+    Parameters
+    ----------
+    u : float, mapping of str to float, NumericalBound or None
+        Bound of every difference or, by term (``"A"``, ``"A:B"``), of its effect, in the unit of
+        the response; or what bounds any difference on the scale of the analysis.
+    unit : float
+        Unit of the response on that scale: 1, or 1 / geometric mean for a log response.
+
+    Returns
+    -------
+    NumericalBound or None
+        None where nothing was given.
+    """
     if u is None:
         return None
     if isinstance(u, Mapping):
@@ -219,7 +233,15 @@ def bound_of(
 
 
 def largest_bound(bound: NumericalBound, sides: Sequence[tuple[Levels, Levels]]) -> float | None:
-    """Largest bound of several differences; None where one of them has none."""
+    """Largest bound of several differences; None where one of them has none.
+
+    Parameters
+    ----------
+    bound : NumericalBound
+        On the scale of the analysis.
+    sides : sequence of (mapping, mapping)
+        Level of each named factor on both sides of every difference.
+    """
     found = [bound.of(plus, minus) for plus, minus in sides]
     known = [u for u in found if u is not None]
     return max(known, default=None) if len(known) == len(found) else None

@@ -27,8 +27,14 @@ def over_blocks(fit: Factored, coefficients: Array, alpha: float, seed: int | No
 
     Parameters
     ----------
+    fit : Factored
+        Fit of p columns to the means of the cells; it says what can be estimated.
     coefficients : ndarray, shape (p, b)
         Of every block.
+    alpha : float
+        Error probability of each interval, and of all simultaneous ones together.
+    seed : int or None
+        Seed of the simulated simultaneous multiplier; None for Bonferroni's.
     """
 
     def estimate(asked: Differences) -> Estimates:
@@ -53,10 +59,16 @@ def over_groups(
 
     Parameters
     ----------
+    fit : Factored
+        Fit of p columns to the rows; it says what can be estimated.
     added : ndarray, shape (p, b)
         What each block adds to the coefficients, which are its sum.
     groups : sequence of ndarray of int
         Blocks of each group.
+    alpha : float
+        Error probability of each interval, and of all simultaneous ones together.
+    seed : int or None
+        Seed of the simulated simultaneous multiplier; None for Bonferroni's.
     """
 
     def estimate(asked: Differences) -> Estimates:
@@ -92,7 +104,19 @@ def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
 
 
 def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:
-    """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
+    """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0.
+
+    Parameters
+    ----------
+    fit : Factored
+        Fit of the rows.
+    rss, df : float
+        Sum of squares of the error on the working scale, and its degrees of freedom.
+    alpha : float
+        Error probability of each interval, and of all simultaneous ones together.
+    seed : int
+        Seed of the simulated simultaneous multiplier.
+    """
     coefficients = fit.coefficients()
     inverse = fit.model.inverse
 
@@ -116,7 +140,26 @@ def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: 
 def every_simple_effect(
     terms: Sequence[Term], layout: Layout, fit: Factored, sample: Sample, scale: Scale
 ) -> dict[str, SimpleEffects]:
-    """Judge every factor of a model by its simple effects."""
+    """Judge every factor of a model by its simple effects.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms of the model; only its main effects are judged.
+    layout : Layout
+        Levels of all factors.
+    fit : Factored
+        Fit whose columns ``sample`` combines.
+    sample : Sample
+        Estimates of differences, with their standard errors.
+    scale : Scale
+        Practical difference and numerical bound on the working scale.
+
+    Returns
+    -------
+    dict of str to SimpleEffects
+        By factor; without factors that have too many simple effects, or none that is estimable.
+    """
     found = {}
     for term in terms:
         if len(term) == 1:

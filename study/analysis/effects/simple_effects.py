@@ -121,6 +121,13 @@ class SimpleEffects:
 def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
     """Factors that a factor interacts with in a model.
 
+    Parameters
+    ----------
+    factor : str
+        Name of the factor.
+    terms : sequence of Term
+        Terms of the model.
+
     Examples
     --------
     >>> partners("A", [("A",), ("B",), ("C",), ("A", "B")])
@@ -143,6 +150,8 @@ def simple_effects(
 
     Parameters
     ----------
+    factor : str
+        Factor whose levels are compared in pairs.
     layout : Layout
         Levels of all factors.
     matrix : ModelMatrix

@@ -36,7 +36,17 @@ def bonferroni(contrasts: int, df: float, alpha: float) -> float: ...
 @overload
 def bonferroni(contrasts: int, df: Array, alpha: float) -> Array: ...
 def bonferroni(contrasts: int, df: float | Array, alpha: float) -> float | Array:
-    """Multiplier that holds whatever the dependence."""
+    """Multiplier that holds whatever the dependence.
+
+    Parameters
+    ----------
+    contrasts : int
+        Number of contrasts, at least 1.
+    df : float or ndarray, shape (m,)
+        Degrees of freedom of the standard errors; the result has its shape.
+    alpha : float
+        Error probability of all two-sided intervals together.
+    """
     from scipy.special import stdtrit
 
     found = stdtrit(df, 1 - alpha / (2 * contrasts))
@@ -176,6 +186,12 @@ def pooled_multiplier(
         Of settings that are combinations of independent normals of one variance.
     length : ndarray, shape (m,)
         Standard error of each difference, for a variance of one.
+    df : float
+        Degrees of freedom of the error variance.
+    alpha : float
+        Error probability of all intervals together.
+    seed : int
+        Seed of the simulation.
 
     Returns
     -------

@@ -47,8 +47,17 @@ def size(
 
     Parameters
     ----------
+    estimate : TermEstimate
+        Estimates of one term on the working scale.
+    scale : Scale
+        Transformation, practical difference, numerical bound and specimens.
     simple : mapping of str to SimpleEffects, optional
-        By factor.
+        By factor; without them a factor is judged by its average differences.
+
+    Returns
+    -------
+    Effect
+        In the unit of the response, or as ratios for a log response.
     """
     own = (simple or {}).get(term_name(estimate.term))
     back = scale.back
@@ -174,7 +183,13 @@ def _ends(
 
 
 def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65)."""
+    """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65).
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        All terms of one table; those without a p are no tests and stay as they are.
+    """
     adjusted = iter(adjusted_p([effect.p for effect in effects if effect.p is not None]).tolist())
     return tuple(
         effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects

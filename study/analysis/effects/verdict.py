@@ -146,6 +146,11 @@ def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
 def resolution(needed: float) -> str:
     """Say which numerical uncertainty a claim needs.
 
+    Parameters
+    ----------
+    needed : float
+        Uncertainty below which the claim is allowed; two digits of it are told.
+
     Examples
     --------
     >>> resolution(0.0512)

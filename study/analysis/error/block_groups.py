@@ -60,7 +60,20 @@ class _Part:
 
 
 def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
-    """E1 with own interactions, blocks nested in groups; None where groups have no replicates."""
+    """E1 with own interactions, blocks nested in groups; None where groups have no replicates.
+
+    Parameters
+    ----------
+    out : Outcome
+        With y and scale.
+    plots : Plots
+        Its blocks are the whole plots, and the levels of ``between`` make the groups.
+
+    Returns
+    -------
+    Outcome or None
+        With error term, table and effects.
+    """
     block = str(out.data.block)
     within = tuple(f for f in out.data.factors if f not in plots.between)
     table, groups = _table(out, within, plots)
@@ -269,7 +282,15 @@ def _welch_estimate(
 
 
 def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
-    """Covariance of sums over blocks, from the scatter in each group, shape (m, m)."""
+    """Covariance of sums over blocks, from the scatter in each group, shape (m, m).
+
+    Parameters
+    ----------
+    value : ndarray, shape (m, b)
+        What each block adds to m sums.
+    groups : sequence of ndarray of int
+        Indices of the blocks of each group, two or more.
+    """
     parts = [len(group) * np.atleast_2d(np.cov(value[:, group])) for group in groups]
     return np.asarray(np.sum(parts, axis=0))
 

@@ -55,13 +55,31 @@ def single_noise(table: Crossed) -> Crossed:
 
     The scatter over refits is the standard error of the fit itself, however many there are
     (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number.
+
+    Parameters
+    ----------
+    table : Crossed
+        Cells against b resamples; deviations from the mean of each cell grow by sqrt(b).
     """
     mean = table.y.mean(axis=1, keepdims=True)
     return replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
 
 
 def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
-    """Fit of the terms to the means of the cells."""
+    """Fit of the terms to the means of the cells.
+
+    Parameters
+    ----------
+    table : Crossed
+        Cells against blocks.
+    terms : sequence of Term
+        Terms of the model, without the intercept.
+
+    Returns
+    -------
+    Factored
+        With one row a cell.
+    """
     return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
 
 
@@ -72,10 +90,24 @@ def own_terms(
 
     Parameters
     ----------
+    table : Crossed
+        Cells against b blocks, on the working scale.
+    fit : Factored
+        Fit of the terms to the means of the cells.
+    kind : {"I", "II", "III"}
+        Type of the sums of squares.
+    block : str
+        Name of the blocks in the rows of the errors.
     floor : float
         Differences up to this size are copies: no F.
     total : float
         Corrected total sum of squares of the table.
+
+    Returns
+    -------
+    list of OwnTerm
+        In the order of the model. A term with df degrees of freedom has df (b - 1) of the error,
+        both times epsilon of Greenhouse and Geisser for the p that decides.
     """
     return [_own_term(table, fit, s, block, floor, total) for s in term_sums(fit, kind)]
 
@@ -133,7 +165,24 @@ def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, 
 def own_estimate(
     table: Crossed, fit: Factored, term: Term, df: int, p: float | None, alpha: float
 ) -> TermEstimate:
-    """Estimate of a term; each difference carries its own variance over the blocks."""
+    """Estimate of a term; each difference carries its own variance over the blocks.
+
+    Parameters
+    ----------
+    table : Crossed
+        Cells against b blocks, on the working scale.
+    fit : Factored
+        Fit of the terms to the means of the cells.
+    term : Term
+        One term of the fit.
+    df : int
+        Its degrees of freedom that can be estimated.
+    p : float or None
+        Its deciding p, which the estimate carries on.
+    alpha : float
+        Error probability; simultaneous intervals have the level 1 - alpha together, and those of
+        means 1 - alpha each with b - 1 degrees of freedom.
+    """
     levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
     blocks = table.y.shape[1]
     shift, beta = block_coefficients(table, fit)
@@ -156,7 +205,22 @@ def own_estimate(
 
 
 def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
-    """Shift of the response, and coefficients of every block, shape (p, b)."""
+    """Shift of the response, and coefficients of every block, shape (p, b).
+
+    Parameters
+    ----------
+    table : Crossed
+        Cells against b blocks.
+    fit : Factored
+        Fit of p columns to the means of the cells.
+
+    Returns
+    -------
+    shift : float
+        Response of the first cell in the first block.
+    coefficients : ndarray, shape (p, b)
+        Of the response less this shift.
+    """
     shift = float(table.y[0, 0])
     return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
 
@@ -165,6 +229,16 @@ def own(out: Outcome) -> Outcome | None:
     """E1: every effect against its own interaction with the blocks.
 
     E2 where the blocks are resamples of the noise, which all cells have in common.
+
+    Parameters
+    ----------
+    out : Outcome
+        With one block column, y and scale.
+
+    Returns
+    -------
+    Outcome or None
+        With error term, table and effects; None with fewer than two complete blocks or two cells.
     """
     data, block = out.data, str(out.data.block)
     table = crossed(data, out.y)

@@ -56,26 +56,16 @@ class Situation:
 
     Parameters
     ----------
-    records : bool
-        Whether the rows are runs of a deterministic study.
+    records, replicated : bool
+        Whether the rows are runs of a deterministic study; whether a cell holds several rows.
     block : str or None
         Name of the block, of several crossing ones joined by "and".
-    replicated : bool
-        Whether a cell holds more than one row.
-    df_residual : int
-        Residual degrees of freedom.
-    full : bool
-        Whether nothing was declared negligible.
-    contrasts : int
-        Degrees of freedom of the terms.
-    sparse_ready : bool
-        Whether Lenth's method applies.
-    replicates : {"runs", "mesh-seeds", "noise"}
-        What the rows of one cell are.
-    largest_cell : int
-        Rows of the largest cell.
-    u_num : bool
-        Whether the numerical uncertainty is known.
+    df_residual, contrasts, largest_cell : int
+        Degrees of freedom of the residual and of the terms; rows of the largest cell.
+    full, sparse_ready, u_num : bool
+        Nothing was declared negligible; Lenth's method applies; the numerical uncertainty is known.
+    replicates : {"auto", "runs", "mesh-seeds", "noise"}
+        What the rows of one cell are; "auto" where a study did not say.
     """
 
     records: bool
@@ -102,7 +92,15 @@ class Choice:
 
 
 def method(error: str, block: str | None) -> str:
-    """Whether effects are tested against their own interactions with the blocks."""
+    """Tell how effects are tested: against "own" interactions with the blocks, or "pooled".
+
+    Parameters
+    ----------
+    error : {"auto", "pooled", "own"}
+        How the error is asked for.
+    block : str or None
+        None without blocks, and where several cross or whole plots decide instead.
+    """
     if block is None or error == "pooled":
         return POOLED
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
@@ -159,6 +157,12 @@ def strata_choice(
 
     Parameters
     ----------
+    block, plots : str
+        Column of the blocks, and name of the whole plots.
+    between : tuple of str
+        Factors that are constant in every whole plot.
+    how : {"own", "pooled"}
+        Error of the other factors: own interactions, or scatter within whole plots.
     groups : {"", "own", "pooled"}
         Whether each group of blocks has a covariance of its own.
     """
@@ -174,7 +178,15 @@ def strata_choice(
 
 
 def choose(s: Situation, error: str) -> Choice:
-    """Best available source where effects are not tested against own interactions."""
+    """Best available source where effects are not tested against own interactions.
+
+    Parameters
+    ----------
+    s : Situation
+        Of the design and of what was declared.
+    error : {"auto", "pooled", "own"}
+        As asked; it changes only what is said of the choice.
+    """
     if s.df_residual > 0 and s.block is not None:
         return _pooled_blocks(s, error)
     if s.df_residual > 0 and s.replicated:
@@ -262,7 +274,13 @@ def _replicates(s: Situation) -> Choice:
 
 
 def pooled(out: Outcome) -> Outcome:
-    """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
+    """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without.
+
+    Parameters
+    ----------
+    out : Outcome
+        With y and scale; it is returned with error term, table, effects and fit.
+    """
     data = out.data
     extra: list[Term] = [(name,) for name in data.blocks]
     matrix = model_matrix(data.layout, out.terms, extra=extra)

@@ -68,7 +68,24 @@ def average_units(
 def compare_naive(
     table: pd.DataFrame, request: AnalysisRequest, unit: str, nested: Anova, naive: Anova
 ) -> NestedUnits | None:
-    """Compare the table of unit means with that of all rows; None without repeats."""
+    """Compare the table of unit means with that of all rows; None without repeats.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    request : AnalysisRequest
+        Response, factors, blocks, transformation, and the seed of the simulated size.
+    unit : str
+        Column of the unit; its labels may start again in every cell.
+    nested, naive : Anova
+        Table of the unit means, and of all rows.
+
+    Returns
+    -------
+    NestedUnits or None
+        None where no unit has two rows, or no cell has two units.
+    """
     data = prepare(table, request.response, request.factors, request.layout.block)
     y = np.log(data.y) if request.scale.is_log else data.y
     cell = data.layout.cell([*data.factors, *data.blocks])
@@ -144,7 +161,15 @@ def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
 
 
 def sentences(found: NestedUnits, alpha: float) -> list[str]:
-    """Sentences that say how far the analysis of all rows would have misled."""
+    """Sentences that say how far the analysis of all rows would have misled.
+
+    Parameters
+    ----------
+    found : NestedUnits
+        Comparison of the two analyses.
+    alpha : float
+        A conclusion changes where one p is below this probability and the other is not.
+    """
     unit = found.unit
     out = [
         f"{found.rows} rows are averaged into {found.units} levels of {unit} within the cells: "

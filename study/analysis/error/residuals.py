@@ -27,7 +27,19 @@ class CellGroups:
 def additive_fit(
     data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
 ) -> Factored:
-    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them."""
+    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them.
+
+    Parameters
+    ----------
+    data : Data
+        Checked rows, n of them.
+    y : ndarray, shape (n,)
+        Response on the working scale.
+    rows : ndarray of int, optional
+        Indices of the rows that are fitted; all by default.
+    plots : ndarray of int, shape (n,), optional
+        Whole plot of each row, in place of the blocks.
+    """
     keep = np.arange(y.size) if rows is None else rows
     cells, index = np.unique(data.cell[keep], return_inverse=True)
     levels = {"cell": tuple(str(c) for c in cells)}
@@ -45,7 +57,18 @@ def additive_fit(
 def within_fit(
     data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
 ) -> Factored | TwoWayFit:
-    """Fit as :func:`additive_fit`, without the columns of the model where two factors serve."""
+    """Fit as :func:`additive_fit`, without the columns of the model where two factors serve.
+
+    Parameters
+    ----------
+    data, y, rows, plots
+        As for :func:`additive_fit`; one block column or whole plots at least.
+
+    Returns
+    -------
+    Factored or TwoWayFit
+        TwoWayFit where there is one block column, or whole plots.
+    """
     blocks = _blocks(data, plots)
     if len(blocks) > 1:
         return additive_fit(data, y, rows, plots=plots)
@@ -59,6 +82,18 @@ def _blocks(data: Data, plots: Ints | None) -> list[Ints]:
 
 
 def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Ints) -> Factored:
-    """Fit of the model's terms (and blocks) to some of the rows."""
+    """Fit of the model's terms (and blocks) to some of the rows.
+
+    Parameters
+    ----------
+    data : Data
+        Checked rows, n of them.
+    y : ndarray, shape (n,)
+        Response on the working scale.
+    terms : sequence of Term
+        Terms of the model, without the intercept and the blocks.
+    rows : ndarray of int
+        Indices of the rows that are fitted.
+    """
     extra: list[Term] = [(name,) for name in data.blocks]
     return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])

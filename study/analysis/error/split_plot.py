@@ -67,6 +67,19 @@ class Stratum:
 def whole_plots(data: Data, asked: Sequence[str]) -> Plots | None:
     """Whole plots of a design: the blocks, where factors are constant in them, or as asked.
 
+    Parameters
+    ----------
+    data : Data
+        Checked rows, n of them.
+    asked : sequence of str
+        Factors set once per whole plot of a block; empty to look for factors that are constant in
+        every block, which is then the whole plot.
+
+    Returns
+    -------
+    Plots or None
+        None without blocks, with several that cross, or where no factor is constant in them.
+
     Raises
     ------
     InputError
@@ -96,7 +109,20 @@ def _constant(codes: Ints, block: Ints) -> bool:
 
 
 def split_plot(out: Outcome, plots: Plots) -> Outcome:
-    """Analysis of a split plot with one pooled error in each stratum."""
+    """Analysis of a split plot with one pooled error in each stratum.
+
+    Parameters
+    ----------
+    out : Outcome
+        With y and scale.
+    plots : Plots
+        Whole plots of its rows.
+
+    Returns
+    -------
+    Outcome
+        With error term, table and effects; a term is tested in one stratum, or in none.
+    """
     data = out.data
     matrix = model_matrix(data.layout, out.terms)
     whole = factor(matrix, out.y)

@@ -80,6 +80,11 @@ class ModelMatrix:
 def term_name(term: Term) -> str:
     """Return the printed name of a term.
 
+    Parameters
+    ----------
+    term : tuple of str
+        Names of its factors; empty for the intercept, whose name is empty too.
+
     Examples
     --------
     >>> term_name(("A", "B"))
@@ -89,7 +94,13 @@ def term_name(term: Term) -> str:
 
 
 def sum_contrasts(k: int) -> Array:
-    """Sum-to-zero contrasts of ``k`` levels, shape (k, k-1): the last level is minus the rest."""
+    """Sum-to-zero contrasts of ``k`` levels, shape (k, k-1): the last level is minus the rest.
+
+    Parameters
+    ----------
+    k : int
+        Number of levels, at least 2.
+    """
     return np.vstack([np.eye(k - 1), -np.ones((1, k - 1))])
 
 
@@ -144,7 +155,22 @@ def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:
 def model_matrix(
     layout: Layout, terms: Sequence[Term], *, extra: Sequence[Term] = ()
 ) -> ModelMatrix:
-    """Build the model matrix of an intercept, ``extra`` terms (blocks) and ``terms``."""
+    """Build the model matrix of an intercept, ``extra`` terms (blocks) and ``terms``.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of the n rows.
+    terms : sequence of Term
+        Terms of the model, without the intercept.
+    extra : sequence of Term, optional
+        Terms that stand between the intercept and ``terms``.
+
+    Returns
+    -------
+    ModelMatrix
+        Columns of shape (n, p); they need not be independent.
+    """
     order: list[Term] = [(), *extra, *terms]
     present = {frozenset(t) for t in order}
     parts = [_term_columns(layout, term, present) for term in order]
@@ -155,6 +181,16 @@ def model_matrix(
 
 def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
     """Factors whose own margin is missing from the model, and the factors they are nested in.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Terms of the model, without the intercept.
+
+    Returns
+    -------
+    dict of str to tuple of str
+        By the nested factor; factors whose parents are nested themselves are left out.
 
     Examples
     --------
@@ -177,6 +213,13 @@ def number_within(layout: Layout, nested: Mapping[str, tuple[str, ...]]) -> Layo
 
     Labels that are unique over all parents (``s1`` to ``s12``) would leave most combinations
     empty, although each parent has its own full set.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all rows.
+    nested : mapping of str to tuple of str
+        Parents of each nested factor, as :func:`nested_in` gives them.
     """
     levels, codes = dict(layout.levels), dict(layout.codes)
     for name, parents in nested.items():
@@ -203,7 +246,20 @@ def _term_columns(layout: Layout, term: Term, present: set[frozenset[str]]) -> A
 
 
 def grid(layout: Layout, names: Sequence[str]) -> Layout:
-    """Every combination of the levels of ``names`` once (row-major)."""
+    """Every combination of the levels of ``names`` once (row-major).
+
+    Parameters
+    ----------
+    layout : Layout
+        Its levels count, not its rows.
+    names : sequence of str
+        Factors; the levels of the last one change fastest.
+
+    Returns
+    -------
+    Layout
+        With one row a combination, and these factors alone.
+    """
     combos = np.array(
         list(product(*(range(len(layout.levels[name])) for name in names))), dtype=np.int64
     ).reshape(-1, len(names))
@@ -212,7 +268,15 @@ def grid(layout: Layout, names: Sequence[str]) -> Layout:
 
 
 def balanced(layout: Layout, names: Sequence[str]) -> bool:
-    """Whether every combination of levels occurs, equally often."""
+    """Whether every combination of levels occurs, equally often.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all rows.
+    names : sequence of str
+        Factors, or blocks, whose levels are combined.
+    """
     size = int(np.prod([len(layout.levels[name]) for name in names]))
     counts = np.bincount(layout.cell(names), minlength=size)
     return bool(counts.min() == counts.max())

@@ -169,7 +169,18 @@ class Factorization:
 
 
 def factorize(matrix: ModelMatrix) -> Factorization:
-    """Factor the columns of a model."""
+    """Factor the columns of a model.
+
+    Parameters
+    ----------
+    matrix : ModelMatrix
+        Columns of shape (n, p); they may depend on each other.
+
+    Returns
+    -------
+    Factorization
+        Of rank r, the number of columns that are not aliased.
+    """
     scale = np.linalg.norm(matrix.columns, axis=0)
     scale[scale == 0] = 1.0
     scaled = matrix.columns / scale
@@ -213,7 +224,13 @@ def _others(terms: Sequence[Term], i: int, kind: str) -> list[int]:
 
 
 def span(columns: Array) -> Array:
-    """Orthonormal basis of the columns, shape (r, rank)."""
+    """Orthonormal basis of the columns, shape (r, rank).
+
+    Parameters
+    ----------
+    columns : ndarray, shape (r, m)
+        A direction counts if it is longer than 1e-9 times the longest column, and than 1e-9.
+    """
     if columns.size == 0:
         return np.zeros((columns.shape[0], 0))
     cells = distinct_rows(columns)
@@ -255,7 +272,14 @@ class DistinctRows:
 
 
 def distinct_rows(columns: Array) -> DistinctRows | None:
-    """Distinct rows of a tall matrix; None where there are few rows, or few that repeat."""
+    """Distinct rows of a tall matrix; None where there are few rows, or few that repeat.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (n, p)
+        Few rows are fewer than 2,000; few repeat where a distinct row stands for fewer than four on
+        average.
+    """
     n = columns.shape[0]
     if n < _MANY_ROWS:
         return None
@@ -271,7 +295,13 @@ def distinct_rows(columns: Array) -> DistinctRows | None:
 
 
 def complement(rest: Array, own: Array) -> Array:
-    """Orthonormal basis of what ``own`` adds to ``rest``, shape (r, df)."""
+    """Orthonormal basis of what ``own`` adds to ``rest``, shape (r, df).
+
+    Parameters
+    ----------
+    rest, own : ndarray, shapes (r, m) and (r, k)
+        Columns in the same r rows; ``own`` may lie in the span of ``rest``, and df is then 0.
+    """
     base = span(rest)
     left = own - base @ (base.T @ own)
     left = left - base @ (base.T @ left)

@@ -27,7 +27,19 @@ class Influence:
 
 
 def influence(fit: Factored | TwoWayFit) -> Influence:
-    """Leverage, studentized and PRESS residuals, and Cook's distance (Cook 1977) of a fit."""
+    """Leverage, studentized and PRESS residuals, and Cook's distance (Cook 1977) of a fit.
+
+    Parameters
+    ----------
+    fit : Factored or TwoWayFit
+        Fit of n rows.
+
+    Returns
+    -------
+    Influence
+        Arrays of shape (n,); infinite or NaN where a row has leverage 1 or no residual degree of
+        freedom is left.
+    """
     from statsmodels.stats.outliers_influence import OLSInfluence
 
     # a row of leverage one, or a saturated fit, has 0 / 0 here
@@ -57,6 +69,18 @@ def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
     The values of NIST's SmLs09 are 1e12 with a spread of 0.1: with the shift the largest Cook's
     distance has 14.9 digits, without it statsmodels leaves 0.5. The pseudo-inverse of
     orthonormal columns is their transpose, so nothing is factored again.
+
+    Parameters
+    ----------
+    fit : Factored
+        Fit with n rows and rank r.
+    cov_type : str
+        Covariance of the coefficients, as statsmodels names it: "nonrobust" or "HC3".
+
+    Returns
+    -------
+    OLSResults
+        Of statsmodels, with r coefficients: those of the orthonormal columns.
     """
     from statsmodels.regression.linear_model import OLS, OLSResults
 
@@ -67,7 +91,18 @@ def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
 
 
 def influential(fit: Factored | TwoWayFit) -> Influential | None:
-    """Rows with a Cook's distance beyond the median of F(p, n - p) (Cook 1977, eq. 8)."""
+    """Rows with a Cook's distance beyond the median of F(p, n - p) (Cook 1977, eq. 8).
+
+    Parameters
+    ----------
+    fit : Factored or TwoWayFit
+        Fit of rank p to n rows.
+
+    Returns
+    -------
+    Influential or None
+        None without residual degrees of freedom, or where the residuals are zero.
+    """
     from scipy.special import fdtri
 
     if fit.df_residual < 1 or fit.rss <= 0:
@@ -85,6 +120,11 @@ def summary_of(fit: Factored) -> ModelSummary | None:
 
     R-sq(pred) is 1 - PRESS / total (Allen 1974); it needs every row to be predictable from
     the others.
+
+    Parameters
+    ----------
+    fit : Factored
+        On the working scale; S is in its unit, and R-sq are fractions.
     """
     df, n = fit.df_residual, fit.q.shape[0]
     if df == 0 or fit.tss <= 0:

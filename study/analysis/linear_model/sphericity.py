@@ -27,6 +27,16 @@ def epsilon_gg(covariance: Array) -> float:
     """Greenhouse-Geisser epsilon of the covariance of orthonormal contrasts, shape (d, d).
 
     Greenhouse and Geisser (1959), Psychometrika 24, 95-112: tr(S)^2 / (d tr(S^2)).
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (d, d)
+        Covariance of the d contrasts over the blocks.
+
+    Returns
+    -------
+    float
+        From 1/d to 1; 1 where the contrasts are spherical.
     """
     d = covariance.shape[0]
     square = float(np.sum(covariance * covariance))

@@ -109,12 +109,28 @@ class TermSum:
 
 
 def factor(matrix: ModelMatrix, y: Array) -> Factored:
-    """Factor the model and fit the response."""
+    """Factor the model and fit the response.
+
+    Parameters
+    ----------
+    matrix : ModelMatrix
+        Columns of the model, shape (n, p).
+    y : ndarray, shape (n,)
+        Response on the working scale.
+    """
     return fitted(factorize(matrix), y)
 
 
 def fitted(model: Factorization, y: Array) -> Factored:
-    """Fit a response with a model that is factored already."""
+    """Fit a response with a model that is factored already.
+
+    Parameters
+    ----------
+    model : Factorization
+        Of a model of n rows.
+    y : ndarray, shape (n,)
+        Response on the working scale.
+    """
     q = model.q
     shift = float(y[0])
     shifted = y - shift
@@ -145,6 +161,8 @@ def term_sums(fit: Factored, kind: str, skip: Sequence[Term] = ()) -> list[TermS
         The factored model.
     kind : {"I", "II", "III"}
         Given the terms before it; given every term that does not contain it; given all others.
+    skip : sequence of Term, optional
+        Terms that get no sum, though others are adjusted for them.
     """
     terms = fit.matrix.terms
     return [_term_sum(fit, i, kind) for i in range(1, len(terms)) if terms[i] not in skip]
@@ -168,7 +186,24 @@ _ROUNDING = 1e-28
 
 
 def term_row(s: TermSum, df: int, rss: float, total: float, error: str = "residual") -> Row:
-    """One line: a term against an error of ``df`` degrees of freedom and sum ``rss``."""
+    """One line: a term against an error of ``df`` degrees of freedom and sum ``rss``.
+
+    Parameters
+    ----------
+    s : TermSum
+        Sum of squares of the term, and its degrees of freedom.
+    df : int
+        Degrees of freedom of the error; 0 for no test.
+    rss, total : float
+        Sum of squares of the error, and the corrected total one, as squares of the response.
+    error : str
+        Name of the row that holds the error.
+
+    Returns
+    -------
+    Row
+        Without F where there is no error, or where a part of the term is aliased.
+    """
     from scipy.special import fdtrc
 
     name = term_name(s.term)
@@ -198,7 +233,15 @@ def term_row(s: TermSum, df: int, rss: float, total: float, error: str = "residu
 
 
 def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
-    """Rows with their share of the variation and the interval of partial eta squared."""
+    """Rows with their share of the variation and the interval of partial eta squared.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Terms and errors of one table.
+    total : float
+        Corrected total sum of squares; shares are fractions of it, and None where it is zero.
+    """
     done = []
     for row in rows:
         share = row.ss / total if total > 0 else None
@@ -207,7 +250,13 @@ def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
 
 
 def alias_warnings(sums: Sequence[TermSum]) -> list[str]:
-    """One sentence for every term that lost degrees of freedom, with what it is aliased."""
+    """One sentence for every term that lost degrees of freedom, with what it is aliased.
+
+    Parameters
+    ----------
+    sums : sequence of TermSum
+        Every term of one model.
+    """
     out = []
     for s in sums:
         if s.df < s.nominal_df:
@@ -228,6 +277,11 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
 
     On a busy machine the threads of a small product wait for each other (15 s instead of
     0.5 s for 10,000 rows), and the last digits of a sum would depend on their number.
+
+    Parameters
+    ----------
+    function : callable
+        With any arguments; its signature and its result stay the same.
     """
 
     @wraps(function)
@@ -243,8 +297,21 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
 def eta_interval(row: Row, level: float = 0.95) -> tuple[float, float] | None:
     """Interval of partial eta squared from the noncentral F (Smithson 2001).
 
-    The noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and 0.025;
-    eta = lambda / (lambda + df1 + df2 + 1).
+    At the level 0.95 the noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and
+    0.025; eta = lambda / (lambda + df1 + df2 + 1).
+
+    Parameters
+    ----------
+    row : Row
+        One term of a table, with F and the degrees of freedom df1 of the term and df2 of the error.
+    level : float
+        Coverage of the interval, a probability.
+
+    Returns
+    -------
+    tuple of float or None
+        Lower and upper end; None without F, for an F of 0 or of 1e5 and more, or if no bound is
+        found.
     """
     if row.f is None or row.df_error is None or not 0 < row.f < 1e5:
         return None

@@ -105,7 +105,15 @@ def coefficient_table(found: AnalysisResult) -> CoefficientTable:
 
 
 def column_names(layout: Layout, terms: tuple[Term, ...]) -> tuple[str, ...]:
-    """Names of the coefficients: the constant, then every level of a term but the last ones."""
+    """Names of the coefficients: the constant, then every level of a term but the last ones.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors.
+    terms : tuple of Term
+        Terms of the model, without the intercept.
+    """
     names = ["Constant"]
     for term in terms:
         levels = product(*(layout.levels[name][:-1] for name in term))

@@ -24,7 +24,15 @@ PRIOR_RUNS = 1.0
 
 
 def candidates(k: int, seed: int) -> Array:
-    """Points of the unit box from which runs are chosen, shape (1024, k), some on its faces."""
+    """Points of the unit box from which runs are chosen, shape (1024, k), some on its faces.
+
+    Parameters
+    ----------
+    k : int
+        Number of factors.
+    seed : int
+        Of the scrambled Sobol sequence.
+    """
     from scipy.stats import qmc
 
     inside = qmc.Sobol(k, seed=seed).random_base2(CANDIDATES)

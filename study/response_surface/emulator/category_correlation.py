@@ -77,7 +77,13 @@ class CategoryCorrelation:
 
 
 def fitted(sizes: Sequence[int]) -> int:
-    """Count the distances that are fitted to factors with so many categories."""
+    """Count the distances that are fitted to factors with so many categories.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Number of categories of each factor; two of them need one distance, c > 2 need c.
+    """
     return sum(_own(c) for c in sizes)
 
 

@@ -176,7 +176,13 @@ class Emulator:
 
 
 def expected_seconds(n: int) -> float:
-    """Seconds that a fit of n runs takes on one core."""
+    """Seconds that a fit of n runs takes on one core.
+
+    Parameters
+    ----------
+    n : int
+        Number of runs; the time grows with the third power.
+    """
     return SECONDS_1000 * (n / 1000.0) ** 3
 
 

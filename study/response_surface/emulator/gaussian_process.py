@@ -203,7 +203,17 @@ def _between(rng: np.random.Generator, ends: tuple[float, float], count: int) ->
 
 
 def hyperparameters(theta: Array, family: Family, sizes: Sequence[int] = ()) -> Hyperparameters:
-    """Read the logarithms of length scales, distances, variance and nugget, shape (k + p + 2,)."""
+    """Read the logarithms of length scales, distances, variance and nugget, shape (k + p + 2,).
+
+    Parameters
+    ----------
+    theta : array, shape (k + p + 2,)
+        Of k numeric factors and p distances of categories, in this order.
+    family : {"Matern 5/2", "Gaussian"}
+        Kernel.
+    sizes : sequence of int
+        Number of categories of each factor that is no number; they give p.
+    """
     values = np.exp(theta)
     k = values.size - 2 - fitted(sizes)
     categories = CategoryCorrelation.of(values[k:-2], sizes) if sizes else None
@@ -212,7 +222,15 @@ def hyperparameters(theta: Array, family: Family, sizes: Sequence[int] = ()) -> 
 
 
 def condition(x: Array, y: Array, noise: Array, found: Hyperparameters) -> GaussianProcess:
-    """Condition a process with known hyperparameters on runs; arguments as in `fit_process`."""
+    """Condition a process with known hyperparameters on runs.
+
+    Parameters
+    ----------
+    x, y, noise
+        As in `fit_process`.
+    found : Hyperparameters
+        Kernel, variance and nugget.
+    """
     matrix = found.variance * found.kernel.correlation(x, x)
     matrix[np.diag_indices_from(matrix)] += noise + found.variance * found.nugget
     factor = linalg.cholesky(matrix, lower=True)

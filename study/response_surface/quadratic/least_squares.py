@@ -135,7 +135,15 @@ class LeaveOneOut:
 
 
 def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
-    """Leave-one-out errors e/(1 - h) of a response of shape (n,); None if none can be told."""
+    """Leave-one-out errors e/(1 - h) of a response of shape (n,); None if none can be told.
+
+    Parameters
+    ----------
+    columns : ModelColumns
+        Columns of the model at the settings of the n runs.
+    response : array, shape (n,)
+        In its unit, which the errors have too.
+    """
     free = columns.leverage < SATURATED
     if not free.any():
         return None

@@ -45,7 +45,15 @@ def second_order(levels: Sequence[int]) -> tuple[Term, ...]:
 
 
 def model_matrix(terms: Sequence[Term], coded: Array) -> Array:
-    """Columns of the terms, shape (n, terms), at coded points of shape (n, k)."""
+    """Columns of the terms, shape (n, terms), at coded points of shape (n, k).
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        One column each; at least one.
+    coded : array, shape (n, k)
+        Coded settings, from -1 to 1 inside the box.
+    """
     return np.column_stack([term.column(coded) for term in terms])
 
 

@@ -76,6 +76,11 @@ class Region:
 def stationary_point(surface: Polynomial) -> StationaryPoint | None:
     """Canonical analysis of a surface (Box and Wilson 1951).
 
+    Parameters
+    ----------
+    surface : Polynomial
+        In k coded factors; a square that is not among its terms counts as zero.
+
     Returns
     -------
     StationaryPoint or None

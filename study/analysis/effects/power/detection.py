@@ -39,6 +39,13 @@ def power_of(
         Standard deviation of one value: of the interaction with the blocks, or within a cell.
     n : int
         Blocks, or replicates per level.
+    levels : int
+        Levels k of the factor, at least 2.
+    blocked : bool
+        Whether the error has (k - 1)(n - 1) degrees of freedom, of the interaction with the
+        blocks; else k (n - 1).
+    alpha : float
+        Size of the test, a probability.
 
     Notes
     -----
@@ -70,8 +77,16 @@ def planned(
         Cells of the design.
     blocked : bool
         Whether each factor is tested against its own interaction with the blocks.
+    alpha : float
+        Size of the tests, a probability; the wanted power is 0.8.
     ratio : bool
         Whether the response is a logarithm, so that a difference is reported as a ratio.
+
+    Returns
+    -------
+    dict of str to tuple of PowerRow
+        For n / 2 (rounded up, 2 at least), n, 2 n and 4 n blocks or replicates; without factors
+        that have no F.
 
     Notes
     -----
@@ -154,6 +169,10 @@ def detectable(
         See :func:`power_of`.
     counts : sequence of int
         Numbers of specimens or seeds to compare.
+    levels, blocked, alpha
+        As for :func:`power_of`.
+    power : float
+        Wanted probability to find the difference.
     cost : float, optional
         Predicted cost of one block (seconds, say).
 
