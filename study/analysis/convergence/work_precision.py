@@ -134,22 +134,6 @@ def reference_value(
     return float(limit), float(u)
 
 
-def pareto(points: Sequence[CostPoint]) -> list[CostPoint]:
-    """Points that no other beats in both error and seconds, cheapest first.
-
-    Parameters
-    ----------
-    points : sequence of CostPoint
-        Meshes of any discretizations, in any order.
-    """
-    best, kept = np.inf, []
-    for point in sorted(points, key=lambda p: (p.seconds, p.error)):
-        if point.error < best:
-            best = point.error
-            kept.append(point)
-    return kept
-
-
 #: a term with more levels is followed by its pairs with the two extremes alone
 _MOST_LEVELS = 12
 

@@ -5,7 +5,7 @@ A difference is named by the levels on its two sides; the factors that are not n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
@@ -230,18 +230,3 @@ def bound_of(
     if isinstance(u, int | float):
         return OneBound(float(u) * unit)
     return u
-
-
-def largest_bound(bound: NumericalBound, sides: Sequence[tuple[Levels, Levels]]) -> float | None:
-    """Largest bound of several differences; None where one of them has none.
-
-    Parameters
-    ----------
-    bound : NumericalBound
-        On the scale of the analysis.
-    sides : sequence of (mapping, mapping)
-        Level of each named factor on both sides of every difference.
-    """
-    found = [bound.of(plus, minus) for plus, minus in sides]
-    known = [u for u in found if u is not None]
-    return max(known, default=None) if len(known) == len(found) else None

@@ -103,7 +103,9 @@ def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
     return np.sqrt(total), df
 
 
-def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: int) -> Sample:
+def with_pooled_error(
+    fit: Factored, rss: float, df: float, alpha: float, seed: int | None
+) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0.
 
     Parameters
@@ -114,8 +116,8 @@ def with_pooled_error(fit: Factored, rss: float, df: float, alpha: float, seed: 
         Sum of squares of the error on the working scale, and its degrees of freedom.
     alpha : float
         Error probability of each interval, and of all simultaneous ones together.
-    seed : int
-        Seed of the simulated simultaneous multiplier.
+    seed : int or None
+        Seed of the simulated simultaneous multiplier; None for Bonferroni's.
     """
     coefficients = fit.coefficients()
     inverse = fit.model.inverse

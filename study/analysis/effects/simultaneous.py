@@ -176,7 +176,7 @@ def _short(z: Array) -> Array:
 
 
 def pooled_multiplier(
-    asked: Differences, length: Array, df: float, alpha: float, seed: int
+    asked: Differences, length: Array, df: float, alpha: float, seed: int | None
 ) -> float:
     """Multiplier where one error variance with ``df`` degrees of freedom serves all contrasts.
 
@@ -190,8 +190,8 @@ def pooled_multiplier(
         Degrees of freedom of the error variance.
     alpha : float
         Error probability of all intervals together.
-    seed : int
-        Seed of the simulation.
+    seed : int or None
+        Seed of the simulation; None for Bonferroni's multiplier.
 
     Returns
     -------
@@ -201,7 +201,7 @@ def pooled_multiplier(
     """
     kept = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
     safe = bonferroni(max(len(kept), 1), df, alpha)
-    if len(kept) <= 1:
+    if len(kept) <= 1 or seed is None:
         return safe
     kept = kept[_once(asked, length, kept)]
     few = Differences(asked.settings, asked.first[kept], asked.second[kept])

@@ -320,7 +320,7 @@ def pooled(out: Outcome) -> Outcome:
         estimates = [_with_margin(e, lenth) for e in estimates]
     simple = {}
     if df or out.scale.deterministic:
-        sample = with_pooled_error(fit, error_rss, df, out.request.alpha, out.request.seed)
+        sample = with_pooled_error(fit, error_rss, df, out.request.alpha, out.request.interval_seed)
         simple = every_simple_effect(out.terms, data.layout, fit, sample, out.scale)
     return replace(
         out,
