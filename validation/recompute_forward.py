@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from study.design.study_file import simulated_at
+from study.design.sections.simulated import simulated_at
 from validation.recompute_records import Direction, Job
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from study.design.study_file import simulated_at
+from study.design.sections.simulated import simulated_at
 from study.errors import InputError
 from study.forward.external import External
 from study.record.document import CurveKey

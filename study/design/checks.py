@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from study.contrast import sides_of
-from study.design.diagnostics import Faults
-from study.design.factors import Presets, quoted_path
+from study.design.diagnostics import Faults, quoted_path
+from study.design.factors import Presets
 from study.design.sections.cell import Cell
+from study.design.sections.simulated import is_simulated, simulated_at
 from study.design.spec import Design, Level
-from study.design.study_file import MARKED, RESPONSES, SCORED, is_simulated, simulated_at
+from study.design.study_file import MARKED, RESPONSES, SCORED
 from study.errors import Fault, InputError, nearest
 
 MAX_FAULTS = 100

@@ -259,3 +259,14 @@ def _partial(kind: type[Kind], written: Table, bad: set[str]) -> Kind:
             value = raw if key.reads is None else key.reads(raw)
         object.__setattr__(found, key.name, value)
     return found
+
+
+def quoted_path(key: str) -> str:
+    """Dotted key whose odd parts are quoted.
+
+    Parameters
+    ----------
+    key : str
+        As written, of any length; what is shown ends at 500 characters.
+    """
+    return ".".join(quoted(part) for part in key[:500].split("."))

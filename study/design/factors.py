@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 
 from study.design import overlay
-from study.design.diagnostics import Faults, Table, entries, is_known, noted
+from study.design.diagnostics import Faults, Table, entries, is_known, noted, quoted_path
 from study.design.sections.distribution import DISTRIBUTION_KEYS
 from study.design.spec import Exclusion, Factor, Level, Span
 from study.design.study_file import ExclusionTable
@@ -57,11 +57,6 @@ def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
             inner = quoted_path(key.removeprefix(prefix))
             faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
     return {key: value for key, value in settings.items() if overlay.may_vary(key)}
-
-
-def quoted_path(key: str) -> str:
-    """Dotted key whose odd parts are quoted."""
-    return ".".join(quoted(part) for part in key[:500].split("."))
 
 
 def _readable(value: str, where: str, faults: Faults) -> bool:

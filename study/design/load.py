@@ -105,7 +105,13 @@ def from_tables(tables: Mapping[str, object]) -> str:
 
 
 def dump(design: Design) -> str:
-    """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
+    """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it.
+
+    Parameters
+    ----------
+    design : Design
+        Of a file or of tables.
+    """
     return toml_document.dump_toml(design.config)
 
 
@@ -128,7 +134,13 @@ def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
 def loads_problem(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> Config:
-    """Load a problem from a text; see :func:`load_problem`."""
+    """Load a problem from a text; see :func:`load_problem`.
+
+    Parameters
+    ----------
+    text, source, overrides
+        The file as text or bytes, the name that messages give it, and ``key=value`` each.
+    """
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(ProblemFile, tables, source)
@@ -167,7 +179,13 @@ def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> Calibra
 def loads_calibration(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> CalibrationDesign:
-    """Load a calibration from a text; see :func:`load_calibration`."""
+    """Load a calibration from a text; see :func:`load_calibration`.
+
+    Parameters
+    ----------
+    text, source, overrides
+        As of :func:`loads_problem`.
+    """
     text = toml_document.decode(text, source) if isinstance(text, bytes) else text
     tables = _tables(text, source, overrides)
     file, faults = _read(CalibrationFile, tables, source)
@@ -189,6 +207,11 @@ def file_kind(path: str | Path) -> str:
 
 def default_name(source: str) -> str:
     """Name of a study that has none: that of its file.
+
+    Parameters
+    ----------
+    source : str
+        Path of the file, or what stands for one.
 
     Examples
     --------

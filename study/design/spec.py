@@ -15,16 +15,9 @@ from study.design.sections.analysis import Analysis
 from study.design.sections.calibration import Calibration
 from study.design.sections.cell import Cell, Config
 from study.design.sections.distribution import InputDistribution
+from study.design.sections.simulated import is_simulated
 from study.design.sections.virtual import Virtual
-from study.design.study_file import (
-    MARKED,
-    SCORED,
-    Converge,
-    Replicates,
-    Report,
-    Sequential,
-    is_simulated,
-)
+from study.design.study_file import MARKED, SCORED, Converge, Replicates, Report, Sequential
 from study.errors import InputError
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection

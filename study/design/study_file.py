@@ -15,6 +15,7 @@ from pydantic import Field
 from study import units
 from study.design import overlay
 from study.design.sections.calibration import Fitting
+from study.design.sections.simulated import SIMULATED, is_simulated, simulated_at
 from study.design.sections.virtual import Virtual
 from study.design.toml_document import flatten
 from study.errors import nearest
@@ -33,15 +34,6 @@ MOST_PRIMARY = 3
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
 
-#: responses of a predicted curve alone, with their units; those at a displacement name it, too
-SIMULATED = {
-    "peak_force": "N",
-    "work": "N mm",
-    "force_at": "N",
-    "stiffness_at": "N/mm",
-    "dofs": "",
-}
-AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
 #: responses that compare with the displacements of markers inside a specimen
 MARKED = ("marker_error", "predicted_marker_error")
@@ -106,31 +98,6 @@ def response_unit(name: str) -> str | None:
     if not is_constant(name):
         return None
     return unit_shown(name)
-
-
-def simulated_at(name: str) -> tuple[str, float | None]:
-    """Split the name of a response at a displacement into the response and the place in mm.
-
-    Parameters
-    ----------
-    name : str
-        Of a response; one without a place is returned as it is, with None.
-
-    Examples
-    --------
-    >>> simulated_at("force_at_2.5_mm"), simulated_at("work")
-    (('force_at', 2.5), ('work', None))
-    """
-    for start in AT_DISPLACEMENT:
-        place = name.removeprefix(f"{start}_").removesuffix("_mm")
-        if name == f"{start}_{place}_mm":
-            return start, float(place)
-    return name, None
-
-
-def is_simulated(name: str) -> bool:
-    """Whether a response is one of the predicted curve alone."""
-    return simulated_at(name)[0] in SIMULATED
 
 
 def _schema(value: object) -> int:

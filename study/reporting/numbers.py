@@ -38,6 +38,11 @@ def significant(value: float | None, digits: int = 3) -> str:
 def p_value(p: float | None) -> str:
     """Write a p-value: three decimals, no leading zero, bounds at the ends.
 
+    Parameters
+    ----------
+    p : float or None
+        A probability; None where nothing was tested.
+
     Examples
     --------
     >>> p_value(0.0321), p_value(0.0004), p_value(0.9999), p_value(None)
@@ -53,7 +58,13 @@ def p_value(p: float | None) -> str:
 
 
 def p_phrase(p: float | None) -> str:
-    """``p = .032`` or ``p < .001`` for a sentence."""
+    """``p = .032`` or ``p < .001`` for a sentence.
+
+    Parameters
+    ----------
+    p : float or None
+        A probability; None where nothing was tested.
+    """
     text = p_value(p)
     if text == MISSING:
         return "no p"
@@ -75,7 +86,15 @@ def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
 
 
 def percent(fraction: float | None, digits: int = 3) -> str:
-    """Write a fraction as a percentage; below a tenth of a percent only said to be so."""
+    """Write a fraction as a percentage; below a tenth of a percent only said to be so.
+
+    Parameters
+    ----------
+    fraction : float or None
+        1 for 100 %.
+    digits : int
+        Significant ones.
+    """
     if fraction is not None and 0 < abs(fraction) < 0.0005:
         return f"< 0.1{THIN}%" if fraction > 0 else f"{MINUS}< 0.1{THIN}%"
     if fraction is not None and abs(fraction) >= 0.9995:
@@ -86,6 +105,11 @@ def percent(fraction: float | None, digits: int = 3) -> str:
 def level(alpha: float) -> str:
     """Write the level of an interval.
 
+    Parameters
+    ----------
+    alpha : float
+        Error probability of the interval.
+
     Examples
     --------
     >>> level(0.05).replace(THIN, " "), level(0.2).replace(THIN, " ")
@@ -95,7 +119,13 @@ def level(alpha: float) -> str:
 
 
 def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
-    """Write a confidence interval, both ends with the decimals of the larger one."""
+    """Write a confidence interval, both ends with the decimals of the larger one.
+
+    Parameters
+    ----------
+    low, high, unit, digits : float or None, float or None, str, int
+        Ends in that unit, and significant digits of the larger one.
+    """
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     largest = max(abs(low), abs(high))
@@ -115,6 +145,11 @@ def _fixed(value: float, decimals: int) -> str:
 def decimals_that_count(step: float | None) -> int | None:
     """Decimals that a thousandth of what matters can be read at; None where that is unknown.
 
+    Parameters
+    ----------
+    step : float or None
+        Smallest difference that matters.
+
     Examples
     --------
     >>> decimals_that_count(0.5), decimals_that_count(5), decimals_that_count(None)
@@ -127,6 +162,11 @@ def decimals_that_count(step: float | None) -> int | None:
 
 def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
     """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them.
+
+    Parameters
+    ----------
+    value, decimals, digits : float or None, int or None, int
+        None for as many ``decimals`` as the significant ``digits`` need.
 
     Examples
     --------
@@ -143,6 +183,11 @@ def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
 
 def span(low: float | None, high: float | None, decimals: int | None, digits: int = 3) -> str:
     """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``.
+
+    Parameters
+    ----------
+    low, high, decimals, digits : float or None, float or None, int or None, int
+        Ends, most decimals and significant digits; None for any number of ``decimals``.
 
     Examples
     --------
@@ -196,6 +241,13 @@ def _decimals(value: float, digits: int) -> int:
 def f_value(value: float | None, most: float = 1e4) -> str:
     """F of a table; beyond ``most`` only said to be so, for its digits mean nothing.
 
+    Parameters
+    ----------
+    value : float or None
+        F.
+    most : float
+        Largest that is written.
+
     Examples
     --------
     >>> f_value(17.9), f_value(7.61e9), f_value(None)
@@ -207,7 +259,13 @@ def f_value(value: float | None, most: float = 1e4) -> str:
 
 
 def share(fraction: float | None) -> str:
-    """Write a share of a total in percent with one decimal."""
+    """Write a share of a total in percent with one decimal.
+
+    Parameters
+    ----------
+    fraction : float or None
+        1 for all of the total.
+    """
     if fraction is None or not math.isfinite(fraction):
         return MISSING
     if 0 < fraction < 0.0005:
@@ -216,7 +274,13 @@ def share(fraction: float | None) -> str:
 
 
 def ratio_digits(value: float | None) -> int:
-    """Digits that a ratio needs: more near 1, so that a small change is not hidden."""
+    """Digits that a ratio needs: more near 1, so that a small change is not hidden.
+
+    Parameters
+    ----------
+    value : float or None
+        The ratio.
+    """
     if value is None or not math.isfinite(value):
         return 3
     away = abs(value - 1)
@@ -224,13 +288,24 @@ def ratio_digits(value: float | None) -> int:
 
 
 def ratio(value: float | None) -> str:
-    """Write a ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
+    """Write a ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1.
+
+    Parameters
+    ----------
+    value : float or None
+        The ratio; 1 for no change.
+    """
     text = significant(value, ratio_digits(value))
     return text if text == MISSING else f"{TIMES}{THIN}{text}"
 
 
 def duration(seconds: float | None) -> str:
     """Seconds in the unit a person would use.
+
+    Parameters
+    ----------
+    seconds : float or None
+        None where it was not measured.
 
     Examples
     --------

@@ -30,12 +30,25 @@ _UNSAFE = re.compile(
 
 
 def count(number: int, noun: str, plural: str = "") -> str:
-    """Write a counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``."""
+    """Write a counted noun: ``1 cell``, ``16 cells``, ``1,024 cells``.
+
+    Parameters
+    ----------
+    number, noun : int, str
+        How many, and of what, in the singular.
+    plural : str
+        Where :func:`plural_of` is wrong; empty for the usual one.
+    """
     return f"{number:,} {noun if number == 1 else plural or plural_of(noun)}"
 
 
 def plural_of(noun: str) -> str:
     """Plural of a noun; a name that is no plain word only gets its s.
+
+    Parameters
+    ----------
+    noun : str
+        One word, in the singular.
 
     Examples
     --------
@@ -88,7 +101,15 @@ def name_of(key: str, labels: Mapping[str, str] | None = None) -> str:
 
 
 def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
-    """Readable name of an ANOVA term, interactions with a multiplication sign."""
+    """Readable name of an ANOVA term, interactions with a multiplication sign.
+
+    Parameters
+    ----------
+    term : str
+        Factors joined by colons.
+    labels : mapping of str to str, optional
+        Better names of factors, by their keys.
+    """
     if term == "residual":
         return "residual"
     return f" {TIMES} ".join(name_of(part, labels) for part in term.split(":"))
@@ -96,6 +117,13 @@ def term_name(term: str, labels: Mapping[str, str] | None = None) -> str:
 
 def listing(items: Sequence[str], word: str = "and") -> str:
     """Items as in a sentence.
+
+    Parameters
+    ----------
+    items : sequence of str
+        In the order in which they are said.
+    word : str
+        Between the last two.
 
     Examples
     --------
@@ -108,7 +136,13 @@ def listing(items: Sequence[str], word: str = "and") -> str:
 
 
 def sentence(text: str) -> str:
-    """Text with a capital first letter and a full stop."""
+    """Text with a capital first letter and a full stop.
+
+    Parameters
+    ----------
+    text : str
+        One sentence; a stop that it has stays.
+    """
     text = text.strip()
     if not text:
         return ""

@@ -12,7 +12,8 @@ import numpy as np
 
 from study.arrays import Array
 from study.curve import Curve
-from study.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
+from study.design.sections.simulated import SIMULATED, is_simulated, simulated_at
+from study.design.study_file import MARKED, RESPONSES
 from study.material.registry import is_dimensionless, unit_shown
 from study.record.document import Quantity
 

@@ -39,6 +39,72 @@ from study.analysis.pseudoreplication import ulp_floor
 from study.arrays import Array
 
 
+def seed_choice(seeds: int) -> ledger.Choice:
+    """E3 with seeds that every cell has: each effect against its own interaction with them.
+
+    Parameters
+    ----------
+    seeds : int
+        Meshes of every cell.
+    """
+    return ledger.Choice(
+        "E3",
+        ledger.OWN,
+        "would another mesh of this size change the effect? (each effect against its own "
+        f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
+        "every cell has the same mesh seeds, so they are blocks",
+        (
+            ledger.BIAS,
+            *((f"{seeds} mesh seeds: ask for 8 or more",) if seeds < ledger.ENOUGH_SEEDS else ()),
+        ),
+    )
+
+
+def own_choice(block: str, blocks: int, error: str) -> ledger.Choice:
+    """E1 with every effect against its own interaction.
+
+    Parameters
+    ----------
+    block, blocks : str, int
+        Name of the blocks, and how many there are.
+    error : str
+        How the error was asked for.
+    """
+    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
+    return ledger.Choice(
+        "E1",
+        ledger.OWN,
+        f"would the ranking change with another {block}? (each effect against its own "
+        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
+        why,
+    )
+
+
+def noise_choice(resamples: int) -> ledger.Choice:
+    """E2 where cells fitted to one curve share its resampled noise.
+
+    Parameters
+    ----------
+    resamples : int
+        Refits of every cell.
+    """
+    return ledger.Choice(
+        "E2",
+        ledger.OWN,
+        f"{ledger.NOISE_QUESTION} (each effect against its own scatter over {resamples} refits to "
+        "resampled residuals, Greenhouse-Geisser deciding)",
+        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
+        (ONE_CURVE,),
+    )
+
+
+_GROUPS = {
+    "": "",
+    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
+    "pooled": "; a group has two blocks only, so one covariance serves all groups",
+}
+
+
 @dataclass(frozen=True)
 class OwnTerm:
     """Test of one term against its own interaction with the blocks."""
@@ -264,9 +330,9 @@ def own(out: Outcome) -> Outcome | None:
     rest = n_cells - 1 - sum(t.sums.df for t in tests)
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
-    choice = ledger.own_choice(block, b, out.request.error)
+    choice = own_choice(block, b, out.request.error)
     if out.replicates in ("noise", "mesh-seeds"):
-        choice = ledger.noise_choice(b) if out.replicates == "noise" else ledger.seed_choice(b)
+        choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     estimates = [

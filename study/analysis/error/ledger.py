@@ -47,7 +47,7 @@ ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of 
 _SEEDS = 5
 #: Seeds as blocks find an effect of .6 of the scatter in .93 of studies with 8, in .61 with 5.
 ENOUGH_SEEDS = 8
-_BIAS = "the bias of this mesh size is common to all seeds: read the effect over U"
+BIAS = "the bias of this mesh size is common to all seeds: read the effect over U"
 
 
 @dataclass(frozen=True)
@@ -105,49 +105,6 @@ def method(error: str, block: str | None) -> str:
         return POOLED
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     return OWN
-
-
-def seed_choice(seeds: int) -> Choice:
-    """E3 with seeds that every cell has: each effect against its own interaction with them."""
-    return Choice(
-        "E3",
-        OWN,
-        "would another mesh of this size change the effect? (each effect against its own "
-        f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
-        "every cell has the same mesh seeds, so they are blocks",
-        (_BIAS, *((f"{seeds} mesh seeds: ask for 8 or more",) if seeds < ENOUGH_SEEDS else ())),
-    )
-
-
-def own_choice(block: str, blocks: int, error: str) -> Choice:
-    """E1 with every effect against its own interaction."""
-    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
-    return Choice(
-        "E1",
-        OWN,
-        f"would the ranking change with another {block}? (each effect against its own "
-        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
-        why,
-    )
-
-
-def noise_choice(resamples: int) -> Choice:
-    """E2 where cells fitted to one curve share its resampled noise."""
-    return Choice(
-        "E2",
-        OWN,
-        f"{NOISE_QUESTION} (each effect against its own scatter over {resamples} refits to "
-        "resampled residuals, Greenhouse-Geisser deciding)",
-        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
-        (ONE_CURVE,),
-    )
-
-
-_GROUPS = {
-    "": "",
-    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
-    "pooled": "; a group has two blocks only, so one covariance serves all groups",
-}
 
 
 def strata_choice(
@@ -244,7 +201,7 @@ def _pooled_blocks(s: Situation, error: str) -> Choice:
 def _replicates(s: Situation) -> Choice:
     extra = "" if s.full else "; interactions left out of the model are pooled with it"
     if s.replicates == "mesh-seeds":
-        cautions = [_BIAS]
+        cautions = [BIAS]
         if s.largest_cell < _SEEDS:
             cautions.append(
                 f"{s.largest_cell} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "

@@ -7,8 +7,9 @@ from functools import partial
 
 from study import units
 from study.design.diagnostics import Faults, noted
+from study.design.sections.simulated import AT_DISPLACEMENT
 from study.design.spec import Practical, Response
-from study.design.study_file import AT_DISPLACEMENT, ResponseTable, response_unit
+from study.design.study_file import ResponseTable, response_unit
 from study.setup.quantity import number, shown
 from study.setup.section import Bad
 

@@ -177,6 +177,12 @@ def at_right(ax: Axes, words: str, height: float, color: str | None = None) -> N
 
 
 def clean_left(ax: Axes) -> None:
-    """Take the line and the ticks from the left of some ``ax``, where names stand."""
+    """Take the line and the ticks from the left of some ``ax``, where names stand.
+
+    Parameters
+    ----------
+    ax : Axes
+        Its vertical axis has names instead of numbers.
+    """
     ax.spines["left"].set_visible(False)
     ax.tick_params(axis="y", length=0)

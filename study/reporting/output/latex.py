@@ -41,6 +41,11 @@ _SPECIAL = {
 def escape(text: object) -> str:
     r"""Return text in which no character is a command.
 
+    Parameters
+    ----------
+    text : object
+        Text of a user, or what is written as text.
+
     Examples
     --------
     >>> escape("50% of $x_1$")
@@ -50,7 +55,13 @@ def escape(text: object) -> str:
 
 
 def table(found: Table, caption: str) -> str:
-    """Return a ``table`` environment with plain rules, no package needed."""
+    """Return a ``table`` environment with plain rules, no package needed.
+
+    Parameters
+    ----------
+    found, caption : Table, str
+        Cells and caption are escaped here.
+    """
     words = found.left, len(found.columns) - found.tail
     columns = "".join(
         "l" if i < words[0] or i >= words[1] else "r" for i in range(len(found.columns))

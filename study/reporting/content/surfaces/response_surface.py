@@ -99,7 +99,7 @@ def accuracy(one: FittedSurface) -> str:
     if loo is None:
         return f"A {kind} of {runs}; no run can be left out, so its error is not known."
     rms = loo.rms if hasattr(loo, "rms") else loo.loo_rms
-    if learns_from_others(found):
+    if _learns_from_others(found):
         runs += ", which learns from those at the other levels,"
     return (
         f"A {kind} of {runs} predicts each from all the others within "
@@ -107,7 +107,7 @@ def accuracy(one: FittedSurface) -> str:
     )
 
 
-def learns_from_others(found: SurfaceAnalysis) -> bool:
+def _learns_from_others(found: SurfaceAnalysis) -> bool:
     """Whether the runs at other levels were fitted together with those of a surface."""
     model = found.model
     each = getattr(model, "each", (model,))
@@ -131,7 +131,7 @@ def method(one: FittedSurface, data: ReportData) -> str:
         "maximum likelihood, the kernel (Mat\N{LATIN SMALL LETTER E WITH ACUTE}rn 5/2 or Gaussian) "
         "by leave-one-out error"
     )
-    if learns_from_others(found):
+    if _learns_from_others(found):
         how += (
             ", together with the runs at the other levels, between whose functions a correlation "
             "was fitted (Qian, Wu and Wu 2008)"

@@ -56,7 +56,13 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
 
 
 def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
-    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
+    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks.
+
+    Parameters
+    ----------
+    frame, facts, practical : DataFrame, Facts, float
+        Of :func:`cell_points`; the response, and what matters in it, 0 where that is not given.
+    """
     count = int(frame["rank"].max()) + 1
     figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
     ax = figure.subplots()

@@ -21,7 +21,13 @@ if TYPE_CHECKING:
 
 
 def level_means(facts: Facts) -> pd.DataFrame:
-    """Mean of every level of every factor."""
+    """Mean of every level of every factor.
+
+    Parameters
+    ----------
+    facts : Facts
+        Response whose factors are shown.
+    """
     import pandas as pd
 
     return pd.DataFrame(
@@ -35,7 +41,13 @@ def level_means(facts: Facts) -> pd.DataFrame:
 
 
 def grand_mean(data: ReportData, facts: Facts) -> float:
-    """Mean over the cells, geometric for a log response."""
+    """Mean over the cells, geometric for a log response.
+
+    Parameters
+    ----------
+    data, facts : ReportData, Facts
+        Study and response.
+    """
     means = cells(data, facts.name)["mean"].to_numpy(float)
     return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
 
@@ -43,7 +55,19 @@ def grand_mean(data: ReportData, facts: Facts) -> float:
 def draw_level_means(
     frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
 ) -> Canvas:
-    """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    """Draw the main effects on one shared axis, grand mean and practical band behind.
+
+    Parameters
+    ----------
+    frame, facts : DataFrame, Facts
+        Of :func:`level_means`, and the response.
+    center : float
+        Grand mean, in the unit of the response.
+    practical : float or None
+        Difference or ratio that matters; the band is half of it to both sides.
+    data : ReportData
+        Better names of factors.
+    """
     figure = canvas(WIDTH_IN, 3.5)
     ax = figure.subplots()
     if practical is not None:

@@ -27,7 +27,13 @@ _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
 
 
 def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
-    """Largest difference of every term with its interval; factors first, then interactions."""
+    """Largest difference of every term with its interval; factors first, then interactions.
+
+    Parameters
+    ----------
+    facts, labels : Facts, mapping of str to str
+        The response; shown names by factor (one that is absent is made from its key).
+    """
     import pandas as pd
 
     strong = [effect for effect in facts.interactions if effect.strength != NO_DIFFERENCE]
@@ -66,7 +72,13 @@ def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
 
 
 def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw one row a term: its largest difference and interval against the band."""
+    """Draw one row a term: its largest difference and interval against the band.
+
+    Parameters
+    ----------
+    frame, facts : DataFrame, Facts
+        Of :func:`effect_sizes`, with a row at least, and the response.
+    """
     figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
     ax = figure.subplots()
     zero = 1.0 if facts.ratio else 0.0

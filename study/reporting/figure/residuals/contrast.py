@@ -81,7 +81,13 @@ def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw the Pareto plot on the left, the half-normal plot on the right."""
+    """Draw the Pareto plot on the left, the half-normal plot on the right.
+
+    Parameters
+    ----------
+    frame, facts : DataFrame, Facts
+        Of :func:`contrasts`, largest first, and the response.
+    """
     shown = frame.head(_MOST_BARS)
     figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
     pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))

@@ -30,7 +30,18 @@ _SIMULATIONS = 1000
 
 
 def residual_points(facts: Facts) -> pd.DataFrame:
-    """Residuals of one representative of each computation, with their normal scores."""
+    """Residuals of one representative of each computation, with their normal scores.
+
+    Parameters
+    ----------
+    facts : Facts
+        Response with its residuals.
+
+    Raises
+    ------
+    ValueError
+        If it has none.
+    """
     if facts.residuals is None or facts.residuals.empty:
         raise ValueError("there are no residuals")
     frame = facts.residuals
@@ -66,7 +77,13 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw the four-in-one: normal plot, against fitted, histogram, against the factors."""
+    """Draw the four-in-one: normal plot, against fitted, histogram, against the factors.
+
+    Parameters
+    ----------
+    frame, facts, data : DataFrame, Facts, ReportData
+        Of :func:`residual_points`, the response, and better names of factors.
+    """
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 5.6)
@@ -204,6 +221,16 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
 
     Intervals are those of the chi-squared distribution with n - 1 degrees of freedom:
     approximate where the residuals come from a fit with blocks.
+
+    Parameters
+    ----------
+    facts, alpha : Facts, float
+        Response with its residuals; error probability of all intervals together.
+
+    Raises
+    ------
+    ValueError
+        If no cell holds two residuals.
     """
     import pandas as pd
     from scipy.special import chdtri
@@ -229,7 +256,13 @@ def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
 
 
 def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw one row a cell: its standard deviation and interval."""
+    """Draw one row a cell: its standard deviation and interval.
+
+    Parameters
+    ----------
+    frame, facts : DataFrame, Facts
+        Of :func:`spread_of_cells`, and the response.
+    """
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
