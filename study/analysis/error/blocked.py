@@ -47,6 +47,7 @@ def seed_choice(seeds: int) -> ledger.Choice:
     seeds : int
         Meshes of every cell.
     """
+    few = (f"{seeds} mesh seeds: ask for 8 or more",) if seeds < ledger.ENOUGH_SEEDS else ()
     return ledger.Choice(
         "E3",
         ledger.OWN,
@@ -94,15 +95,8 @@ def noise_choice(resamples: int) -> ledger.Choice:
         f"{ledger.NOISE_QUESTION} (each effect against its own scatter over {resamples} refits to "
         "resampled residuals, Greenhouse-Geisser deciding)",
         "cells hold refits to resampled measurement noise, the same for all cells of a curve",
-        (ONE_CURVE,),
+        (ledger.ONE_CURVE,),
     )
-
-
-_GROUPS = {
-    "": "",
-    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
-    "pooled": "; a group has two blocks only, so one covariance serves all groups",
-}
 
 
 @dataclass(frozen=True)

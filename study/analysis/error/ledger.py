@@ -107,6 +107,13 @@ def method(error: str, block: str | None) -> str:
     return OWN
 
 
+_GROUPS = {
+    "": "",
+    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
+    "pooled": "; a group has two blocks only, so one covariance serves all groups",
+}
+
+
 def strata_choice(
     block: str, plots: str, between: tuple[str, ...], how: str, groups: str = ""
 ) -> Choice:
