@@ -54,10 +54,7 @@ def seed_choice(seeds: int) -> ledger.Choice:
         "would another mesh of this size change the effect? (each effect against its own "
         f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
         "every cell has the same mesh seeds, so they are blocks",
-        (
-            ledger.BIAS,
-            *((f"{seeds} mesh seeds: ask for 8 or more",) if seeds < ledger.ENOUGH_SEEDS else ()),
-        ),
+        (ledger.BIAS, *few),
     )
 
 
