@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from numpydoc.docscrape import FunctionDoc
+from numpydoc.docscrape import FunctionDoc, NumpyDocString
 
 LONGEST_FILE = 400
 #: lines of code of a function, without its docstring
@@ -251,6 +251,32 @@ def unexplained(function: Callable[..., object]) -> list[str]:
     lost = [f"parameters {explained}, not {taken}"] if explained != taken else []
     lost += [f"type of {p.name}" for p in said["Parameters"] if not p.type]
     return lost if said["Returns"] else [*lost, "what it returns"]
+
+
+def undocumented_arguments(root: Path) -> dict[str, list[str]]:
+    """Arguments of public functions that their docstring does not name.
+
+    Commands are let off: each of their arguments has a help text, and the docstring is the help.
+    """
+    found = {}
+    for path, tree in trees(root):
+        for node in tree.body:
+            if not isinstance(node, ast.FunctionDef) or node.name.startswith("_"):
+                continue
+            declared = ast.unparse(node.args) + "".join(map(ast.unparse, node.decorator_list))
+            if "typer." in declared or "overload" in declared:
+                continue
+            every = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+            more = [one for one in (node.args.vararg, node.args.kwarg) if one is not None]
+            lacking = {one.arg for one in (*every, *more)} - _documented(ast.get_docstring(node))
+            if lacking:
+                found[f"{path}:{node.name}"] = sorted(lacking)
+    return found
+
+
+def _documented(text: str | None) -> set[str]:
+    named = NumpyDocString(text or "")["Parameters"]
+    return {one.strip(" *\\") for parameter in named for one in parameter.name.split(",")}
 
 
 def let_in(root: Path) -> dict[str, Any]:

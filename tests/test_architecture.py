@@ -38,6 +38,10 @@ def test_a_module_says_at_its_head_what_it_needs() -> None:
     assert house.late_imports(ROOT) == []
 
 
+def test_every_argument_of_a_public_function_is_explained() -> None:
+    assert house.undocumented_arguments(ROOT) == {}
+
+
 def test_every_constant_has_a_line_of_its_own() -> None:
     assert house.constants_in_tuples(ROOT) == []
 

@@ -239,6 +239,15 @@ def test_rules_see_a_name_that_hides_untyped_values(house: Path) -> None:
     assert rules.untyped_aliases(house) == ["study/units.py: Tables", "study/units.py: Free"]
 
 
+def test_rules_see_an_argument_without_a_word(house: Path) -> None:
+    said = '    """Say.\n\n    Parameters\n    ----------\n    x, *more : int\n        Both.\n    """\n'
+    plant(house, "units.py", f"\n\ndef said(x, *more):\n{said}")
+    plant(house, "units.py", "\n\ndef _own(x): ...\n\n\n@overload\ndef two(x): ...\n")
+    assert rules.undocumented_arguments(house) == {}
+    plant(house, "units.py", f"\n\ndef unsaid(x, *more, y=1):\n{said}")
+    assert rules.undocumented_arguments(house) == {"study/units.py:unsaid": ["y"]}
+
+
 def test_rules_see_a_class_of_many_fields(house: Path) -> None:
     fields = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS))
     plant(house, "units.py", f"@dataclass(frozen=True)\nclass Wide:\n{fields}")
