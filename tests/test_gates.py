@@ -240,7 +240,8 @@ def test_rules_see_a_name_that_hides_untyped_values(house: Path) -> None:
 
 
 def test_rules_see_an_argument_without_a_word(house: Path) -> None:
-    said = '    """Say.\n\n    Parameters\n    ----------\n    x, *more : int\n        Both.\n    """\n'
+    section = "    Parameters\n    ----------\n    x, *more : int\n        Both.\n"
+    said = f'    """Say.\n\n{section}    """\n'
     plant(house, "units.py", f"\n\ndef said(x, *more):\n{said}")
     plant(house, "units.py", "\n\ndef _own(x): ...\n\n\n@overload\ndef two(x): ...\n")
     assert rules.undocumented_arguments(house) == {}
