@@ -11,15 +11,15 @@ from study.analysis.anova_table import (
     Effect,
 )
 from study.analysis.assumption.diagnostics import diagnose, is_representative
-from study.analysis.assumption.normality import anderson_darling, shapiro_wilk
+from study.analysis.assumption.tests import assumptions_of
 from study.analysis.effects.numerical_bound import OneBound
 from study.analysis.effects.power.detection import PowerRow, planned
 from study.analysis.effects.sizes import holm
 from study.analysis.linear_model.design_matrix import terms_of
-from study.analysis.linear_model.influence import influence, influential
+from study.analysis.linear_model.influence import influence
 from study.analysis.outcome import _NO_ERROR, Outcome
-from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
-from study.analysis.unreplicated import functional_shares, non_additivity
+from study.analysis.result import AnalysisResult, DataSummary, Detection, Variation
+from study.analysis.unreplicated import functional_shares
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +43,6 @@ def assemble(out: Outcome) -> AnalysisResult:
     found = diagnose(out)
     out = out.warn(*found.warnings, *_inestimable(out.effects))
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
-    residual = None if fit is None else fit.residual
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
         out = out.warn(_copies_sentence(out))
@@ -59,19 +58,7 @@ def assemble(out: Outcome) -> AnalysisResult:
             out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
             _power(out),
         ),
-        Assumptions(
-            found.normality,
-            found.rows,
-            found.bartlett,
-            found.levene,
-            out.sphericity,
-            None if fit is None else non_additivity(fit),
-            None if residual is None else anderson_darling(residual),
-            None if residual is None else shapiro_wilk(residual),
-            None if fit is None else influential(fit),
-            out.robustness,
-            out.box_cox,
-        ),
+        assumptions_of(out, found),
         _summary_of_data(out, None if fit is None else fit.columns),
         tuple(dict.fromkeys(out.warnings)),
     )

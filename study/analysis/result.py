@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.analysis.anova_table import (
@@ -10,23 +10,19 @@ from study.analysis.anova_table import (
     Effect,
     ErrorTerm,
     FailureBound,
-    Influential,
     ModelSummary,
 )
+from study.analysis.assumption.tests import Assumptions
 from study.analysis.effects.power.detection import PowerRow
 from study.canonical import plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.anova_table import BoxCoxResult, NestedUnits, Sensitivity
-    from study.analysis.assumption.normality import NormalityResult, RyanJoinerResult
-    from study.analysis.assumption.row_normality import RowTest
-    from study.analysis.assumption.variance import BartlettResult, LeveneResult
+    from study.analysis.anova_table import NestedUnits
     from study.analysis.effects.linear_contrast import Contrast
-    from study.analysis.linear_model.sphericity import SphericityResult
     from study.analysis.request import AnalysisRequest
-    from study.analysis.unreplicated import LenthResult, NonAdditivityResult
+    from study.analysis.unreplicated import LenthResult
     from study.arrays import Array
 
 
@@ -69,48 +65,6 @@ class Detection:
     u_num: float | None
     u_num_by_term: bool
     power: dict[str, tuple[PowerRow, ...]]
-
-
-@dataclass(frozen=True)
-class Assumptions:
-    """Tests of what the analysis assumes; what does not apply is None.
-
-    Parameters
-    ----------
-    normality : RyanJoinerResult or None
-    normality_rows : tuple of RowTest
-        Of single contrasts over blocks.
-    bartlett, levene : BartlettResult, LeveneResult or None
-        Of equal spread.
-    sphericity : dict of str to SphericityResult
-        By term.
-    non_additivity : NonAdditivityResult or None
-        Tukey's one degree of freedom.
-    anderson_darling, shapiro_wilk : NormalityResult or None
-    influence : Influential or None
-        Rows that the fit leans on.
-    robustness : Sensitivity or None
-        p in every defensible analysis.
-    box_cox : BoxCoxResult or None
-    """
-
-    normality: RyanJoinerResult | None = None
-    normality_rows: tuple[RowTest, ...] = ()
-    bartlett: BartlettResult | None = None
-    levene: LeveneResult | None = None
-    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
-    non_additivity: NonAdditivityResult | None = None
-    anderson_darling: NormalityResult | None = None
-    shapiro_wilk: NormalityResult | None = None
-    influence: Influential | None = None
-    robustness: Sensitivity | None = None
-    box_cox: BoxCoxResult | None = None
-
-    @property
-    def spread(self) -> dict[str, BartlettResult | LeveneResult]:
-        """Tests of equal spread that were run, by name."""
-        tests = {"bartlett": self.bartlett, "levene": self.levene}
-        return {name: test for name, test in tests.items() if test is not None}
 
 
 @dataclass(frozen=True)
@@ -219,29 +173,19 @@ class AnalysisResult:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
-        tests, lenth = self.assumptions, self.variation.lenth
+        lenth = self.variation.lenth
         return {
             "response": self.request.response,
             "transform": self.request.scale.transform,
             "error_term": plain(self.error_term),
             "anova": plain(self.anova),
-            "normality": None if tests.normality is None else tests.normality.to_json(),
-            "normality_rows": plain(tests.normality_rows),
-            "variance": {
-                "bartlett": None if tests.bartlett is None else tests.bartlett.to_json(),
-                "levene": None if tests.levene is None else tests.levene.to_json(),
-            },
+            **self.assumptions.to_json(),
             "effects": [plain(effect) for effect in self.effects],
             "shares": plain(self.variation.shares),
             "distinct_computations": self.data.distinct,
             "copies": plain(self.data.copies),
             "lenth": None if lenth is None else lenth.to_json(),
-            "sphericity": plain(tests.sphericity),
-            "non_additivity": plain(tests.non_additivity),
             "summary": plain(self.variation.summary),
-            "influence": plain(tests.influence),
-            "robustness": plain(tests.robustness),
-            "box_cox": plain(tests.box_cox),
             "failure_bounds": plain(self.data.bounds),
             "nested": plain(self.data.nested),
             "power": plain(self.detection.power),

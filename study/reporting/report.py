@@ -12,7 +12,8 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from study.analysis.anova_table import Effect, ErrorTerm, Row, SimpleEffect
-from study.analysis.result import AnalysisResult, Assumptions
+from study.analysis.assumption.tests import Assumptions
+from study.analysis.result import AnalysisResult
 from study.record.table import answered_often, cell_names
 from study.reporting.text import clean, count, listing, name_of
 from study.study_result.report_data import ReportData, ResponseAnalysis

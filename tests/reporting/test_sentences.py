@@ -9,6 +9,7 @@ import pytest
 
 from study.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
 from study.analysis.assumption.normality import RyanJoinerResult
+from study.analysis.assumption.tests import Assumptions
 from study.analysis.assumption.variance import BartlettResult, LeveneResult
 from study.analysis.effects.verdict import (
     CANNOT_TELL,
@@ -18,7 +19,7 @@ from study.analysis.effects.verdict import (
     ONE_SPECIMEN,
 )
 from study.analysis.request import AnalysisRequest
-from study.analysis.result import AnalysisResult, Assumptions, DataSummary, Detection, Variation
+from study.analysis.result import AnalysisResult, DataSummary, Detection, Variation
 from study.reporting import report
 from study.reporting.content import sentences, sizes, verdicts
 from study.reporting.content.recommendation import (
