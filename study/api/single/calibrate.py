@@ -4,30 +4,80 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from study.api.folders import calibration_root
 from study.api.single.fit_figure import panels_of
-from study.api.single.notebook import Calibrated
 from study.design.load import load_calibration
 from study.errors import Fault, InputError
 from study.record.atomic_files import write_atomic
 from study.record.folder import own_folder
-from study.reporting.figure.curves.fit import fit_figure
+from study.reporting.figure.curves.fit import draw_fit, fit_figure
+from study.reporting.figure.style import shown
+from study.reporting.notebook import Shown
 from study.runner import provenance
 from study.runner.calibration.calibrate import calibrate as run_calibration
 from study.runner.calibration.comparison import compare
 from study.runner.calibration.model_selection import choose
+from study.runner.calibration.result import CalibrationResult
 from study.runner.numerical.numerical_bound import numerical_bound
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.design.sections.calibration_design import CalibrationDesign
+    from study.reporting.figure.style import Drawing
     from study.runner.calibration.comparison import Comparison
     from study.runner.calibration.model_selection import EnergyChoice
-    from study.runner.calibration.result import CalibrationResult
     from study.runner.fitting.staged_fit import Step
+
+
+@dataclass(frozen=True, repr=False)
+class Calibrated(Shown, CalibrationResult):
+    """What :func:`study.calibrate` returns: a :class:`CalibrationResult` that can be shown."""
+
+    digits: ClassVar[int] = 5
+
+    @classmethod
+    def of(cls, found: CalibrationResult) -> Calibrated:
+        """Give a calibration the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(CalibrationResult)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Constants with one row each.
+
+        Returns
+        -------
+        DataFrame
+            ``constant``, ``value``, ``unit``, ``standard_error``, ``low`` and ``high`` (95 %).
+        """
+        import pandas as pd
+
+        document = self.to_json()["parameters"]
+        rows = [
+            {"constant": name, "value": one["value"], "unit": one["unit"],
+             "standard_error": one["standard_error"], "low": one["ci95"][0],
+             "high": one["ci95"][1]}
+            for name, one in (document.items() if isinstance(document, dict) else ())
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+    def plot(self) -> Drawing:
+        """Draw every measured curve with its fit or prediction, and the residuals below.
+
+        Returns
+        -------
+        Figure
+            Of matplotlib.
+        """
+        title = f"{self.name}: {self.model}, {self.status}"
+        return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
+
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Constants with their intervals."""
+        return (self.to_frame(),)
 
 
 def calibrate(

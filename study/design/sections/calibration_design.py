@@ -75,7 +75,7 @@ class CalibrationDesign:
 
     name: str
     tests: tuple[CalibratedTest, ...]
-    asked: Fitting = Fitting()
+    asked: Fitting = field(default_factory=Fitting)
     bounds: Bounds = field(default_factory=dict)
 
     @cached_property
