@@ -345,6 +345,7 @@ def anderson_darling(values: ArrayLike) -> NormalityResult:
     centered = x - x[0]
     z = (centered - centered.mean()) / centered.std(ddof=1)
     i = np.arange(1, n + 1)
+    # statsmodels' normal_ad takes the log of 1 - cdf, which is no number beyond 8.3 deviations
     a2 = float(-n - np.mean((2 * i - 1) * (log_ndtr(z) + log_ndtr(-z[::-1]))))
     a = a2 * (1 + 0.75 / n + 2.25 / n**2)
     return NormalityResult("Anderson-Darling", a2, _anderson_p(a))
