@@ -105,7 +105,11 @@ def test_validation_is_drawn_and_tabled() -> None:
     frame = validation.error_points(validation.first_block(rows))
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
+    unknown = {**rows[0], "u_val_N": [0.0] * len(rows[0]["u_val_N"])}
+    beside = validation.caption([*rows, unknown])
+    assert "; 1 cell without a known one" in beside  # nothing is judged by an uncertainty of zero
     text = validation.caption(rows)
+    assert beside.split(" cells")[0] == text.split(" cells")[0]
     assert "in 1 of 2 cells (block M1)" in text
     assert "Not known, and so left out: data." in text
     table = validation.table(rows, "mix")

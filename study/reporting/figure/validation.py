@@ -11,7 +11,7 @@ from study.reporting.content.table import Table
 from study.reporting.figure.axes import plain_ticks, wrap
 from study.reporting.figure.style import BAND, MUTED, WIDTH_IN, canvas, color_of
 from study.reporting.numbers import MISSING, significant
-from study.reporting.text import clean
+from study.reporting.text import clean, count
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,14 +112,21 @@ def caption(rows: Sequence[Row]) -> str:
     rows : sequence of mapping
         By :func:`first_block`; at least one.
     """
-    beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in rows)
+    judged = [row for row in rows if row["u_val_N"][-1] > 0]
+    beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in judged)
     unknown = sorted({name for row in rows for name in row.get("unknown") or ()})
     lacking = f" Not known, and so left out: {', '.join(unknown)}." if unknown else ""
     block = f" (block {clean(rows[0]['block'], 30)})" if rows[0]["block"] else ""
     return (
-        f"At the end of the curve E exceeds its uncertainty in {beyond} of {len(rows)} "
-        f"cells{block}. Band: u_val, from mesh, uncertain inputs and scatter of the data.{lacking}"
+        f"At the end of the curve E exceeds its uncertainty in {beyond} of {len(judged)} "
+        f"cells{block}{_unjudged(len(rows) - len(judged))}. Band: u_val, from mesh, uncertain "
+        f"inputs and scatter of the data.{lacking}"
     )
+
+
+def _unjudged(cells: int) -> str:
+    """Say of how many cells no uncertainty is known."""
+    return f"; {count(cells, 'cell')} without a known one" if cells else ""
 
 
 def table(rows: Sequence[Row], block: str) -> Table:
