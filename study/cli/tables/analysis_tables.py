@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 
 
 def print_analysis(found: AnalysisResult) -> None:
-    """Print what was found: error term, table, effects, assumptions, warnings."""
+    """Print what was found: error term, table, effects, assumptions, warnings.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Its notes go to stderr; without rows in its ANOVA the tables are left out.
+    """
     term = found.error_term
     print(f"error term {term.source}: {term.question}")
     print(f"  because: {term.reason}\n")
@@ -145,7 +151,13 @@ def _print_simple(found: AnalysisResult, ends: str) -> None:
 
 
 def what_of(found: AnalysisResult) -> str:
-    """Return what an effect is: a difference, or a ratio for a log response."""
+    """Return what an effect is: a difference, or a ratio for a log response.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Its request says on which scale the response was analyzed.
+    """
     return "ratio" if found.request.scale.is_log else "difference"
 
 
@@ -252,13 +264,27 @@ def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
 
 
 def reference_json(factor: str, found: Comparisons) -> dict[str, object]:
-    """Comparisons with a reference as ``--json`` shows them."""
+    """Comparisons with a reference as ``--json`` shows them.
+
+    Parameters
+    ----------
+    factor : str
+        Factor that has the reference level.
+    found : Comparisons
+        Of every other level with the reference.
+    """
     pairs = [asdict(pair) for pair in found.pairs]
     return {"factor": factor, "method": found.method, "alpha": found.alpha, "pairs": pairs}
 
 
 def print_reference(factor: str, found: Comparisons) -> None:
-    """Print the differences from a reference level."""
+    """Print the differences from a reference level.
+
+    Parameters
+    ----------
+    factor, found
+        As for :func:`reference_json`.
+    """
     ends = f"{100 * (1 - found.alpha):.4g} % interval"
     rows = [["Level", "difference", ends, "adjusted p"]]
     rows += [
