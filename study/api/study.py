@@ -376,8 +376,16 @@ def demo(
     ----------
     results : str or Path
         Where the generated measurements and the records go, in a folder of the study's name.
-    reports, jobs, progress
-        As for :func:`run`.
+    reports : Path, optional
+        Where the report goes; None writes none.
+    jobs : int, optional
+        Workers; one a core by default.
+    progress : callable, optional
+        Called after every computation.
+
+    Returns
+    -------
+    Study
     """
     from importlib import resources
 

@@ -166,7 +166,7 @@ def studies_and_tables(context: typer.Context, incomplete: str) -> list[str]:
 
     Parameters
     ----------
-    context, incomplete
+    context, incomplete : Context, str
         As for :func:`studies`.
     """
     return [*studies(context, incomplete), *_paths(incomplete, (".csv",), folders=False)]
@@ -177,7 +177,7 @@ def cases(context: typer.Context, incomplete: str) -> list[str]:
 
     Parameters
     ----------
-    context, incomplete
+    context, incomplete : Context, str
         As for :func:`studies`.
 
     Returns

@@ -62,6 +62,11 @@ def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS
     results : str or Path
         Folder of all results, where a study is given by its name or its design file.
 
+    Returns
+    -------
+    Comparison
+        Both studies, and what they say beside each other.
+
     Raises
     ------
     InputError

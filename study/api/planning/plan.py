@@ -146,6 +146,11 @@ def plan(
     jobs : int, optional
         Workers by which the wall time is predicted; one a core by default.
 
+    Returns
+    -------
+    Plan
+        Cells, cases, predicted time in s and memory in MB; no time where measurements are missing.
+
     Raises
     ------
     InputError

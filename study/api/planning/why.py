@@ -68,6 +68,11 @@ def why(case: str, *, study: str | Path | None = None, results: str | Path = RES
     results : str or Path
         Folder of all results.
 
+    Returns
+    -------
+    Record
+        The only one whose id begins so.
+
     Raises
     ------
     InputError

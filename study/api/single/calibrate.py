@@ -117,6 +117,11 @@ def choose_energy(
     progress : callable, optional
         Gets every accepted iteration.
 
+    Returns
+    -------
+    EnergyChoice
+        A fit of every energy that converged, its Akaike weight, and why others have no answer.
+
     Raises
     ------
     InputError

@@ -68,7 +68,7 @@ def effects_of_records(
 
     Parameters
     ----------
-    design, records, response, numerical
+    design, records, response, numerical : Design, sequence, Response, sequence
         As for :func:`analyze_records`.
     """
     rows, request, _ = _asked(design, records, response, numerical)

@@ -54,7 +54,7 @@ def cross_validated(design: Design, response: str, blocks: int) -> bool:
 
     Parameters
     ----------
-    design, response, blocks
+    design, response, blocks : Design, str, int
         As for :func:`scored_on`.
     """
     scored = scored_on(design, response, blocks)

@@ -282,7 +282,7 @@ def print_reference(factor: str, found: Comparisons) -> None:
 
     Parameters
     ----------
-    factor, found
+    factor, found : str, Comparisons
         As for :func:`reference_json`.
     """
     ends = f"{100 * (1 - found.alpha):.4g} % interval"

@@ -119,7 +119,7 @@ def print_mixed(found: MixedModel, alpha: float) -> None:
 
     Parameters
     ----------
-    found, alpha
+    found, alpha : MixedModel, float
         As for :func:`mixed_json`.
     """
     ends = f"{100 * (1 - alpha):.4g} % interval"
