@@ -43,7 +43,12 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
 
 
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
-    """Everything that the report of a study shows but its analyses by depth, which take longest."""
+    """Everything that the report of a study shows but its analyses by depth, which take longest.
+
+    Parameters
+    ----------
+    study, timings : StudyResult; mapping of str to float, wall time in s by part of the run
+    """
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
     return ReportData(

@@ -101,6 +101,13 @@ def problem_tables(source: str | Path | Tables, overrides: Sequence[str] = ()) -
 def design_root(design: Design, data: str | Path | None = None) -> Path:
     """Folder that the measurement files of a design are relative to.
 
+    Parameters
+    ----------
+    design : Design
+        Its cells name the files that are looked for.
+    data : str or Path, optional
+        The folder that the user named, which wins; by default that of :func:`data_root`.
+
     Raises
     ------
     InputError
@@ -120,6 +127,15 @@ def calibration_root(
 ) -> Path:
     """Folder that the measurement files of a calibration are relative to.
 
+    Parameters
+    ----------
+    config : CalibrationDesign
+        Its tests name the files that are looked for.
+    source : str or Path
+        The calibration file.
+    data : str or Path, optional
+        The folder that the user named, which wins; by default that of :func:`data_root`.
+
     Raises
     ------
     InputError
@@ -130,6 +146,11 @@ def calibration_root(
 
 def finished_manifest(store: Store) -> ManifestDocument:
     """Manifest of the run that is read from.
+
+    Parameters
+    ----------
+    store : Store
+        Results of a study that was run.
 
     Raises
     ------
@@ -144,6 +165,13 @@ def finished_manifest(store: Store) -> ManifestDocument:
 
 def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:
     """Results of a study, named by their folder, by its design file, or by the study's name.
+
+    Parameters
+    ----------
+    path : str or Path
+        Results folder, design file (``.toml``) or name of the study.
+    results : str or Path
+        Folder of all results, where ``path`` is a name or a design file.
 
     Raises
     ------

@@ -105,7 +105,15 @@ def count_cases(known: Path | StudyResult) -> int:
 
 
 def unfinished_note(store: Store, later: ManifestDocument) -> str:
-    """Say that what is shown is the last finished run, and how far the later one is."""
+    """Say that what is shown is the last finished run, and how far the later one is.
+
+    Parameters
+    ----------
+    store : Store
+        Results of the study.
+    later : mapping
+        Manifest of the run that is not finished.
+    """
     counted = Store(store.path).survey(later["cases"])
     done, total = len(counted.done) + len(counted.failed), len(later["cases"])
     return (

@@ -71,12 +71,29 @@ for verb in VERBS:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the program and exit with its code."""
+    """Run the program and exit with its code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words behind ``study``; by default those of the command line.
+    """
     sys.exit(run(arguments))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; errors that a user can mend are printed, bugs raise."""
+    """Run the program; errors that a user can mend are printed, bugs raise.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words behind ``study``; by default those of the command line.
+
+    Returns
+    -------
+    int
+        0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.
+    """
     signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)

@@ -21,7 +21,26 @@ _LISTED = 12
 def closed_form(
     file: Path, data: Path | None, settings: Sequence[str], results: Path, as_json: bool
 ) -> None:
-    """Fit the moduli of a calibration file in closed form and show them."""
+    """Fit the moduli of a calibration file in closed form and show them.
+
+    Parameters
+    ----------
+    file : Path
+        Calibration file.
+    data : Path or None
+        Folder of the measurements; None for the usual one.
+    settings : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    results : Path
+        Where the document and the table go, in a folder of the calibration's name.
+    as_json : bool
+        Whether one JSON document is printed instead of tables.
+
+    Raises
+    ------
+    typer.Exit
+        With code 1 if a test has no modulus.
+    """
     from study import api
 
     found = api.indentation_modulus(file, data=data, overrides=settings, results=results)

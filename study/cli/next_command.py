@@ -30,6 +30,14 @@ Options = Mapping[str, object]
 def written(*words: object, options: Options | None = None) -> str:
     r"""Command as it is typed.
 
+    Parameters
+    ----------
+    *words : object
+        Verb and arguments, written as text and quoted for a shell where they need it.
+    options : mapping of str to object, optional
+        By how they are typed. None leaves one out, True writes it alone, a list or tuple writes it
+        once for every item.
+
     Examples
     --------
     >>> written("run", "my study.toml", options={"--data": None, "-s": ["a=\'1 mm\'"]})
@@ -51,7 +59,13 @@ def _quoted(word: str) -> str:
 
 
 def interrupted(arguments: Sequence[str]) -> str:
-    """Say what is kept of an interrupted command, and what resumes it."""
+    """Say what is kept of an interrupted command, and what resumes it.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Words behind ``study``, as they were typed.
+    """
     verb = next((word for word in arguments if not word.startswith("-")), "")
     if verb not in RESUMABLE:
         return "interrupted: nothing was written"
@@ -62,7 +76,17 @@ def interrupted(arguments: Sequence[str]) -> str:
 
 
 def after_plan(found: Plan, design: Path, options: Options) -> tuple[str, str]:
-    """Say what to do after a plan, and the command."""
+    """Say what to do after a plan, and the command.
+
+    Parameters
+    ----------
+    found : Plan
+        Without predicted seconds its measurements are missing.
+    design : Path
+        Design file, as it was typed.
+    options : mapping of str to object
+        Options of the plan by how they are typed, to be typed again.
+    """
     if found.predicted_seconds is None:
         return (
             "put the measurements there, or make some of virtual specimens",
@@ -77,7 +101,15 @@ def after_plan(found: Plan, design: Path, options: Options) -> tuple[str, str]:
 
 
 def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
-    """Say what to do after a run or a report, and the command."""
+    """Say what to do after a run or a report, and the command.
+
+    Parameters
+    ----------
+    study : StudyResult
+        With its report, if one was written.
+    options : mapping of str to object
+        ``--results`` and ``--reports``; None for the usual folder.
+    """
     folders = _folders(options)
     failed = [record.case_id for record in study.records if not record.converged]
     if failed:
@@ -105,23 +137,54 @@ _MOST = 200
 
 
 def designs(incomplete: str) -> list[str]:
-    """Offer TOML files and the folders on the way to one."""
+    """Offer TOML files and the folders on the way to one.
+
+    Parameters
+    ----------
+    incomplete : str
+        What is typed of the word so far.
+    """
     return _paths(incomplete, (".toml",))
 
 
 def studies(context: typer.Context, incomplete: str) -> list[str]:
-    """Offer studies with results, and what :func:`designs` does."""
+    """Offer studies with results, and what :func:`designs` does.
+
+    Parameters
+    ----------
+    context : Context
+        Of the command; its ``--results``, if typed already, names the folder of the studies.
+    incomplete : str
+        What is typed of the word so far.
+    """
     names = _beginning(incomplete, (folder.name for folder in _results_in(context)))
     return [*names, *designs(incomplete)]
 
 
 def studies_and_tables(context: typer.Context, incomplete: str) -> list[str]:
-    """Offer what :func:`studies` does, and CSV files."""
+    """Offer what :func:`studies` does, and CSV files.
+
+    Parameters
+    ----------
+    context, incomplete : Context, str
+        As for :func:`studies`.
+    """
     return [*studies(context, incomplete), *_paths(incomplete, (".csv",), folders=False)]
 
 
 def cases(context: typer.Context, incomplete: str) -> list[str]:
-    """Offer the cases of all studies whose names begin so."""
+    """Offer the cases of all studies whose names begin so.
+
+    Parameters
+    ----------
+    context, incomplete : Context, str
+        As for :func:`studies`.
+
+    Returns
+    -------
+    list of str
+        At most 200 ids of cases.
+    """
     names = (path.name for study in _results_in(context) for path in _inside(study / "cases"))
     return _beginning(incomplete, names)[:_MOST]
 

@@ -27,12 +27,24 @@ SAME = 4
 
 
 def print_json(document: object) -> None:
-    """One JSON document on stdout; never a bare NaN."""
+    """One JSON document on stdout; never a bare NaN.
+
+    Parameters
+    ----------
+    document : object
+        Plain data. A number that is not finite raises ValueError.
+    """
     print(json.dumps(document, indent=2, allow_nan=False))
 
 
 def complain(error: StudyError) -> None:
-    """Print every fault of an error on stderr."""
+    """Print every fault of an error on stderr.
+
+    Parameters
+    ----------
+    error : StudyError
+        Faults with the same rule and mend are printed once, with their places.
+    """
     faults = error.faults if isinstance(error, InputError) else (str(error),)
     head = "error" if len(faults) == 1 else f"{len(faults)} errors"
     print(f"{head}:", file=sys.stderr)
@@ -56,13 +68,25 @@ def _folded(faults: Sequence[Fault | str]) -> Iterator[str]:
 
 
 def warn(messages: Sequence[str]) -> None:
-    """Print warnings on stderr, each once."""
+    """Print warnings on stderr, each once.
+
+    Parameters
+    ----------
+    messages : sequence of str
+        Printed in this order; further lines of one are indented.
+    """
     for message in dict.fromkeys(messages):
         print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
 def paragraph(text: str) -> None:
-    """Print a sentence or more, folded to the width of the terminal, at most 100 columns."""
+    """Print a sentence or more, folded to the width of the terminal, at most 100 columns.
+
+    Parameters
+    ----------
+    text : str
+        Line breaks in it count as spaces.
+    """
     import shutil
     import textwrap
 
@@ -70,7 +94,15 @@ def paragraph(text: str) -> None:
 
 
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print rows of text as a table; the first is the header."""
+    """Print rows of text as a table; the first is the header.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        Cells, as many in every row; without rows nothing is printed.
+    title : str
+        Printed above; empty for none.
+    """
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -91,6 +123,11 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
 def seconds(value: float) -> str:
     """Give a duration in words.
 
+    Parameters
+    ----------
+    value : float
+        Duration in s.
+
     Examples
     --------
     >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
@@ -108,7 +145,15 @@ def seconds(value: float) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Give a number in a few digits, or a dash."""
+    """Give a number in a few digits, or a dash.
+
+    Parameters
+    ----------
+    value : float or None
+        None gives the dash.
+    digits : int
+        Significant digits.
+    """
     return "-" if value is None else f"{value:.{digits}g}"
 
 
@@ -168,13 +213,25 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 def next_step(what: str, command: str, *, beside: bool = False) -> None:
     """Say what can be done next, and the command that does it.
 
-    ``beside`` is for verbs whose stdout is a list that scripts read.
+    Parameters
+    ----------
+    what : str
+        What the command does, in words that follow "next,".
+    command : str
+        As it is typed; may have several lines.
+    beside : bool
+        Whether it goes to stderr: for verbs whose stdout is a list that scripts read.
     """
     print(f"next, {what}:\n  {command}", file=sys.stderr if beside else sys.stdout)
 
 
 def counts(cases: Mapping[str, int]) -> str:
     """Cases in one line.
+
+    Parameters
+    ----------
+    cases : mapping of str to int
+        ``total``, ``done``, ``failed`` and ``missing``.
 
     Examples
     --------
@@ -188,7 +245,18 @@ def counts(cases: Mapping[str, int]) -> str:
 
 
 def curve_rows(curve: Curve) -> list[list[str]]:
-    """Rows of a table of the quantities that a curve has."""
+    """Rows of a table of the quantities that a curve has.
+
+    Parameters
+    ----------
+    curve : Curve
+        Time in s, displacement in mm, force in N and stiffness in N/mm are shown where it has them.
+
+    Returns
+    -------
+    list of list of str
+        The header with units, and one row for every row of the curve.
+    """
     every = {
         "time [s]": curve.time_s,
         "displacement [mm]": curve.displacement_mm,
@@ -201,7 +269,14 @@ def curve_rows(curve: Curve) -> list[list[str]]:
 
 
 def print_nuisance(found: Document) -> None:
-    """Show nuisance parameters and the share that each has in the variance of the constants."""
+    """Show nuisance parameters and the share that each has in the variance of the constants.
+
+    Parameters
+    ----------
+    found : mapping
+        Document of each parameter by its name, in the units of the file; shares are from 0 to 1.
+        Nothing is printed where it is empty.
+    """
     if not found:
         return
     constants = next(iter(found.values()))["shares"]

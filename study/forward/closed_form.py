@@ -30,7 +30,13 @@ if TYPE_CHECKING:  # it loads compiled kernels
 
 
 def height_and_area(specimen: Specimen) -> tuple[float, float]:
-    """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
+    """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        The mean cross-section of a closed surface is its volume over its height.
+    """
     if not isinstance(specimen, Enclosed):
         return specimen.height_mm, specimen.area_mm2
     from study.surface.surface import body
@@ -224,7 +230,27 @@ def _check_height(height: float, d: Array, sense: float) -> None:
 
 
 def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates."""
+    """Force of a cylinder or block compressed between frictionless plates.
+
+    Parameters
+    ----------
+    specimen : Specimen
+        Its height and cross-section count.
+    material : Material
+        Of the specimen.
+    displacement_mm : ndarray, shape (n,)
+        Displacements of the plate from 0, positive into the specimen and below its height.
+
+    Returns
+    -------
+    Curve
+        Positive where the specimen resists, with ``force_gradient`` in N per MPa.
+
+    Raises
+    ------
+    InputError
+        If a displacement reaches the height.
+    """
     return homogeneous(specimen, material, displacement_mm)
 
 
@@ -233,6 +259,23 @@ def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) ->
 
     The force is linear in C10 where Poisson's ratio is given, so one linear least squares
     step is the answer between frictionless plates; elsewhere it is close enough for a start.
+
+    Parameters
+    ----------
+    config : mapping
+        Resolved tables ``specimen``, ``test`` and ``material``; the energy may be any.
+    displacement_mm, force_N : ndarray, shape (n,)
+        Measured rows: positive displacement of the test, and positive force where it resists.
+
+    Returns
+    -------
+    dict of str to float
+        ``C10`` alone.
+
+    Raises
+    ------
+    InputError
+        If the best C10 is not finite and positive, as where the force has the wrong sign.
     """
     model = _force_per_C10(config, np.asarray(displacement_mm, dtype=float))
     c10 = float(model @ force_N / (model @ model))

@@ -119,12 +119,30 @@ def solve(
 
 
 def program(word: str) -> str | None:
-    """Path of a program on this machine; None where there is none."""
+    """Path of a program on this machine; None where there is none.
+
+    Parameters
+    ----------
+    word : str
+        First word of a command: a name on the PATH or a path; ``"python"`` is the interpreter that
+        runs this package.
+    """
     return sys.executable if word == PYTHON else shutil.which(word)
 
 
 def said_version(argv: tuple[str, ...]) -> str:
-    """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201."""
+    """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201.
+
+    Parameters
+    ----------
+    argv : tuple of str
+        Command that asks for the version, ended after 20 s; may be empty.
+
+    Returns
+    -------
+    str
+        At most 200 characters; empty without a command or a program, or where it says nothing.
+    """
     path = program(argv[0]) if argv else None
     if path is None:
         return ""

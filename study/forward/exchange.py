@@ -148,7 +148,23 @@ def answer(files: Text, displacement_mm: Array) -> Answer:
 def at_points(
     columns: Mapping[str, Array], displacement_mm: Array, facts: Mapping[str, int]
 ) -> Answer:
-    """Curve of some columns at the displacements asked for; raises :class:`NoAnswer`."""
+    """Curve of some columns at the displacements asked for.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (m,)
+        ``displacement_mm``, ``force_N``, and ``dforce_NAME`` in N per MPa for every constant NAME
+        whose gradient is known.
+    displacement_mm : ndarray, shape (n,)
+        Where the force is wanted, rising to the end of the test.
+    facts : mapping of str to int
+        ``dofs`` and ``elements`` of the mesh; 0 where missing.
+
+    Raises
+    ------
+    NoAnswer
+        If the displacements of the columns do not rise from 0 on, or end before the test does.
+    """
     reached, force = _checked(columns, float(displacement_mm[-1]))
     known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     gradient = {name: between(reached, slope, displacement_mm) for name, slope in known.items()}
@@ -158,7 +174,21 @@ def at_points(
 
 
 def between(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin; the very values where points are asked for."""
+    """Cubic spline from the unloaded origin; the very values where points are asked for.
+
+    Parameters
+    ----------
+    knots, values : ndarray, shape (m,)
+        Increasing places, not negative, and the values there. The origin (0, 0) is put before them
+        unless the first place is 0; fewer than three places in all are joined by straight lines.
+    at : ndarray, shape (n,)
+        Places asked for; beyond the last knot the last value holds.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In the unit of ``values``.
+    """
     from scipy.interpolate import CubicSpline
 
     x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])

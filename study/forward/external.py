@@ -170,7 +170,18 @@ def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
 
 
 def common_digest(models: Sequence[External]) -> str:
-    """Name of all commands of a study together, which a person allows at once."""
+    """Name of all commands of a study together, which a person allows at once.
+
+    Parameters
+    ----------
+    models : sequence of External
+        Models of kind ``"command"``, in any order.
+
+    Returns
+    -------
+    str
+        12 digits of a hash; empty without models.
+    """
     return digest(sorted(one.digest for one in models), DIGITS) if models else ""
 
 
@@ -191,6 +202,17 @@ def _refusal(name: str, commands: Sequence[External], allowed: bool | str) -> st
 
 
 def steps_of(values: Array) -> Array:
-    """Step of the finite difference by every constant, shape (p,)."""
+    """Step of the finite difference by every constant, shape (p,).
+
+    Parameters
+    ----------
+    values : ndarray, shape (p,)
+        Constants where the difference is taken, in MPa (exponents plain).
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        In the units of ``values``: 0.001 of each, and of the largest for a constant that is 0.
+    """
     largest = float(np.abs(values).max(initial=0.0)) or 1.0
     return STEP * np.where(values != 0.0, np.abs(values), largest)

@@ -105,7 +105,16 @@ _LOADED: set[tuple[str, ...]] = set()
 
 
 def load_compiled(problem: Problem) -> None:
-    """Solve a small relative of a problem, once for each kind."""
+    """Solve a small relative of a problem, once for each kind.
+
+    The compiled loops are then in memory, so that the time of the problem itself is its own.
+
+    Parameters
+    ----------
+    problem : Problem
+        Nothing is done where it has no elements, or where this process has solved one of the same
+        space, law and kind of test.
+    """
     if problem.setup.has_no_elements:
         return
     key = (problem.model.space, problem.material.law().kind.name, problem.test.kind)
@@ -159,12 +168,20 @@ def at_steps(
 ) -> Solution:
     """Forward solution at the load steps of the problem, however far apart they are.
 
-    In closed form of a gauge section, else by elements; parameters as of :func:`solve`.
+    In closed form of a gauge section, else by elements.
 
     Parameters
     ----------
+    problem : Problem
+        What is simulated.
+    gradients : bool
+        Whether dF/dconstant is computed; the closed form always has it.
+    warm : Solution, optional
+        Earlier solution of the same problem with other constants.
+    options : Options, optional
+        Tolerances and step rule, used by the elements alone; those of the solver by default.
     progress : callable, optional
-        Called with the share that is done after every load step of the elements.
+        Called with the share that is done, 0 to 1, after every load step of the elements.
     """
     if problem.setup.has_no_elements:
         return closed_form.solution(problem)

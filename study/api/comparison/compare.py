@@ -59,6 +59,13 @@ def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS
     ----------
     first, second : str or Path
         Results folder, design file or name of each study.
+    results : str or Path
+        Folder of all results, where a study is given by its name or its design file.
+
+    Returns
+    -------
+    Comparison
+        Both studies, and what they say beside each other.
 
     Raises
     ------
@@ -73,6 +80,16 @@ def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS
 
 def compare(first: StudyResult, second: StudyResult) -> Beside:
     """Set two opened studies beside each other.
+
+    Parameters
+    ----------
+    first, second : StudyResult
+        Opened and analyzed; where a value stands for each study, that of ``first`` comes first.
+
+    Returns
+    -------
+    Beside
+        Changed inputs, one conclusion for every shared response and term, and what only one has.
 
     Raises
     ------

@@ -25,7 +25,19 @@ _NOT_RECORDED = "not recorded"
 
 
 def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
-    """Every input that differs, the design's keys first."""
+    """Every input that differs, the design's keys first.
+
+    Parameters
+    ----------
+    first, second : StudyResult
+        Each change holds the value of ``first`` and then that of ``second``.
+
+    Returns
+    -------
+    tuple of Change
+        Of designs, cases and blocks, measured files, truths of virtual specimens, code versions.
+        Name and question of the study and formats of its report are left out.
+    """
     studies = (first, second)
     return (
         *_differing("design", *(_keys(study) for study in studies)),
@@ -37,7 +49,18 @@ def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
 
 
 def run_changes(first: ManifestDocument, second: ManifestDocument) -> tuple[Change, ...]:
-    """Every input that differs between two runs of a study, by their manifests."""
+    """Every input that differs between two runs of a study, by their manifests.
+
+    Parameters
+    ----------
+    first, second : mapping
+        Manifest of the earlier and of the later run; each change holds their values in this order.
+
+    Returns
+    -------
+    tuple of Change
+        As of :func:`changes`, without the number of cases and blocks.
+    """
     runs = (first, second)
     designs = [loads(run["design"], run["source"]).config for run in runs]
     return (

@@ -56,7 +56,28 @@ def design_series(
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
 ) -> DesignConvergence:
-    """Refine every cell of a design: whole cases where it has measurements, else problems."""
+    """Refine every cell of a design: whole cases where it has measurements, else problems.
+
+    Parameters
+    ----------
+    source : str or Path
+        Design file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    data : Path
+        Folder of the measurements.
+    jobs : int or None
+        Worker processes; None for one a core.
+    results : Path
+        Where solutions and records are kept, in a folder of the study's name.
+    progress : callable
+        Called with a sentence before every round of solutions, or after every case.
+    reports : Path, optional
+        Where a page with figures goes; None writes none.
+    memory_MB : float, optional
+        Memory that one solution may take; by default 70 % of what is free. It is not used where the
+        design has measurements.
+    """
     design = load(source, overrides)
     workers = jobs or default_jobs()
     if design.measurements is None:
@@ -76,7 +97,25 @@ def problem_cells(
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
 ) -> DesignConvergence:
-    """Judge every cell of a design without measurements, and what each accuracy costs."""
+    """Judge every cell of a design without measurements, and what each accuracy costs.
+
+    Parameters
+    ----------
+    design : Design
+        Its table ``converge`` says quantity, accuracy and time budget.
+    jobs : int
+        Worker processes.
+    results : Path
+        Where solutions are kept, in a folder of the study's name.
+    progress : callable
+        Called with a sentence before every round of solutions.
+    reports : Path, optional
+        Where a page with figures goes; None writes none.
+    memory_MB : float, optional
+        Memory that one solution may take; by default 70 % of what is free.
+    solve : callable, optional
+        Solves tasks instead of ``jobs`` processes of this machine; nothing is then kept.
+    """
     spec = design.converge
     curve_quantities.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
@@ -211,7 +250,30 @@ def measured_cells(
     reports: Path | None = None,
     executor: Executor | None = None,
 ) -> DesignConvergence:
-    """Refine every cell of a study in its first block: its calibration, its score, its curve."""
+    """Refine every cell of a study in its first block: its calibration, its score, its curve.
+
+    Parameters
+    ----------
+    design : Design
+        With measurements.
+    data : Path
+        Folder of the measurements.
+    jobs : int
+        Worker processes.
+    results : Path
+        Where records are kept, in a folder of the study's name; what it holds is computed no more.
+    progress : callable
+        Called with a sentence once before, and after every computation.
+    reports : Path, optional
+        Where a page with figures goes; None writes none.
+    executor : Executor, optional
+        Where cases are computed; by default ``jobs`` processes of this machine.
+
+    Returns
+    -------
+    DesignConvergence
+        ``left_out`` holds the cells for which the time budget of the design was too short.
+    """
     whole = expand(design, data)
     work = whole.plain()
     store, seconds = Store(results / design.name), design.converge.budget_s

@@ -35,8 +35,21 @@ def write_page(
 
     Parameters
     ----------
+    name : str
+        Title of the page; its folder below ``reports`` has the same name, made fit for a file.
+    question : str
+        Of the study; empty for a problem.
+    found : ProblemConvergence or DesignConvergence
+        Series of one problem, or of every cell of a design.
     tables : sequence of mapping
         Resolved problem of every cell.
+    reports : Path
+        Folder of all reports.
+
+    Returns
+    -------
+    Path
+        The page.
     """
     pictures, window = meshes(found.cells, tables)
     folder = reports / slug(name)
@@ -46,7 +59,23 @@ def write_page(
 def meshes(
     cells: Sequence[SeriesJudgement], tables: Sequence[Tables]
 ) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
-    """Coarsest and finest plane mesh of cells with different meshes, and the window to see."""
+    """Coarsest and finest plane mesh of cells with different meshes, and the window to see.
+
+    Parameters
+    ----------
+    cells : sequence of SeriesJudgement
+        Cells in 3D and cells without a converged mesh are passed over.
+    tables : sequence of mapping
+        Resolved problem of every cell, in the same order.
+
+    Returns
+    -------
+    pictures : list of tuple
+        Label, vertices in mm, shape (n, 2), and vertex numbers of the elements, shape (m, 3) or
+        (m, 4); at most two meshes of each of :data:`SHOWN` cells.
+    window : ndarray, shape (2, 2), or None
+        Of :func:`near`, for the first cell shown; None where no mesh is shown.
+    """
     found: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
     for cell, own in zip(cells, tables, strict=True):
@@ -69,7 +98,18 @@ def _picture(tables: Tables, size: float) -> tuple[str, tuple[str, Array, NDArra
 
 
 def near(tables: Tables) -> Array:
-    """Corner of the section that matters: under an indenter, or where plate and side meet."""
+    """Corner of the section that matters: under an indenter, or where plate and side meet.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved problem.
+
+    Returns
+    -------
+    ndarray, shape (2, 2)
+        Radius and height in mm of the lower inner and of the upper outer corner of a window.
+    """
     made = problem_of(tables)
     height, area = height_and_area(made.specimen)
     radius = float(np.sqrt(area / np.pi))

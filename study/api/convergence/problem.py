@@ -119,6 +119,18 @@ def converge(
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     """Judge the series that a finished study keeps.
 
+    Parameters
+    ----------
+    source : str or Path
+        Results folder, design file or name of the study.
+    results : Path
+        Folder of all results, where ``source`` is a name or a design file.
+
+    Returns
+    -------
+    dict
+        ``cells``, one judged series for each cell and response: ``study converge --json``.
+
     Raises
     ------
     InputError
@@ -148,7 +160,29 @@ def problem(
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
 ) -> ProblemConvergence:
-    """Refine one problem until its meshes are enough, and study the other errors beside."""
+    """Refine one problem until its meshes are enough, and study the other errors beside.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        Problem file, or its tables as :func:`study.solve` takes them.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    formal_order : float, optional
+        Order that the elements promise; that of the problem by default.
+    tolerance : float
+        Algebraic error of the quantity, in its unit; 0 for that of the solver.
+    results : Path
+        Where solutions are kept, in a folder of the file's name (``problem`` for tables).
+    reports : Path, optional
+        Where a page with figures goes; None writes none.
+    progress : callable
+        Called with a sentence before every round of solutions.
+    memory_MB : float, optional
+        Memory that one solution may take; by default 70 % of what is free.
+    solve : callable, optional
+        Solves tasks instead of this process; nothing is then kept.
+    """
     tables = problem_tables(source, overrides)
     name = "problem" if isinstance(source, Mapping) else Path(source).stem
     spec = tables.get("converge")

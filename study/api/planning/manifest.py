@@ -12,7 +12,18 @@ from study.runner.provenance import versions
 
 
 def manifest_of(work: Work) -> ManifestDocument:
-    """Say what a study is, before anything of it is computed."""
+    """Say what a study is, before anything of it is computed.
+
+    Parameters
+    ----------
+    work : Work
+        Every case of the study, with its measurements.
+
+    Returns
+    -------
+    dict
+        Manifest for the store, with versions of today and no timings yet.
+    """
     return {
         "name": work.design.name,
         "design": dump(work.design),

@@ -133,6 +133,24 @@ def plan(
 
     Data that are not there yet do not stop a plan: it then counts cells, not cases.
 
+    Parameters
+    ----------
+    design : Design, str or Path
+        The study, or its file.
+    data : str or Path, optional
+        Folder of the measurements.
+    results : str or Path
+        Folder of all results; what the study's own holds is not computed again.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated; not used for a Design.
+    jobs : int, optional
+        Workers by which the wall time is predicted; one a core by default.
+
+    Returns
+    -------
+    Plan
+        Cells, cases, predicted time in s and memory in MB; no time where measurements are missing.
+
     Raises
     ------
     InputError
@@ -206,6 +224,13 @@ def _idle_replicates(work: Work) -> list[str]:
 
 def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
     """Progress of a study, from any shell.
+
+    Parameters
+    ----------
+    path : str or Path
+        Results folder, design file or name of the study.
+    results : str or Path
+        Folder of all results, where ``path`` is a name or a design file.
 
     Returns
     -------

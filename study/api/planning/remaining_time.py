@@ -25,21 +25,62 @@ NOTED_S = 0.2
 
 
 def controls_of(work: Work, store: Store) -> list[CaseJob]:
-    """Cells of the spaces' control that have no solution yet."""
+    """Cells of the spaces' control that have no solution yet.
+
+    Parameters
+    ----------
+    work : Work
+        The study; its replicates are left out.
+    store : Store
+        Its results.
+
+    Returns
+    -------
+    list of CaseJob
+        One for each cylinder to be solved; empty for a study without both spaces and a block.
+    """
     plain = work.plain()
     hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
     return upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
 
 
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
-    """Wall time of the cells of the spaces' control."""
+    """Wall time of the cells of the spaces' control.
+
+    Parameters
+    ----------
+    controls : sequence of CaseJob
+        Of :func:`controls_of`.
+    workers : int
+        Solutions at once.
+
+    Returns
+    -------
+    float
+        Predicted seconds; no less than the longest solution takes.
+    """
     costs = Costs()
     own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
     return costs.side_by_side(own, workers)
 
 
 def refinement_seconds(work: Work, store: Store, workers: int) -> float:
-    """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
+    """Wall time of the refined cases; none where the cells themselves are a series of meshes.
+
+    Parameters
+    ----------
+    work : Work
+        The study; its replicates are left out.
+    store : Store
+        Its results: refined cases that it holds cost nothing.
+    workers : int
+        Cases at once.
+
+    Returns
+    -------
+    float
+        Predicted seconds.
+    """
     plain = work.plain()
     if own_series(plain, {}):
         return 0.0
@@ -51,7 +92,22 @@ def refinement_seconds(work: Work, store: Store, workers: int) -> float:
 def with_time_left(
     store: Store, progress: Callable[[Progress], None] | None, later: float
 ) -> Callable[[Progress], None]:
-    """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    """Progress that also counts ``later`` seconds, and is left beside the lock for others.
+
+    Parameters
+    ----------
+    store : Store
+        Results of the study, whose lock is held.
+    progress : callable or None
+        Called with every state; None calls nothing.
+    later : float
+        Seconds of what is computed after the part whose progress is told.
+
+    Returns
+    -------
+    callable
+        Takes the progress of a part. Notes for other shells are at least 0.2 s apart.
+    """
     noted = -math.inf
 
     def note(state: Progress) -> None:
@@ -77,7 +133,14 @@ def with_time_left(
 
 
 def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
-    """Seconds that a runner still needs, from what it noted; None where it noted nothing."""
+    """Seconds that a runner still needs, from what it noted; None where it noted nothing.
+
+    Parameters
+    ----------
+    runner : mapping or None
+        What its lock file says: ``seconds_left``, and the time ``at`` which that was noted (ISO
+        text with a zone); None where no runner is at work.
+    """
     said = runner or {}
     try:
         noted_at = datetime.datetime.fromisoformat(str(said["at"]))

@@ -44,13 +44,32 @@ def _table(design: Design) -> Mapping[str, object]:
 
 
 def added(design: Design) -> list[list[float]]:
-    """Cells that were added, as they stand in the design."""
+    """Cells that were added, as they stand in the design.
+
+    Parameters
+    ----------
+    design : Design
+        One that is not adaptive has none.
+
+    Returns
+    -------
+    list of list of float
+        For each cell the share of every factor's range, 0 to 1, in the order of the factors.
+    """
     cells = _table(design).get("added", ())
     return [list(cell) for cell in cells] if isinstance(cells, list | tuple) else []
 
 
 def with_added(design: Design, cells: Sequence[Sequence[float]]) -> Design:
-    """Copy of a design with other cells added to its Latin hypercube."""
+    """Copy of a design with other cells added to its Latin hypercube.
+
+    Parameters
+    ----------
+    design : Design
+        An adaptive one; cells that it has added already are dropped.
+    cells : sequence of sequence of float
+        As of :func:`added`; empty for the design as it is written.
+    """
     table = {key: value for key, value in _table(design).items() if key != "added"}
     if cells:
         table["added"] = [list(cell) for cell in cells]

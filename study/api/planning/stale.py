@@ -27,6 +27,11 @@ _MEND = (
 def check_choice(stale: str) -> None:
     """Refuse a word that is none of :data:`CHOICES`.
 
+    Parameters
+    ----------
+    stale : str
+        What the user wants of stale results.
+
     Raises
     ------
     InputError
@@ -44,6 +49,10 @@ def check_stale(work: Work, store: Store, stale: str) -> list[str]:
 
     Parameters
     ----------
+    work : Work
+        The study as it is now.
+    store : Store
+        Its results; it is told here whether those of other libraries count.
     stale : str
         ``"refuse"`` stops for either, ``"warn"`` says which libraries differ and uses the
         results, ``"rerun"`` computes them again.
@@ -79,6 +88,18 @@ def mixed_meshes(work: Work, store: Store) -> list[str]:
     """Warn of cells whose cases were computed on meshes that should be one and are not.
 
     The same problem gives the same mesh; another one is the work of another gmsh or machine.
+
+    Parameters
+    ----------
+    work : Work
+        The study as it is now.
+    store : Store
+        Its results.
+
+    Returns
+    -------
+    list of str
+        One warning, which names the first such cell; empty where there is none.
     """
     meshes = store.meshes(work.input_hashes)
     found: dict[str, set[str]] = defaultdict(set)

@@ -59,6 +59,20 @@ def _plain(change: Change) -> dict[str, object]:
 def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
     """Record of one case, found by the beginning of its id in one study or in all of them.
 
+    Parameters
+    ----------
+    case : str
+        Id of the case, or its beginning.
+    study : str or Path, optional
+        Results folder, design file or name of the study to look in; all by default.
+    results : str or Path
+        Folder of all results.
+
+    Returns
+    -------
+    Record
+        The only one whose id begins so.
+
     Raises
     ------
     InputError

@@ -90,7 +90,18 @@ class Folders:
 
 
 def progress_of(folder: Path) -> Progress | None:
-    """Read what the runner in a folder said last; None where none is at work."""
+    """Read what the runner in a folder said last; None where none is at work.
+
+    Parameters
+    ----------
+    folder : Path
+        Results of one study.
+
+    Returns
+    -------
+    Progress or None
+        0 of 0 and ``"started"`` where the runner has said nothing yet.
+    """
     if not lock.is_locked(folder):
         return None
     said = lock.holder(folder)

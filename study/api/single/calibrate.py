@@ -156,6 +156,22 @@ def choose_energy(
 ) -> EnergyChoice:
     """Fit every energy to the tests of a calibration and weigh them by AICc.
 
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file: its compressibility is kept, the energy that it names does not matter.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    progress : callable, optional
+        Gets every accepted iteration.
+
+    Returns
+    -------
+    EnergyChoice
+        A fit of every energy that converged, its Akaike weight, and why others have no answer.
+
     Raises
     ------
     InputError
@@ -228,7 +244,15 @@ def _located(config: CalibrationDesign, source: str | Path, root: Path) -> Calib
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
-    """Write the document and the figure of a calibration; returns both paths."""
+    """Write the document and the figure of a calibration; returns both paths.
+
+    Parameters
+    ----------
+    found : CalibrationResult
+        With its curves.
+    folder : Path
+        Made where it is missing; gets ``calibration.json`` and ``calibration.svg``.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     document, figure = folder / "calibration.json", folder / "calibration.svg"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
@@ -238,5 +262,16 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
 
 
 def calibration_figure(found: CalibrationResult) -> str:
-    """Every measured curve with its fit, as SVG."""
+    """Every measured curve with its fit, as SVG.
+
+    Parameters
+    ----------
+    found : CalibrationResult
+        With its curves; a curve without a prediction is drawn alone.
+
+    Returns
+    -------
+    str
+        Text of the SVG.
+    """
     return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 def writable(*paths: Path | None) -> None:
     """Refuse files that could not be written, before anything is computed.
 
+    Parameters
+    ----------
+    *paths : Path or None
+        Files to be written; None is passed over.
+
     Raises
     ------
     InputError
@@ -33,6 +38,13 @@ def writable(*paths: Path | None) -> None:
 def write_vtu(solution: Solution, path: str | Path) -> None:
     """Write displacement, J and stress of the last converged step for ParaView.
 
+    Parameters
+    ----------
+    solution : Solution
+        One with elements.
+    path : str or Path
+        VTU file, overwritten where there is one.
+
     Raises
     ------
     InputError
@@ -45,6 +57,13 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
 
 def write_picture(solution: Solution, path: str | Path) -> None:
     """Draw the mesh of a solution before and after its deformation.
+
+    Parameters
+    ----------
+    solution : Solution
+        One with elements; its last converged step is drawn.
+    path : str or Path
+        SVG file, overwritten where there is one.
 
     Raises
     ------

@@ -132,7 +132,15 @@ def _poisson_ratio(volume: Compressibility) -> float:
 
 
 def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
-    """Write the document, and a table with one row a curve; returns both paths."""
+    """Write the document, and a table with one row a curve; returns both paths.
+
+    Parameters
+    ----------
+    found : AnalyticCalibration
+        Moduli in MPa; the table has them in kPa.
+    folder : Path
+        Made where it is missing; gets ``analytic.json`` and ``moduli.csv``.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)

@@ -11,6 +11,13 @@ from study.design.load import load_calibration
 def is_analytic(source: str | Path, overrides: Sequence[str] = ()) -> bool:
     """Whether a calibration file asks for the closed form of indentations.
 
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
     Raises
     ------
     InputError

@@ -77,6 +77,13 @@ def solve(
 def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
     """Sentences about moduli and sizes in a file that no soft material or specimen has.
 
+    Parameters
+    ----------
+    problem : str or Path
+        Problem file.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
     Raises
     ------
     InputError
@@ -104,7 +111,18 @@ def _judge(problem: Problem) -> None:
 
 
 def solution_json(solution: Solution) -> dict[str, object]:
-    """Document of ``study solve --json``."""
+    """Document of ``study solve --json``.
+
+    Parameters
+    ----------
+    solution : Solution
+        Converged or not.
+
+    Returns
+    -------
+    dict
+        Plain data without the mesh and its fields; a number that is not finite is None.
+    """
     curve, warm = solution.curve, solution.warm
     content = {
         "status": solution.status,

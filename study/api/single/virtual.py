@@ -29,6 +29,8 @@ def virtual(
         Data root: the files get the names that the design gives them below it.
     source : str or Path, optional
         The design, or a file of ``study tracking``.
+    overrides : sequence of str
+        ``key=value`` each, laid over the design before it is validated.
     truth : str
         Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
     blocks : int, optional

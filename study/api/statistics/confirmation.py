@@ -99,7 +99,13 @@ def _identity(manifest: Mapping[str, object]) -> str:
 
 
 def code_of(manifest: Mapping[str, object]) -> str:
-    """Version of this program that a run was made with."""
+    """Version of this program that a run was made with.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Of the run; the text is empty where it names no versions.
+    """
     versions = manifest.get("versions")
     return str(versions.get("study")) if isinstance(versions, Mapping) else ""
 

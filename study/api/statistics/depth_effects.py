@@ -34,6 +34,11 @@ _FEWEST = 5
 def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
     """Largest difference of every main effect over the first part of the test.
 
+    Parameters
+    ----------
+    study : StudyResult
+        Responses that compare curves are scored again up to each of :data:`SHARES` of the depth.
+
     Returns
     -------
     tuple of DepthEffect

@@ -36,6 +36,12 @@ def analyze_records(
 
     Parameters
     ----------
+    design : Design
+        Its table ``analysis`` says factors, error term and size of the tests.
+    records : sequence of Record
+        One a case, failed cases and replicates included.
+    response : Response
+        With its transformation and the smallest difference that matters.
     numerical : sequence of Numerical
         What refinement found; see :func:`study.api.uncertainty.numerical.numerical_bound`.
 
@@ -59,6 +65,11 @@ def effects_of_records(
     """Effects alone of :func:`analyze_records`, which is given the same.
 
     Nothing is checked of the assumptions, and no block is left out in turn.
+
+    Parameters
+    ----------
+    design, records, response, numerical : Design, sequence, Response, sequence
+        As for :func:`analyze_records`.
     """
     rows, request, _ = _asked(design, records, response, numerical)
     return effects(rows, request)
@@ -101,6 +112,13 @@ def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
     """Count the specimens that a study measured; None for what was simulated alone.
 
     That says nothing of specimens, and needs none.
+
+    Parameters
+    ----------
+    design : Design
+        Says whether curves were measured.
+    records : sequence of Record
+        Their blocks are the specimens; without blocks there is one.
     """
     blocks = {record.block for record in records} - {None}
     return max(len(blocks), 1) if design.is_measured else None
@@ -146,9 +164,11 @@ def rows_for(
     ----------
     table : DataFrame
         Of :func:`study.record.table`.
+    response : str
+        Column of the response.
     factors : sequence of str
         All factors of the study.
-    error : str
+    error : {"auto", "pooled", "own", "replicates"}
         As the design asks; with ``"replicates"`` they are taken even where there are blocks,
         over which the response is then averaged.
     block : str or None
@@ -242,14 +262,23 @@ def without_gaps(
 
     Parameters
     ----------
+    design : Design
+        Its cells, without those excluded, are the ones that should have an answer.
     table : DataFrame
         One row a case, as the analysis takes it.
+    response : str
+        Column of the response; missing where a case has no answer.
+    factors : sequence of str
+        Factors that are analyzed.
     block : str or None
         Column of the blocks: a cell counts as answered where more than half of them answer.
+    model : "full", int or sequence
+        Terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
 
     Returns
     -------
     table : DataFrame
+        Rows of the levels that are kept.
     notes : tuple of str
         One sentence for every level left out.
     """

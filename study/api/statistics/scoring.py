@@ -20,6 +20,8 @@ def scored_on(design: Design, response: str, blocks: int) -> str:
 
     Parameters
     ----------
+    design : Design
+        Says which curves are fitted, scored and left out.
     response : str
         Name of a response.
     blocks : int
@@ -48,7 +50,13 @@ def scored_on(design: Design, response: str, blocks: int) -> str:
 
 
 def cross_validated(design: Design, response: str, blocks: int) -> bool:
-    """Whether each specimen is predicted by constants that were fitted to all others."""
+    """Whether each specimen is predicted by constants that were fitted to all others.
+
+    Parameters
+    ----------
+    design, response, blocks : Design, str, int
+        As for :func:`scored_on`.
+    """
     scored = scored_on(design, response, blocks)
     return bool(scored) and _held_out(design, blocks) == "specimen"
 

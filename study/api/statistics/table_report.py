@@ -120,7 +120,18 @@ def write_page(
 
 
 def check_taken(factors: Sequence[str]) -> None:
-    """Refuse factors with a name that the rows of a report have for themselves."""
+    """Refuse factors with a name that the rows of a report have for themselves.
+
+    Parameters
+    ----------
+    factors : sequence of str
+        Columns of the user's table.
+
+    Raises
+    ------
+    InputError
+        Naming every such column; the names are :data:`TAKEN`.
+    """
     taken = [name for name in factors if name in TAKEN]
     if taken:
         rule = "is a name that the report needs for a column of its own"
@@ -129,7 +140,15 @@ def check_taken(factors: Sequence[str]) -> None:
 
 
 def report_data(found: AnalysisResult, source: Source) -> ReportData:
-    """Gather what a report shows of one analysis: levels, rows, provenance."""
+    """Gather what a report shows of one analysis: levels, rows, provenance.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Of a table; its only response is shown without a unit.
+    source : Source
+        File and command line, for provenance and the line that makes the page again.
+    """
     request = found.request
     rows = found.data.residuals
     block = found.data.block
@@ -192,7 +211,18 @@ def _table(found: AnalysisResult) -> pd.DataFrame:
 
 
 def provenance(source: Source) -> dict[str, str]:
-    """List versions, and the hash of the file."""
+    """List versions, and the hash of the file.
+
+    Parameters
+    ----------
+    source : Source
+        One without a file gives versions alone.
+
+    Returns
+    -------
+    dict of str to str
+        By what it is, such as ``"version of numpy"``; packages that are not installed are left out.
+    """
     out = {"version of study": study.__version__, "version of python": platform.python_version()}
     for package in _PACKAGES:
         try:

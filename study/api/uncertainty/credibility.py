@@ -36,7 +36,23 @@ def refine(
     timeout_s: float | None,
     executor: Executor | None = None,
 ) -> None:
-    """Compute the refined cases and store what they say of every response."""
+    """Compute the refined cases and store what they say of every response.
+
+    Parameters
+    ----------
+    work : Work
+        The study without its replicates, whose cases are computed.
+    store : Store
+        Its results; the rows go into it as ``numerical``.
+    jobs : int or None
+        Worker processes; None for one a core.
+    progress : callable or None
+        Called after every computation.
+    timeout_s : float or None
+        Wall-clock limit of one computation in seconds; None for none.
+    executor : Executor, optional
+        Where cases are computed; by default ``jobs`` processes of this machine.
+    """
     series = study_refinement.study_series(work, store.on_demand(work.input_hashes))
     compute = computing(
         work, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
@@ -47,7 +63,15 @@ def refine(
 
 
 def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
-    """Numerical uncertainty of every response that a study asks for, by series."""
+    """Numerical uncertainty of every response that a study asks for, by series.
+
+    Parameters
+    ----------
+    work : Work
+        Says responses and their units; ``seconds`` and ``dofs`` are left out.
+    series : sequence of CaseSeries
+        With the records of their meshes.
+    """
     names = [one.name for one in work.design.responses if one.name not in COSTS]
     return [one.uncertainty(name, work.responses[name]) for one in series for name in names]
 
@@ -59,7 +83,21 @@ def compare_spaces(
     progress: Callable[[Progress], None] | None = None,
     executor: Executor | None = None,
 ) -> None:
-    """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
+    """Solve the equivalent cylinder of a block in both spaces, where a study holds both.
+
+    Parameters
+    ----------
+    work : Work
+        The study without its replicates, whose cases are computed.
+    store : Store
+        Its results; the solutions are kept in it, and the rows as ``spaces``.
+    jobs : int or None
+        Worker processes; None for one a core.
+    progress : callable, optional
+        Called before the first solution, and after every one that was not stored already.
+    executor : Executor, optional
+        Where solutions are made; by default ``jobs`` processes of this machine.
+    """
     pairs = space_comparison.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
@@ -109,7 +147,14 @@ class _Watch:
 
 
 def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
-    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
+    """One check for every kind of element: 3D equals axisymmetric space on a cylinder.
+
+    Parameters
+    ----------
+    rows : tuple of mapping
+        Stored rows of :func:`compare_spaces`. One passes where the forces differ by at most 0.5 %
+        beyond half the depth, its end included.
+    """
     for row in rows:
         kind = listing(list(row["levels"].values())) or "the study's elements"
         name = f"3D equals axisymmetric space on a cylinder ({kind})"

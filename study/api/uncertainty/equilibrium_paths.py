@@ -29,6 +29,8 @@ def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iter
 
     Parameters
     ----------
+    records : sequence of Record
+        Of the study; those without an answer, or without an energy balance, are passed over.
     responses : sequence of str
         Names of the study's responses.
     """

@@ -29,6 +29,8 @@ def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalU
 
     Parameters
     ----------
+    store : Store
+        Results of the study.
     cases : mapping of str to str
         Case ids and input hashes; what ``study converge`` found of others is left out.
     """
@@ -76,8 +78,16 @@ def numerical_bound(
 
     Parameters
     ----------
+    design : Design
+        Its factors and cells.
+    numerical : sequence of NumericalUncertainty
+        What refinement found, of all responses.
+    records : sequence of Record
+        Of the study, for mesh sizes and load steps.
     table : DataFrame
         One row a run, as it is analyzed.
+    response : str
+        Name of the response, and its column in ``table``.
     transform : {"none", "log"}
         The bounds are those of differences on this scale.
 
@@ -189,6 +199,15 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
     """Largest uncertainty of a response from its load steps, in its unit; 0 where none is known.
 
     On the log scale it counts by its share of the value, as that of the mesh does.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of the study; cases without an answer are passed over.
+    response : str
+        Name of the response.
+    transform : {"none", "log"}
+        With ``"log"`` the largest share is taken of the geometric mean of the response.
     """
     entries = [r.responses[response] for r in records if r.converged and response in r.responses]
     found = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
@@ -199,7 +218,13 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
 
 
 def mesh_factor(design: Design) -> str | None:
-    """Name of the factor whose levels are meshes; None without, or with several."""
+    """Name of the factor whose levels are meshes; None without, or with several.
+
+    Parameters
+    ----------
+    design : Design
+        Factors with one level do not count.
+    """
     found = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
     return found[0] if len(found) == 1 else None
 
@@ -231,6 +256,22 @@ def largest_u_num(
 
     On the log scale an uncertainty counts by its share of the value: that of the refined block
     is carried to the geometric mean of all, for a stiff block's in kPa would drown a soft one's.
+
+    Parameters
+    ----------
+    numerical : sequence of NumericalUncertainty
+        What refinement found, of all responses.
+    records : sequence of Record
+        Of the study, for the geometric mean.
+    response : str
+        Name of the response.
+    transform : {"none", "log"}
+        Scale on which the response is analyzed.
+
+    Returns
+    -------
+    float or None
+        None where nothing is known.
     """
     rows = [r for r in numerical if r.response == response and r.u_num is not None]
     if transform != "log":

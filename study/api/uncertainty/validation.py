@@ -39,6 +39,21 @@ def validate(
     ----------
     work : Work
         A study whose cases and refinement are computed.
+    store : Store
+        Its results.
+    jobs : int, optional
+        Worker processes; one a core by default.
+    progress : callable, optional
+        Called after every computation.
+    timeout_s : float, optional
+        Wall-clock limit of one computation in seconds.
+    executor : Executor, optional
+        Where cases are computed; by default ``jobs`` processes of this machine.
+
+    Returns
+    -------
+    list of dict
+        Of :func:`compared`.
     """
     moved = input_work(work)
     if moved.jobs:
@@ -52,7 +67,23 @@ def validate(
 
 
 def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
-    """One row for every case: E and its uncertainty along the curve."""
+    """One row for every case: E and its uncertainty along the curve.
+
+    Parameters
+    ----------
+    work : Work
+        The study.
+    moved : Work
+        Some of its cases again, each with one input moved by its standard uncertainty.
+    store : Store
+        Results with the records of both.
+
+    Returns
+    -------
+    list of dict
+        Forces and uncertainties in N at displacements in mm, with case id, levels and block; cases
+        without an answer are left out.
+    """
     records = store.by_case({**work.input_hashes, **moved.input_hashes})
     inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
     rows = []

@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 
 
 def print_analysis(found: AnalysisResult) -> None:
-    """Print what was found: error term, table, effects, assumptions, warnings."""
+    """Print what was found: error term, table, effects, assumptions, warnings.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Its notes go to stderr; without rows in its ANOVA the tables are left out.
+    """
     term = found.error_term
     print(f"error term {term.source}: {term.question}")
     print(f"  because: {term.reason}\n")
@@ -146,7 +152,13 @@ def _print_simple(found: AnalysisResult, ends: str) -> None:
 
 
 def what_of(found: AnalysisResult) -> str:
-    """Return what an effect is: a difference, or a ratio for a log response."""
+    """Return what an effect is: a difference, or a ratio for a log response.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Its request says on which scale the response was analyzed.
+    """
     return "ratio" if found.request.scale.is_log else "difference"
 
 
@@ -253,7 +265,15 @@ def _print_nested(nested: NestedUnits, alpha: float) -> tuple[str, ...]:
 
 
 def reference_json(factor: str, found: Comparisons) -> dict[str, object]:
-    """Comparisons with a reference as ``--json`` shows them."""
+    """Comparisons with a reference as ``--json`` shows them.
+
+    Parameters
+    ----------
+    factor : str
+        Factor that has the reference level.
+    found : Comparisons
+        Of every other level with the reference.
+    """
     pairs = [asdict(pair) for pair in found.pairs]
     return {
         "factor": factor, "method": found.method, "alpha": found.alpha, "scale": found.effect,
@@ -262,7 +282,13 @@ def reference_json(factor: str, found: Comparisons) -> dict[str, object]:
 
 
 def print_reference(factor: str, found: Comparisons) -> None:
-    """Print the differences from a reference level."""
+    """Print the differences from a reference level.
+
+    Parameters
+    ----------
+    factor, found : str, Comparisons
+        As for :func:`reference_json`.
+    """
     ends = f"{100 * (1 - found.alpha):.4g} % interval"
     rows = [["Level", found.effect, ends, "adjusted p"]]
     rows += [

@@ -67,7 +67,19 @@ def show(
 
 
 def check_none(flags: Mapping[str, str | None]) -> None:
-    """Refuse what only a mixed model has, where none is asked for."""
+    """Refuse what only a mixed model has, where none is asked for.
+
+    Parameters
+    ----------
+    flags : mapping of str to str or None
+        Flags of the command, as they were given; ``--random`` and ``--covariates`` must be among
+        them.
+
+    Raises
+    ------
+    InputError
+        If one of these two is not empty.
+    """
     faults = [
         Fault(flag, "belongs to a mixed model", "add --error reml")
         for flag in ("--random", "--covariates")
@@ -78,7 +90,15 @@ def check_none(flags: Mapping[str, str | None]) -> None:
 
 
 def mixed_json(found: MixedModel, alpha: float) -> dict[str, object]:
-    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null."""
+    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null.
+
+    Parameters
+    ----------
+    found : MixedModel
+        Fitted by restricted maximum likelihood.
+    alpha : float
+        Size of the tests: its intervals have the level 1 - alpha.
+    """
     components = [
         asdict(one) | {"high": None if one.high == float("inf") else one.high}
         for one in found.components
@@ -95,7 +115,13 @@ def mixed_json(found: MixedModel, alpha: float) -> dict[str, object]:
 
 
 def print_mixed(found: MixedModel, alpha: float) -> None:
-    """Print variance components, tests and slopes of a mixed model."""
+    """Print variance components, tests and slopes of a mixed model.
+
+    Parameters
+    ----------
+    found, alpha : MixedModel, float
+        As for :func:`mixed_json`.
+    """
     ends = f"{100 * (1 - alpha):.4g} % interval"
     rows = [["Source", "standard deviation", ends, "share of the variance"]]
     rows += [

@@ -13,7 +13,13 @@ if TYPE_CHECKING:
 
 
 def print_recommendations(found: Sequence[Recommendation]) -> None:
-    """Print the best setting, what is predicted there, and the run that confirms it."""
+    """Print the best setting, what is predicted there, and the run that confirms it.
+
+    Parameters
+    ----------
+    found : sequence of Recommendation
+        One for each combination of levels of conditions and unknowns that are not numbers.
+    """
     for number, one in enumerate(found):
         if number:
             print()
@@ -76,7 +82,13 @@ def _print_confirmed(one: Recommendation) -> None:
 
 
 def print_inverted(found: Inverted) -> None:
-    """Print the set of inputs that agree, what of it is determined, and the true model's runs."""
+    """Print the set of inputs that agree, what of it is determined, and the true model's runs.
+
+    Parameters
+    ----------
+    found : Inverted
+        Without a run at the best setting no runs are printed.
+    """
     rows = [["Input", "Best", "Settings that agree", ""]]
     for one in found.inputs:
         unit = f" {one.unit}" if one.unit else ""

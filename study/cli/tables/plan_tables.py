@@ -58,7 +58,13 @@ def _print_overview(told: Overview) -> None:
 
 
 def print_plan(found: Plan) -> None:
-    """Print cells, costs and what is left to be done."""
+    """Print cells, costs and what is left to be done.
+
+    Parameters
+    ----------
+    found : Plan
+        Its warnings go to stderr; without predicted seconds no time is printed.
+    """
     _print_overview(found.overview)
     print()
     if found.blocks:
@@ -90,7 +96,13 @@ def print_plan(found: Plan) -> None:
 
 
 def print_further(found: Augmentation) -> None:
-    """Print further cells, what they gain, and the table that runs them."""
+    """Print further cells, what they gain, and the table that runs them.
+
+    Parameters
+    ----------
+    found : Augmentation
+        With one further cell or more.
+    """
     names = list(found.cells[0])
     rows = [names, *([cell[name] for name in names] for cell in found.cells)]
     print()

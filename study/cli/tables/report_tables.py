@@ -18,12 +18,24 @@ Rows = list[list[str]]
 
 
 def verdict_rows(data: ReportData) -> Rows:
-    """Verdict table; the first row is the header."""
+    """Verdict table; the first row is the header.
+
+    Parameters
+    ----------
+    data : ReportData
+        Of a study, with all its responses.
+    """
     return _rows(tables.verdicts(facts(data), data))
 
 
 def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
-    """Title and verdict table of each response, narrow enough for a terminal."""
+    """Title and verdict table of each response, narrow enough for a terminal.
+
+    Parameters
+    ----------
+    data : ReportData
+        Of a study, with all its responses.
+    """
     header, *rows = verdict_rows(data)
     shown = [i for i, name in enumerate(header) if name != "response"]
     found: dict[str, Rows] = {}
@@ -34,7 +46,18 @@ def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
 
 
 def unresolved_lines(data: ReportData) -> list[str]:
-    """Say of every factor that its interval does not leave open what does, and where."""
+    """Say of every factor that its interval does not leave open what does, and where.
+
+    Parameters
+    ----------
+    data : ReportData
+        Main effects are looked at whose verdict is not resolved, or :func:`refused`.
+
+    Returns
+    -------
+    list of str
+        One line for each of them.
+    """
     said = [
         verdicts.verdict(effect, found, data.labels)
         for found in facts(data)
@@ -45,7 +68,13 @@ def unresolved_lines(data: ReportData) -> list[str]:
 
 
 def refused(effect: Effect) -> bool:
-    """Whether the interval of a difference makes a claim that its verdict does not."""
+    """Whether the interval of a difference makes a claim that its verdict does not.
+
+    Parameters
+    ----------
+    effect : Effect
+        One without an interval or without a practical difference makes no claim.
+    """
     ends = (effect.low, effect.high, effect.practical)
     if effect.verdict != CANNOT_TELL or None in ends:
         return False
@@ -54,18 +83,37 @@ def refused(effect: Effect) -> bool:
 
 
 def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
-    """Title and table of the differences that the design asks for, of each response."""
+    """Title and table of the differences that the design asks for, of each response.
+
+    Parameters
+    ----------
+    data : ReportData
+        Responses without such differences are left out.
+    """
     found = [(item.title, analysis_tables.contrasts(item)) for item in facts(data)]
     return [(f"{title}: asked for", _rows(table)) for title, table in found if table is not None]
 
 
 def contrast_rows(found: AnalysisResult) -> Rows:
-    """Differences of an analysis that were asked for; the first row is the header."""
+    """Differences of an analysis that were asked for; the first row is the header.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        With its contrasts.
+    """
     return _rows(analysis_tables.contrast_table(found, found.request.response))
 
 
 def anova_rows(data: ReportData, response: str) -> Rows:
     """ANOVA table of a response; the first row is the header.
+
+    Parameters
+    ----------
+    data : ReportData
+        Of a study.
+    response : str
+        Name of the response.
 
     Raises
     ------
@@ -79,7 +127,13 @@ def anova_rows(data: ReportData, response: str) -> Rows:
 
 
 def answer_lines(data: ReportData) -> list[str]:
-    """Return the sentences of the answer box, which cases fail, and what would change them."""
+    """Return the sentences of the answer box, which cases fail, and what would change them.
+
+    Parameters
+    ----------
+    data : ReportData
+        Without failed cases nothing is said of failures.
+    """
     from study.reporting.content import recommendation, sentences
     from study.reporting.content.cases import failed_cases
 
@@ -92,18 +146,41 @@ def answer_lines(data: ReportData) -> list[str]:
 
 
 def changes_rows(beside: Beside) -> Rows:
-    """Return the inputs in which two studies differ; the first row is the header."""
+    """Return the inputs in which two studies differ; the first row is the header.
+
+    Parameters
+    ----------
+    beside : Beside
+        Where nothing differs the header is alone.
+    """
     return _rows(comparison.changes(beside))
 
 
 def beside_lines(beside: Beside) -> list[str]:
-    """Return what holds in both studies, and what only one of them has."""
+    """Return what holds in both studies, and what only one of them has.
+
+    Parameters
+    ----------
+    beside : Beside
+        Two studies that were compared.
+    """
     lines = [*comparison.summary(beside), *comparison.only_lines(beside)]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
-    """Title, table and note of each response; a term is named in the first of its two rows."""
+    """Title, table and note of each response; a term is named in the first of its two rows.
+
+    Parameters
+    ----------
+    beside : Beside
+        Two studies that were compared.
+
+    Returns
+    -------
+    list of tuple
+        The note is empty where there is none; columns of dashes alone are left out of the table.
+    """
     header, *rows = _rows(comparison.table(beside))
     found: dict[str, Rows] = {}
     for row in rows:

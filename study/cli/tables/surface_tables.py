@@ -130,6 +130,11 @@ def _check(source: Path, flags: Mapping[str, str | None]) -> None:
 def names(text: str | None) -> list[str]:
     """Read names with commas between them.
 
+    Parameters
+    ----------
+    text : str or None
+        Value of an option; None or an empty one gives no names.
+
     Examples
     --------
     >>> names("time, temperature,")
@@ -140,6 +145,16 @@ def names(text: str | None) -> list[str]:
 
 def settings(text: str) -> dict[str, str]:
     """Read ``thickness=3 mm,C10=5 kPa``.
+
+    Parameters
+    ----------
+    text : str
+        Parts with commas between them, each a factor and its setting; quotes around are dropped.
+
+    Returns
+    -------
+    dict of str to str
+        Settings by factor, as text with their units.
 
     Raises
     ------
@@ -162,7 +177,13 @@ def settings(text: str) -> dict[str, str]:
 
 
 def print_predictions(found: Sequence[Predicted]) -> None:
-    """Print a row for every response."""
+    """Print a row for every response.
+
+    Parameters
+    ----------
+    found : sequence of Predicted
+        At one setting each; of several the first is printed.
+    """
     rows = [["Response", "Prediction", "95 % interval"]]
     for one in found:
         ends = f"{one.low[0]:.4g} to {one.high[0]:.4g}"
@@ -175,7 +196,13 @@ def print_predictions(found: Sequence[Predicted]) -> None:
 
 
 def print_fitted(one: FittedSurface) -> None:
-    """Print the surface of a response of a study."""
+    """Print the surface of a response of a study.
+
+    Parameters
+    ----------
+    one : FittedSurface
+        Nothing is printed where the runs could not carry a surface.
+    """
     if one.found is None:
         return
     at = _at(one)
@@ -212,7 +239,15 @@ def _print_uncertain(one: FittedSurface) -> None:
 
 
 def print_surface(found: SurfaceAnalysis, units: Mapping[str, str] | None = None) -> None:
-    """Print model, error, factors and extremes of a surface, settings with their units."""
+    """Print model, error, factors and extremes of a surface, settings with their units.
+
+    Parameters
+    ----------
+    found : SurfaceAnalysis
+        A quadratic surface, an emulator, or one emulator a block.
+    units : mapping of str to str, optional
+        Units of the factors; settings of a factor that it does not name stand without.
+    """
     from study.response_surface.quadratic.surface import QuadraticSurface
 
     model = found.model

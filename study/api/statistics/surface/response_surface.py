@@ -59,6 +59,11 @@ _NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<
 def check_kind(surface: str) -> None:
     """Refuse what is no kind of a surface.
 
+    Parameters
+    ----------
+    surface : str
+        Kind that the user asks for; ``"none"`` is refused too.
+
     Raises
     ------
     InputError
@@ -100,7 +105,15 @@ def fit_runs(
 
 
 def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
-    """Fit runs; arguments and errors as for `fit_runs`."""
+    """Fit runs; errors as for `fit_runs`.
+
+    Parameters
+    ----------
+    runs : Runs
+        Coded settings and responses; several blocks get one emulator each.
+    surface : {"auto", "quadratic", "emulator"}
+        As for `fit_runs`.
+    """
     if kind_of(runs, surface) == "quadratic":
         return fit_quadratic(runs)
     return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
@@ -109,7 +122,17 @@ def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | B
 def told(
     model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
 ) -> SurfaceAnalysis:
-    """Say what a model means; arguments as for `fit_runs`."""
+    """Say what a model means.
+
+    Parameters
+    ----------
+    model : QuadraticSurface, Emulator or BlockedEmulator
+        Of :func:`fitted`.
+    practical : float or None
+        Smallest difference that matters, in the response's unit; used by an emulator alone.
+    u : float
+        Bound of the numerical error of a difference, in the same unit; used by an emulator alone.
+    """
     if isinstance(model, QuadraticSurface):
         return analysis_of_quadratic(model)
     return analysis_of_emulator(model, practical, u)
@@ -156,7 +179,15 @@ def fitted_together(
 
 
 def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
-    """Say beforehand what an emulator of many runs will take."""
+    """Say beforehand what an emulator of many runs will take.
+
+    Parameters
+    ----------
+    runs : Runs
+        Of one fit; with blocks each has an emulator of its own.
+    announce : callable or None
+        Called with a sentence where more than 5 s are expected; None says nothing.
+    """
     own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
     seconds = sum(expected_seconds(n) for n in own)
     if announce is not None and seconds > LONG and max(own) <= LARGEST:
@@ -164,13 +195,36 @@ def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
 
 
 def difference_of(practical: float | str | None, response: Array) -> float | None:
-    """Read the smallest difference that matters, in the unit of a response."""
+    """Read the smallest difference that matters, in the unit of a response.
+
+    Parameters
+    ----------
+    practical : float, str or None
+        A number in that unit, or a text such as ``"0.5 pp"`` or ``"5 % of mean"``; None for none.
+    response : ndarray, shape (n,)
+        Responses of all runs, for their mean.
+
+    Returns
+    -------
+    float or None
+        None where none is given.
+    """
     asked = threshold(practical)
     return None if asked is None else asked.on_scale(float(response.mean()), "none")
 
 
 def remarks(runs: Runs, surface: str, practical: float | None) -> list[str]:
-    """Say what a quadratic does not judge, and why runs that fill the box got one all the same."""
+    """Say what a quadratic does not judge, and why runs that fill the box got one all the same.
+
+    Parameters
+    ----------
+    runs : Runs
+        That were fitted.
+    surface : {"auto", "quadratic", "emulator"}
+        As it was asked for.
+    practical : float or None
+        Smallest difference that matters, in the response's unit.
+    """
     said, few = [], _few(runs)
     if kind_of(runs, surface) == "quadratic" and practical is not None:
         said.append("a quadratic surface judges terms: --practical is asked of an emulator")
@@ -186,6 +240,14 @@ def kind_of(runs: Runs, surface: str) -> str:
     """Return the kind that is asked for; the design chooses where that is left to it.
 
     Composite designs have three or five settings a factor.
+
+    Parameters
+    ----------
+    runs : Runs
+        Their settings decide; their responses do not.
+    surface : {"auto", "quadratic", "emulator"}
+        ``"auto"`` gives an emulator where every factor has at least four settings and, besides,
+        there are more than five factors or one of them has more than five settings.
     """
     if surface != "auto":
         return surface

@@ -40,7 +40,13 @@ SEE_SURFACE = "its factors are numbers: see the surface"
 
 
 def is_numeric(design: Design) -> bool:
-    """Whether a surface over the ranges of a design answers its question."""
+    """Whether a surface over the ranges of a design answers its question.
+
+    Parameters
+    ----------
+    design : Design
+        With ``[analysis] surface = "auto"`` it must be of a kind that is made for surfaces.
+    """
     ranged = any(factor.span is not None for factor in design.factors)
     asked = design.analysis.surface
     if not ranged or asked == "none":
@@ -57,6 +63,8 @@ def surfaces(
 
     Parameters
     ----------
+    design : Design
+        Whose factors are ranges; one without a surface to answer its question gives none.
     records : sequence of Record
         Those that are computed; replicates are passed over.
     numerical : sequence of NumericalUncertainty
@@ -140,6 +148,10 @@ def runs_at(
 
     Parameters
     ----------
+    design : Design
+        Its ranges code the settings.
+    response : str
+        Name of a response of the design.
     labels : mapping of str to str
         Levels of the factors that are no ranges.
     records : sequence of Record
