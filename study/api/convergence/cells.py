@@ -21,7 +21,9 @@ from study.api.uncertainty.credibility import uncertainties
 from study.canonical import digest
 from study.design.load import load
 from study.design.sections.content import case_id
+from study.errors import Fault, InputError
 from study.execution.task import Executor
+from study.record.folder import own_folder
 from study.record.store import Store
 from study.runner import provenance
 from study.runner.batch import Progress as RunProgress
@@ -75,8 +77,12 @@ def design_series(
     reports : Path, optional
         Where a page with figures goes; None writes none.
     memory_MB : float, optional
-        Memory that one solution may take; by default 70 % of what is free. It is not used where the
-        design has measurements.
+        Memory that one solution may take; by default 70 % of what is free.
+
+    Raises
+    ------
+    InputError
+        For a limit of memory where the design has measurements.
     """
     design = load(source, overrides)
     workers = jobs or default_jobs()
@@ -84,6 +90,9 @@ def design_series(
         return problem_cells(
             design, workers, results, progress, reports=reports, memory_MB=memory_MB
         )
+    if memory_MB is not None:
+        rule = "is not taken where a design has measurements: its cases run as a study's do"
+        raise InputError(Fault("--memory", rule, "leave it out, or use fewer --jobs"))
     return measured_cells(design, data, workers, results, progress, reports=reports)
 
 
@@ -276,7 +285,7 @@ def measured_cells(
     """
     whole = expand(design, data)
     work = whole.plain()
-    store, seconds = Store(results / design.name), design.converge.budget_s
+    store, seconds = Store(own_folder(results, design.name)), design.converge.budget_s
     every = study_refinement.every_series(work, study_refinement.every_cell(work), {})
     finer = sum(len(one.jobs) - 1 for one in every)
     limit = "" if seconds is None else f", as many as {seconds:g} s allow"

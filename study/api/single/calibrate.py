@@ -178,7 +178,8 @@ def choose_energy(
         For a faulty file or faulty data.
     """
     config = load_calibration(source, overrides)
-    return choose(config, calibration_root(config, source, data), progress=progress)
+    root = calibration_root(config, source, data)
+    return choose(_located(config, source, root), root, progress=progress)
 
 
 def compare_tests(
