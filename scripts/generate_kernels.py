@@ -84,13 +84,15 @@ def add_stiffness(dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array) 
     Parameters
     ----------
     dN : ndarray, shape (n_nodes, dim)
-        Reference gradients of the shape functions.
+        Reference gradients of the shape functions, 1/mm.
     hoop : ndarray, shape (n_nodes,)
-        N / R (axisymmetric).
+        N / R (axisymmetric), 1/mm.
     A : ndarray, shape (9, 9)
         dP/dF, N/mm^2.
     w : float
         Volume of the quadrature point, mm^3.
+    m : int
+        Unknowns of the element, pressures included.
     K : ndarray, shape (m (m + 1) / 2,)
         Added to.
     """
@@ -109,6 +111,14 @@ def add_first_invariant_stiffness(
 
     Parameters
     ----------
+    dN, hoop, w, m, K
+        As for :func:`add_stiffness`.
+    f : ndarray, shape (9,)
+        Deformation gradient.
+    bend, stiff : float
+        As for :func:`study.fem.element.point_law.full_tangent`.
+    work : ndarray, shape (7 or more, 9)
+        As :func:`study.fem.element.point_law.invariant_stress` left it at ``f``.
     nodal : ndarray, shape (n_nodes, 12)
         Scratch: F, G, P, Q of each node; in axisymmetric space also S, G_33 N / R and G_33.
     """
