@@ -115,7 +115,7 @@ def test_why_names_the_file_that_changed(home: Path) -> None:
 def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All cases keep their names and none its input: each record is laid by for the old study."""
     before = study("analyze", "results/small", "--json").json
-    for module in ("expansion", "fitting.fit_task"):
+    for module in ("expansion", "fitting.fit_problem"):
         monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "1+other")
     monkeypatch.setattr("study.runner.provenance.code_version", lambda: "1+other")
     with pytest.raises(RefusedError, match="12 results have another input"):
