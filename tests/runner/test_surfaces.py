@@ -11,6 +11,7 @@ from study import api
 from study.design.load import load, load_problem
 from study.errors import InputError
 from study.runner import provenance
+from study.runner.calibration import model_selection
 from study.runner.expansion import expand
 from study.runner.fitting.fit_problem import fit_problem
 from study.runner.fitting.staged_fit import Part, cheaper
@@ -168,3 +169,31 @@ def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     part = cheaper(Part("inverse-fem", {**tables, "model": {"space": "3d", "mesh": "fine"}}, ()))
     assert part is not None
     assert part.tables["model"] == {"space": "3d", "mesh": "coarse"}
+
+
+CALIBRATION = (
+    PROBLEM.replace('displacement = "0.6 mm"\n', "").replace('C10 = "5 kPa"\n', "")
+    + """
+[[tests]]
+test = { kind = "compression", interface = "bonded", steps = 1 }
+[tests.measurements]
+file = "one.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+range = ["0.1 mm", "0.6 mm"]
+points = 3
+"""
+).replace('[test]\nkind = "compression"\ninterface = "frictionless"\nsteps = 1\n', "")
+
+
+def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The surface is found for the choice of an energy as it is for a calibration."""
+    (home / "calibration.toml").write_text(CALIBRATION)
+    rows = [f"{d:.3f},{0.45 * d:.5f}" for d in np.linspace(0, 0.7, 15)]
+    (home.parent / "measurements" / "one.csv").write_text("\n".join(["d,f", *rows, ""]))
+    monkeypatch.setattr(model_selection, "CANDIDATES", (("neo-hookean", None, "neo-hookean"),))
+    chosen = api.choose_energy(home / "calibration.toml", data=home.parent / "measurements")
+    assert chosen.failures == {}
+    assert chosen.best == "neo-hookean"
+    alone = api.calibrate(home / "calibration.toml", data=home.parent / "measurements")
+    assert chosen.fits["neo-hookean"].fit.values == pytest.approx(alone.fit.values, rel=1e-9)
