@@ -137,6 +137,7 @@ def test_faulty_measurements(home: Path, verb: str, change: Lines, says: list[st
         (["converge", "--values", "1,x", "--sizes", "1,2"], ["--values", "numbers", "'1,x'"]),
         (["converge", "--values", "1,2", "--sizes", "1"], ["sizes"]),
         (["converge", "problem.toml", "--values", "1"], ["not both"]),
+        (["converge", "small.toml", "--data", "data", "--memory", "900"], ["--memory", "--jobs"]),
         (["analyze", "no.csv", "--response", "a", "--factors", "b"], ["no.csv"]),
         (["analyze", "data/tests.csv"], ["--response", "--factors"]),
         (
