@@ -246,42 +246,6 @@ def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
     return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else None
 
 
-def largest_u_num(
-    numerical: Sequence[NumericalUncertainty],
-    records: Sequence[Record],
-    response: str,
-    transform: str,
-) -> float | None:
-    """Largest numerical uncertainty of a response in any refined column, in its unit.
-
-    On the log scale an uncertainty counts by its share of the value: that of the refined block
-    is carried to the geometric mean of all, for a stiff block's in kPa would drown a soft one's.
-
-    Parameters
-    ----------
-    numerical : sequence of NumericalUncertainty
-        What refinement found, of all responses.
-    records : sequence of Record
-        Of the study, for the geometric mean.
-    response : str
-        Name of the response.
-    transform : {"none", "log"}
-        Scale on which the response is analyzed.
-
-    Returns
-    -------
-    float or None
-        None where nothing is known.
-    """
-    rows = [r for r in numerical if r.response == response and r.u_num is not None]
-    if transform != "log":
-        return max((float(r.u_num) for r in rows if r.u_num is not None), default=None)
-    shares = [abs(r.u_num / r.value) for r in rows if r.u_num is not None and r.value]
-    if not shares or not any(r.response(response) > 0 for r in records):
-        return None
-    return max(shares) * _geometric_mean(records, response)
-
-
 def _geometric_mean(records: Sequence[Record], response: str) -> float:
     values = [r.response(response) for r in records]
     known = [math.log(v) for v in values if math.isfinite(v) and v > 0]

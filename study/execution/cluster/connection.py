@@ -81,9 +81,10 @@ def connected(scheduler: str | Path | Client) -> Iterator[Client]:
         mend = "install it: python -m pip install 'study[dask]'"
         raise InputError(Fault("scheduler", "needs the package distributed", mend)) from error
     where = _place(str(scheduler))
-    # the loss of a scheduler is said by our error, once and without a traceback
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     client = DaskClient.__new__(DaskClient)
+    log = logging.getLogger("distributed.client")
+    told = log.level
+    log.setLevel(logging.CRITICAL)  # our error says the loss of a scheduler, once
     try:
         client.__init__(**where, timeout=PATIENCE_S, set_as_default=False)
     except Exception as error:  # whatever it is, there is no way in
@@ -93,12 +94,14 @@ def connected(scheduler: str | Path | Client) -> Iterator[Client]:
             "    certificates those of the cluster?"
         )
         rule = f"{scheduler} cannot be reached: {first_line(error)}"
+        log.setLevel(told)
         raise InputError(Fault("scheduler", rule, mend)) from error
     try:
         yield client
     finally:
         with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
             client.close()
+        log.setLevel(told)
 
 
 def _place(scheduler: str) -> dict[str, str]:

@@ -22,7 +22,7 @@ from study.reporting.output import page, write
 from study.reporting.output.files import data_folder, replace_file
 from study.reporting.output.latex import document as latex_document
 from study.reporting.report import Facts, facts
-from study.reporting.text import clean, count, listing, sentence
+from study.reporting.text import clean, count, listing, sentence, term_name
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -198,7 +198,7 @@ def _tested(report: AnalysisReport, item: Facts) -> str:
     known = [e for e in item.terms if e.p_holm is not None]
     if not known:
         return "There is no error term, so nothing is tested."
-    names = {e.term: e.term.replace(":", " \N{MULTIPLICATION SIGN} ") for e in known}
+    names = {e.term: term_name(e.term, report.data.labels) for e in known}
     shown = [
         f"{clean(names[e.term])} ({p_phrase(e.p_holm)})" for e in known if _below(e.p_holm, item)
     ]

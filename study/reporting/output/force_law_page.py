@@ -103,7 +103,8 @@ def constants(law: ForceLaw) -> Table:
             MISSING if math.isnan(one.largest_N) else f"{significant(one.largest_N)} N",
         ))  # fmt: skip
         row: Mapping[str, object] = {
-            "constant": one.name, "value_MPa": value, "low_MPa": one.low, "high_MPa": one.high,
+            "constant": one.name, "value": value, "low": one.low, "high": one.high,
+            "unit": "" if is_dimensionless(one.name) else "MPa",
             "largest_N": None if math.isnan(one.largest_N) else one.largest_N,
         }  # fmt: skip
         raw.append(row)
