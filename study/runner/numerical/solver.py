@@ -68,8 +68,8 @@ def kept(solve: Solver, store: Store) -> Solver:
     solve : Solver
         Gets the tasks that are not stored, all at once; not called where there are none.
     store : Store
-        Keeps solutions by the keys of their tasks. What failed for want of memory or time, or for
-        another reason that may be gone another day, is not kept.
+        Keeps solutions by the keys of their tasks; not those that failed for want of memory or
+        time, by a crash or by another fault.
     """
 
     def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
@@ -116,5 +116,12 @@ def store_of(results: Path, name: str) -> Store:
 
 
 def slug(name: str) -> str:
-    """Name of a folder from any name."""
+    """Name of a folder from any name.
+
+    Parameters
+    ----------
+    name : str
+        Every run of characters other than ASCII letters, digits, ``_`` and ``-`` becomes one ``-``;
+        the rest is cut after 80 characters. Where nothing is left, the folder is ``problem``.
+    """
     return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:80] or "problem"
