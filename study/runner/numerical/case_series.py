@@ -231,8 +231,15 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
 
     Parameters
     ----------
+    records : sequence of Record
+        One for each mesh, with an answer.
     units : mapping of str to str
         Unit of every response that a record holds.
+
+    Returns
+    -------
+    mapping of str to tuple
+        By name the values, in the order of the records, and their unit; :data:`COSTS` are left out.
     """
     columns: dict[str, tuple[list[float], str]] = {}
 
@@ -254,7 +261,13 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
 
 
 def places_of(curve: Curve) -> Array:
-    """Displacements of :data:`PLACES` on a curve, mm."""
+    """Displacements of :data:`PLACES` on a curve, mm.
+
+    Parameters
+    ----------
+    curve : Curve
+        Measured as a rule; its first and its last point are the first and the last place.
+    """
     d = curve.displacement_mm
     return np.asarray(d[0] + PLACES * (d[-1] - d[0]))
 
@@ -263,6 +276,11 @@ def force_at_places(record: Record) -> Array:
     """Predicted force of the first direction at :data:`PLACES` of the measured curve, N.
 
     Without a measured curve the places are those of the prediction, from its first load step on.
+
+    Parameters
+    ----------
+    record : Record
+        Of a case with an answer.
 
     Raises
     ------
@@ -280,6 +298,11 @@ def force_at_places(record: Record) -> Array:
 
 def stored_convergence(rows: Sequence[NumericalUncertainty]) -> list[dict[str, object]]:
     """Judge every stored series of a study.
+
+    Parameters
+    ----------
+    rows : sequence of NumericalUncertainty
+        One for each series and response, as the study stored them.
 
     Returns
     -------

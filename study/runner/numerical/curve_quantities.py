@@ -26,17 +26,35 @@ def _samples(curve: Curve) -> tuple[Array, Array]:
 
 
 def peak_force(curve: Curve) -> float:
-    """Force at the last step, N."""
+    """Force at the last step, N.
+
+    Parameters
+    ----------
+    curve : Curve
+        At least one step.
+    """
     return float(curve.force_N[-1])
 
 
 def curve_rms(curve: Curve) -> float:
-    """Root mean square of the force over the displacement, N: it stands for the whole curve."""
+    """Root mean square of the force over the displacement, N: it stands for the whole curve.
+
+    Parameters
+    ----------
+    curve : Curve
+        Counted from zero displacement to its last step, interpolated between its steps.
+    """
     return float(np.sqrt(np.mean(_samples(curve)[1][1:] ** 2)))
 
 
 def work(curve: Curve) -> float:
-    """Work done on the specimen, N mm."""
+    """Work done on the specimen, N mm.
+
+    Parameters
+    ----------
+    curve : Curve
+        Counted from zero displacement to its last step, interpolated between its steps.
+    """
     d, force = _samples(curve)
     return float(np.trapezoid(force, d))
 
@@ -52,6 +70,11 @@ QUANTITIES: Mapping[str, tuple[Callable[[Curve], float], str]] = {
 def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
     """Look up function and unit of a quantity of a single problem.
 
+    Parameters
+    ----------
+    name : {"peak_force", "curve_rms", "work"}
+        Key ``converge.qoi`` of the study file, which allows quantities of studies too.
+
     Raises
     ------
     InputError
@@ -64,7 +87,18 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
 
 
 def curve_values(levels: Sequence[Level]) -> dict[str, tuple[list[float], str]]:
-    """Every quantity of the curves of a series, in the order of the meshes."""
+    """Every quantity of the curves of a series, in the order of the meshes.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Meshes with an answer.
+
+    Returns
+    -------
+    dict of str to tuple
+        By the name of the quantity its values, one for each mesh, and their unit.
+    """
     return {
         name: ([function(level.curve) for level in levels], unit)
         for name, (function, unit) in QUANTITIES.items()

@@ -46,7 +46,20 @@ class ErrorSource:
 
 
 def source_tasks(tables: Tables, size_mm: float) -> list[SolveTask]:
-    """Solutions that the studies of steps and tolerance need, the usual one first."""
+    """Solutions that the studies of steps and tolerance need, the usual one first.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of the problem, with all its constants.
+    size_mm : float
+        Element size of all of them.
+
+    Returns
+    -------
+    list of SolveTask
+        By :data:`STEPS`, then by :data:`LOOSER` without its first.
+    """
     usual = [SolveTask.of(tables, size_mm)]
     usual += [SolveTask.of(tables, size_mm, more_steps=k) for k in STEPS[1:]]
     return usual + [SolveTask.of(tables, size_mm, looser=k) for k in LOOSER[1:]]
@@ -55,7 +68,24 @@ def source_tasks(tables: Tables, size_mm: float) -> list[SolveTask]:
 def other_sources(
     tables: Tables, size_mm: float, solve: Solver
 ) -> tuple[list[ErrorSource], list[str]]:
-    """Errors of load steps and tolerance for every quantity, and which solutions failed."""
+    """Errors of load steps and tolerance for every quantity, and which solutions failed.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of the problem, with all its constants.
+    size_mm : float
+        Element size of all solutions.
+    solve : Solver
+        Solves the tasks of :func:`source_tasks`.
+
+    Returns
+    -------
+    list of ErrorSource
+        A source with fewer than two solutions has no rows.
+    list of str
+        A sentence for each solution that failed.
+    """
     results = solutions(solve, source_tasks(tables, size_mm))
     count = Setup.of(tables).test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
@@ -99,7 +129,20 @@ def _error_of(values: Sequence[float]) -> float:
 def one_table(
     quantities: Mapping[str, ConvergenceResult], others: Sequence[ErrorSource]
 ) -> tuple[ErrorSource, ...]:
-    """Set the three sources of error of every quantity side by side."""
+    """Set the three sources of error of every quantity side by side.
+
+    Parameters
+    ----------
+    quantities : mapping of str to ConvergenceResult
+        What the refinement of the mesh says of each quantity, by its name.
+    others : sequence of ErrorSource
+        Of load steps and solver tolerance, in any order.
+
+    Returns
+    -------
+    tuple of ErrorSource
+        By quantity, the mesh first.
+    """
     table: list[ErrorSource] = []
     for name, found in quantities.items():
         u, value = found.u_num, found.value[0]
@@ -110,7 +153,18 @@ def one_table(
 
 
 def remarks(table: Sequence[ErrorSource]) -> list[str]:
-    """Say where another error is too large beside that of the mesh."""
+    """Say where another error is too large beside that of the mesh.
+
+    Parameters
+    ----------
+    table : sequence of ErrorSource
+        Of :func:`one_table`; a row counts where its relative error and that of its mesh are known.
+
+    Returns
+    -------
+    list of str
+        A sentence for each error that is too large.
+    """
     found = []
     meshes = {row.quantity: row.relative for row in table if row.source == "mesh"}
     for row in table:

@@ -49,7 +49,13 @@ class FormalOrder:
 
 
 def formal_order(problem: Problem) -> FormalOrder:
-    """Order that the element promises for the force of a problem; work and RMS share it."""
+    """Order that the element promises for the force of a problem; work and RMS share it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Its element size decides whether the mesh resolves a rounded edge.
+    """
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
     limits = _limits(problem)  # first: of two equal limits the problem's says more
@@ -59,7 +65,14 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 
 def formal_of_case(job: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet."""
+    """Formal order of a case whose constants are not known yet.
+
+    Parameters
+    ----------
+    job : CaseJob
+        Where its tables give no displacement, the largest measured one counts, or 1 mm without
+        directions.
+    """
     depth = job.depth_mm if job.directions else 1.0
     return formal_order(with_placeholder(job.case.config, depth))
 
@@ -135,6 +148,11 @@ def edge_rules(setup: Setup) -> bool:
 
     The size at the edge is the size of the mesh then: how many elements lie elsewhere says
     nothing of it.
+
+    Parameters
+    ----------
+    setup : Setup
+        Only a flat punch without an edge radius, in axisymmetric space, has such an edge.
     """
     pressed = setup.test.indenter
     sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
@@ -146,6 +164,11 @@ def clamped_corner(nu: float) -> float:
 
     Root of ``(3 - 4 nu) sin^2(pi lambda / 2) = 4 (1 - nu)^2 - lambda^2`` (Williams 1952,
     J. Appl. Mech. 19, 526).
+
+    Parameters
+    ----------
+    nu : float
+        Poisson's ratio, 0 to 0.5; at 0 the corner is not singular and lambda is 1.
 
     Examples
     --------
@@ -161,13 +184,30 @@ def clamped_corner(nu: float) -> float:
 
 
 def poisson_ratio(material: Material) -> float:
-    """Give the initial Poisson's ratio of a material."""
+    """Give the initial Poisson's ratio of a material.
+
+    Parameters
+    ----------
+    material : Material
+        With its constants; 0.5 where its bulk modulus is infinite.
+    """
     K, mu = material.bulk, material.mu0
     return 0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu))
 
 
 def base_size_mm(case: Case) -> float:
-    """Element size of a case, named or given, in mm."""
+    """Element size of a case, named or given, in mm.
+
+    Parameters
+    ----------
+    case : Case
+        Its test has a displacement; the file of a surface is read.
+
+    Raises
+    ------
+    InputError
+        If its tables leave the displacement to the measurements.
+    """
     from study.fem.mesh.mesher import mesh_size
 
     return float(mesh_size(with_placeholder(case.config).setup))

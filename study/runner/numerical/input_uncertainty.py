@@ -39,6 +39,17 @@ _SUFFIXES = ("", "_mm", "_MPa", "_deg", "_N", "_s")
 def input_work(work: Work) -> Work:
     """List the cases with one input moved by its standard uncertainty, as work like any other.
 
+    Parameters
+    ----------
+    work : Work
+        The study.
+
+    Returns
+    -------
+    Work
+        Instead of its own cases one for every cell of :func:`representatives` and every input of
+        :func:`moved_inputs`.
+
     Raises
     ------
     InputError
@@ -54,7 +65,18 @@ def input_work(work: Work) -> Work:
 
 
 def moved_inputs(work: Work) -> dict[str, float]:
-    """List the uncertain inputs of the simulation; those of the data move no case."""
+    """List the uncertain inputs of the simulation; those of the data move no case.
+
+    Parameters
+    ----------
+    work : Work
+        The table ``[uncertainty]`` of its design counts; zeros are left out.
+
+    Returns
+    -------
+    dict of str to float
+        Standard uncertainty in internal units (mm, N, MPa, deg, s), by dotted key.
+    """
     return {
         k: float(u)
         for k, u in work.design.uncertainty.items()
@@ -63,7 +85,13 @@ def moved_inputs(work: Work) -> dict[str, float]:
 
 
 def representatives(work: Work) -> list[CaseJob]:
-    """List the cheapest cell for every combination of the other factors, in the first block."""
+    """List the cheapest cell for every combination of the other factors, in the first block.
+
+    Parameters
+    ----------
+    work : Work
+        The study; the other factors are those that are no discretization.
+    """
     costs = Costs()
     best: dict[Physics, tuple[float, CaseJob]] = {}
     for job in every_cell(work):
@@ -75,7 +103,18 @@ def representatives(work: Work) -> list[CaseJob]:
 
 
 def physics_of(levels: Mapping[str, str]) -> Physics:
-    """Levels of the factors that are no discretization."""
+    """Levels of the factors that are no discretization.
+
+    Parameters
+    ----------
+    levels : mapping of str to str
+        Label of every factor; ``model`` and ``model.*`` are left out.
+
+    Returns
+    -------
+    tuple of tuple of str
+        Factor and label, sorted.
+    """
     return tuple(
         sorted((k, v) for k, v in levels.items() if k != "model" and not k.startswith("model."))
     )
@@ -93,6 +132,21 @@ def _moved(case: Case, key: str, amount: float) -> Case:
 
 def shifted(config: Tables, key: str, amount: float) -> Tables:
     """Copy of a configuration with one value moved, named as in the file.
+
+    Parameters
+    ----------
+    config : mapping
+        Document of a problem, in internal units.
+    key : str
+        Dotted, without the unit that ends the key of a document; a constant of the material stands
+        directly in its table, as in ``"material.C10"``.
+    amount : float
+        Added to the value, in its internal unit.
+
+    Raises
+    ------
+    InputError
+        If the document holds no such number.
 
     Examples
     --------
@@ -133,9 +187,18 @@ def _fixed_range(config: Tables) -> Tables:
 def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:
     """Relative standard uncertainty of the force from all inputs, at the places of a series.
 
+    Parameters
+    ----------
+    work : Work
+        The study.
+    moved : Work
+        Of :func:`input_work`.
+    records : mapping of str to Record
+        What is computed of both, by case id; a moved case without an answer is left out.
+
     Returns
     -------
-    dict
+    dict of tuple to ndarray, shape (places,)
         By :func:`physics_of`; a cell without an answer is left out. The places are
         :data:`study.runner.numerical.case_series.PLACES`.
     """

@@ -96,8 +96,12 @@ def judged(
 
     Parameters
     ----------
+    sizes, values : sequence of float, mapping
+        Mesh sizes; by the name of a quantity its values on these meshes, and their unit.
+    formal : float or None
+        Order that the elements promise; None where it is not known.
     tolerance : float
-        Algebraic error as a fraction of the value.
+        Algebraic error as a fraction of the largest value.
     """
     return {
         name: grid_convergence(
@@ -131,14 +135,10 @@ def outlook(
 
     Parameters
     ----------
-    levels : sequence of Level
-        Meshes so far.
-    setup : Setup
-        What is refined.
-    wanted : float or None
-        Uncertainty over the value.
-    formal : float or None
-        Order that the elements promise.
+    levels, setup : sequence of Level, Setup
+        Meshes so far, coarse to fine, and what is refined.
+    wanted, formal : float or None
+        Uncertainty over the value, and order that the elements promise.
     """
     kept, _ = usable(levels)
     if len(kept) < FEWEST or wanted is None:
@@ -161,10 +161,8 @@ def series_of(
 
     Parameters
     ----------
-    tables : mapping
-        Resolved problem.
-    spec : Converge
-        Ratio, number of meshes, wanted accuracy.
+    tables, spec : mapping, Converge
+        Resolved problem; ratio, number of meshes, wanted accuracy.
     formal : FormalOrder
         What the elements promise.
     budget : Budget, optional
@@ -202,18 +200,14 @@ class SeriesJudgement:
         What the elements promise, and what limits it.
     accuracy : float or None
         Wanted uncertainty over the value; None where none was asked, or no order is known.
-    levels : mapping of str to str
-        Levels of the factors, where the series is that of a cell.
+    levels, block : mapping of str to str, str or None
+        Levels of the factors and block, where the series is that of a cell.
     given : GivenMesh or None
         The mesh as it was asked for.
-    meshes : tuple of Level
-        Every mesh of a problem, the finest first.
-    stopped : str
-        Why no further mesh was solved.
+    meshes, stopped : tuple of Level, str
+        Every mesh of a problem, the finest first, and why no further one was solved.
     sources : tuple of ErrorSource
         Errors of mesh, load steps and solver side by side.
-    block : str or None
-        Block of the refined cell.
     """
 
     main: ConvergenceResult
@@ -277,8 +271,12 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
 
     Parameters
     ----------
+    series : Series
+        With its solved meshes.
+    formal : FormalOrder
+        What the elements promise.
     tolerance : float, optional
-        Algebraic error of the main quantity, in its unit.
+        Algebraic error of the main quantity, in its unit; by default that of the solver.
     """
     function, unit = quantity(series.spec.qoi)
     kept, said = usable(series.levels)
@@ -309,7 +307,13 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
 
 
 def with_sources(found: SeriesJudgement, series: Series, solve: Solver) -> SeriesJudgement:
-    """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
+    """Add the errors of load steps and solver on the coarsest mesh to those of the meshes.
+
+    Parameters
+    ----------
+    found, series, solve : SeriesJudgement, Series, Solver
+        Judgement of the series, which has an answer, and what solves it with other settings.
+    """
     rows, said = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
     table = one_table(found.quantities, rows)
     return replace(found, sources=table).warned(*said, *remarks(table))
@@ -360,8 +364,12 @@ def inconclusive(
 
     Parameters
     ----------
-    u_num : float, optional
-        Uncertainty that is known otherwise.
+    qoi, unit : str
+        Name and unit of the quantity.
+    sizes, values : sequence of float
+        Mesh sizes in mm, and the quantity on these meshes.
+    formal_order, u_num : float, optional
+        Order that the elements promise; uncertainty that is known otherwise, in ``unit``.
     verdict : str
         What to say; by default how many meshes there are.
     """

@@ -262,7 +262,15 @@ def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
 
 
 def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
-    """Budget of a command, from now on."""
+    """Budget of a command, from now on.
+
+    Parameters
+    ----------
+    seconds : float or None
+        Wall time of all meshes together; None for no limit.
+    memory_MB : float or None
+        Memory that one solution may take; None for 70 % of what is free now.
+    """
     return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)
 
 

@@ -98,13 +98,30 @@ def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | 
 
 
 def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
-    """Every attempt that a record tells of; empty where the design's own setting gave it."""
+    """Every attempt that a record tells of; empty where the design's own setting gave it.
+
+    Parameters
+    ----------
+    record : Record
+        Of a case with or without an answer.
+
+    Returns
+    -------
+    tuple of mapping of str to str
+        The first attempt first, each as in the notes of :class:`Attempt`.
+    """
     kept = record.extra.get(RETRIES)
     return tuple(kept) if isinstance(kept, (list, tuple)) else ()
 
 
 def has_other_mesh(record: Record) -> bool:
-    """Whether a case was computed on a finer mesh than its own."""
+    """Whether a case was computed on a finer mesh than its own.
+
+    Parameters
+    ----------
+    record : Record
+        Its attempts count, see :func:`notes_of`.
+    """
     return any(note["change"] == FINER_MESH for note in notes_of(record))
 
 

@@ -24,6 +24,13 @@ TWO_MESH_FACTOR = 3.0
 def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
     """Half-width for the coarser of two meshes: factor 3 on first-order extrapolation.
 
+    Parameters
+    ----------
+    coarse, fine : float
+        Values of one quantity on the two meshes; the half-width has their unit.
+    ratio : float
+        Element size of the coarser mesh over that of the finer one, above 1.
+
     Examples
     --------
     >>> round(two_mesh_uncertainty(1.1, 1.0, 2.0), 10)
@@ -34,7 +41,16 @@ def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
 
 
 def ratio_of(sizes: Sequence[float], asked: float) -> float:
-    """Ratio that the two first meshes really have, or the one asked for where that is unknown."""
+    """Ratio that the two first meshes really have, or the one asked for where that is unknown.
+
+    Parameters
+    ----------
+    sizes : sequence of float
+        Element sizes in mm, from coarse to fine; fewer than two, or two that do not fall, tell no
+        ratio.
+    asked : float
+        Ratio of each mesh to the next finer one that was asked for, above 1.
+    """
     known = len(sizes) > 1 and sizes[1] > 0 and sizes[0] > sizes[1]
     return sizes[0] / sizes[1] if known else asked
 
@@ -50,6 +66,19 @@ def series_uncertainty(
     Where the series converges with an order of its own, the distance to the extrapolated
     value counts, with the factor of the grid convergence index; elsewhere thrice the range of
     the values (Eca and Hoekstra 2014, J. Comput. Phys. 262, 104, for series without an order).
+
+    Parameters
+    ----------
+    values : sequence of float
+        One quantity on at least three meshes; the half-width has its unit.
+    ratio : float
+        Element size of each mesh over that of the next finer one, above 1; used where ``sizes`` are
+        not.
+    sizes : sequence of float, optional
+        Element sizes of the meshes, in mm; used where there is one for each value and all are
+        positive and different.
+    formal : float, optional
+        Order that the elements promise; without one the observed order cannot be judged.
 
     Examples
     --------
@@ -78,6 +107,15 @@ def fine_uncertainty(
 
     Without an order it is thrice the range of the values (Eca and Hoekstra 2014, J. Comput.
     Phys. 262, 104).
+
+    Parameters
+    ----------
+    values : sequence of float
+        One quantity on at least three meshes; the half-width has its unit.
+    sizes : sequence of float
+        Element sizes of the meshes, in mm, all different.
+    formal : float, optional
+        Order that the elements promise; without one the observed order cannot be judged.
 
     Examples
     --------

@@ -139,13 +139,26 @@ Solver = Callable[[Sequence[SolveTask]], Iterable[tuple[str, SolveResult]]]
 
 
 def solutions(solve: Solver, tasks: Sequence[SolveTask]) -> list[SolveResult]:
-    """Results of some tasks in their order; equal ones are solved once."""
+    """Results of some tasks in their order; equal ones are solved once.
+
+    Parameters
+    ----------
+    solve : Solver
+        Gives a result for every task, in any order.
+    tasks : sequence of SolveTask
+        Those with the same key are equal.
+    """
     found = dict(solve(list({task.key: task for task in tasks}.values())))
     return [found[task.key] for task in tasks]
 
 
 def perform(document: Received) -> dict[str, object]:
     """Solve: a task for a worker.
+
+    Parameters
+    ----------
+    document : mapping
+        Of :meth:`SolveTask.to_json`.
 
     Returns
     -------
@@ -156,7 +169,19 @@ def perform(document: Received) -> dict[str, object]:
 
 
 def solved(task: SolveTask) -> SolveResult:
-    """Solve; what did not converge is a status."""
+    """Solve; what did not converge is a status.
+
+    Parameters
+    ----------
+    task : SolveTask
+        Its material has all its constants. A problem that another program predicts is not solved:
+        its status is ``"failed"``.
+
+    Returns
+    -------
+    SolveResult
+        Its curve has no derivatives by the constants.
+    """
     if External.of(task.tables) is not None:
         return SolveResult("failed", "another program predicts here; this solves with ours alone")
     problem = problem_of(task.tables)

@@ -18,7 +18,20 @@ _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
 
 
 def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-    """Solve one after another in this process."""
+    """Solve one after another in this process.
+
+    Parameters
+    ----------
+    tasks : sequence of SolveTask
+        Equal ones are solved again.
+
+    Yields
+    ------
+    str
+        Key of a task.
+    SolveResult
+        What became of it.
+    """
     for task in tasks:
         yield task.key, solved(task)
 
@@ -28,6 +41,8 @@ def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
 
     Parameters
     ----------
+    jobs : int
+        Number of processes; without effect where an executor is given.
     executor : Executor, optional
         Where the tasks run; by default ``jobs`` processes of this machine.
     """
@@ -46,7 +61,16 @@ def _as_is(document: Document, results: Results) -> Document:
 
 
 def kept(solve: Solver, store: Store) -> Solver:
-    """Read what is stored, solve the rest, and store each result as it comes."""
+    """Read what is stored, solve the rest, and store each result as it comes.
+
+    Parameters
+    ----------
+    solve : Solver
+        Gets the tasks that are not stored, all at once; not called where there are none.
+    store : Store
+        Keeps solutions by the keys of their tasks; not those that failed for want of memory or
+        time, by a crash or by another fault.
+    """
 
     def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
         missing = []
@@ -66,15 +90,38 @@ def kept(solve: Solver, store: Store) -> Solver:
 
 
 def is_kept(task: SolveTask, store: Store) -> bool:
-    """Whether the solution of a task is stored."""
+    """Whether the solution of a task is stored.
+
+    Parameters
+    ----------
+    task : SolveTask
+        Its key counts, which changes with the code.
+    store : Store
+        Of the study or the problem.
+    """
     return store.read_solution(task.key) is not None
 
 
 def store_of(results: Path, name: str) -> Store:
-    """Store of a problem or a design by its name."""
+    """Store of a problem or a design by its name.
+
+    Parameters
+    ----------
+    results : Path
+        Folder of all results.
+    name : str
+        Any text; :func:`slug` makes the name of the folder of it.
+    """
     return Store(own_folder(results, slug(name)))
 
 
 def slug(name: str) -> str:
-    """Name of a folder from any name."""
+    """Name of a folder from any name.
+
+    Parameters
+    ----------
+    name : str
+        Every run of characters other than ASCII letters, digits, ``_`` and ``-`` becomes one ``-``;
+        the rest is cut after 80 characters. Where nothing is left, the folder is ``problem``.
+    """
     return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:80] or "problem"

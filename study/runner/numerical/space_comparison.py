@@ -37,7 +37,15 @@ class Pair:
 
 
 def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
-    """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
+    """List what to solve for a study that holds both spaces and a block; empty elsewhere.
+
+    Parameters
+    ----------
+    work : Work
+        The study without its replicates.
+    records : mapping of str to Record
+        By case id; a cell counts only where its record has an answer with fitted constants.
+    """
     known = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
     found = []
     for levels, chosen in _chosen(known):
@@ -55,6 +63,8 @@ def upcoming(
 
     Parameters
     ----------
+    work : Work
+        The study without its replicates.
     records : mapping of str to Record
         What is computed of the study; of a case that is not yet, the constants are left open.
     solved : callable
@@ -74,7 +84,14 @@ def upcoming(
 
 
 def in_blocks(work: Work) -> list[CaseJob]:
-    """List the cells whose specimen has no axis, in the first block of the study."""
+    """List the cells whose specimen has no axis, in the first block of the study.
+
+    Parameters
+    ----------
+    work : Work
+        Cells that deform the same everywhere, and those that another program predicts, are left
+        out.
+    """
     cells = meshed_cells(work)
     ours = [job for job in cells if "forward" not in job.case.config]
     return [job for job in ours if isinstance(job.case.setup.specimen, Block)]
@@ -158,7 +175,20 @@ class SpaceComparison:
 
 
 def compared(pair: Pair, flat: SolveResult, solid: SolveResult) -> SpaceComparison:
-    """Compare the forces of the two spaces."""
+    """Compare the forces of the two spaces.
+
+    Parameters
+    ----------
+    pair : Pair
+        What was solved.
+    flat, solid : SolveResult
+        Its solutions in axisymmetric space and in 3D.
+
+    Returns
+    -------
+    SpaceComparison
+        Without differences where one of the solutions failed.
+    """
     row = SpaceComparison(
         pair.levels,
         (flat.dofs, solid.dofs),

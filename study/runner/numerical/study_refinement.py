@@ -56,6 +56,8 @@ def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
 
     Parameters
     ----------
+    work : Work
+        The study without its replicates.
     records : mapping of str to Record
         Records of the study, by case id; those of the refined cases too, where they are known.
     """
@@ -63,7 +65,20 @@ def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
 
 
 def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
-    """Series of the cells of :func:`chosen`."""
+    """Series of the cells of :func:`chosen`.
+
+    Parameters
+    ----------
+    work : Work
+        The study; ``[converge] ratio`` of its design is the ratio of the element sizes.
+    records : mapping of str to Record
+        By case id, of the cells and of the refined cases, where they are known; else empty.
+
+    Returns
+    -------
+    list of CaseSeries
+        Each of two refinements where the second is cheap and of one elsewhere.
+    """
     costs = Costs()
     return [
         refined_series(work, base, _refinements(work, base.case, costs), records)
@@ -89,7 +104,19 @@ def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
 def refined_series(
     work: Work, base: CaseJob, times: int, records: Mapping[str, Record]
 ) -> CaseSeries:
-    """Series of a cell on its own mesh and some finer ones."""
+    """Series of a cell on its own mesh and some finer ones.
+
+    Parameters
+    ----------
+    work : Work
+        The study; ``[converge] ratio`` of its design is the ratio of the element sizes.
+    base : CaseJob
+        The cell, which is the coarsest of the series.
+    times : int
+        Number of finer meshes.
+    records : mapping of str to Record
+        By case id, of the cell and of the refined cases, where they are known; else empty.
+    """
     size, ratio = base_size_mm(base.case), work.design.converge.ratio
     finer = [
         case_job(
@@ -106,7 +133,17 @@ def refined_series(
 def every_series(
     work: Work, bases: Sequence[CaseJob], records: Mapping[str, Record]
 ) -> list[CaseSeries]:
-    """Series of some cells, each refined as often as ``[converge] levels`` says."""
+    """Series of some cells, each refined as often as ``[converge] levels`` says.
+
+    Parameters
+    ----------
+    work : Work
+        The study; ``[converge] levels`` counts the cell's own mesh, and at least three are made.
+    bases : sequence of CaseJob
+        The cells, each the coarsest of its series.
+    records : mapping of str to Record
+        By case id, of the cells and of the refined cases, where they are known; else empty.
+    """
     times = max(2, work.design.converge.levels - 1)
     return [refined_series(work, base, times, records) for base in bases]
 
@@ -115,6 +152,13 @@ def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
     """Cells of the first block that differ in their mesh alone, from coarse to fine.
 
     Empty unless every column of the study has its three meshes.
+
+    Parameters
+    ----------
+    work : Work
+        The study without its replicates; homogeneous cells are left out.
+    records : mapping of str to Record
+        By case id, where they are known; else empty.
     """
     found: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
@@ -140,6 +184,11 @@ def chosen(work: Work) -> list[CaseJob]:
 
     All of a kind where that is cheap; else those of fewest and of most constants, which the mesh
     can move most differently.
+
+    Parameters
+    ----------
+    work : Work
+        The study; homogeneous cells are left out, and predicted seconds decide what is cheap.
     """
     groups: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
@@ -161,12 +210,24 @@ def _spread(jobs: Sequence[CaseJob], count: int) -> list[CaseJob]:
 
 
 def every_cell(work: Work) -> list[CaseJob]:
-    """List the case of every cell in the first block."""
+    """List the case of every cell in the first block.
+
+    Parameters
+    ----------
+    work : Work
+        The study without its replicates; cases without a block count too.
+    """
     return [job for job in work.jobs if job.case.block in (None, *work.blocks[:1])]
 
 
 def meshed_cells(work: Work) -> list[CaseJob]:
-    """List those whose answer depends on a mesh: their deformation is not homogeneous."""
+    """List those whose answer depends on a mesh: their deformation is not homogeneous.
+
+    Parameters
+    ----------
+    work : Work
+        As in :func:`every_cell`.
+    """
     return [job for job in every_cell(work) if not job.case.setup.is_homogeneous]
 
 
@@ -180,12 +241,26 @@ def _twice(work: Work, case: Case) -> Case:
 
 
 def refined(case: Case, size_mm: float) -> Case:
-    """Copy a case with another mesh; everything else, the block too, stays."""
+    """Copy a case with another mesh; everything else, the block too, stays.
+
+    Parameters
+    ----------
+    case : Case
+        The problem of its calibration gets the mesh too.
+    size_mm : float
+        Element size, instead of a named mesh.
+    """
     return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size_mm), PURPOSE)
 
 
 def discretization_key(tables: Tables) -> str:
-    """Name of a kind of discretization: cells that share it share their mesh error."""
+    """Name of a kind of discretization: cells that share it share their mesh error.
+
+    Parameters
+    ----------
+    tables : mapping
+        Document of a case; its table ``model`` counts, without ``mesh_ratio`` and ``mesh_seed``.
+    """
     apart = ("mesh_ratio", "mesh_seed")
     return case_id({k: v for k, v in table_of(tables, "model").items() if k not in apart})
 

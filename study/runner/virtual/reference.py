@@ -168,6 +168,11 @@ class ReferenceTask:
 def perform(document: Received) -> dict[str, object]:
     """Solve the reference problem: a task for a worker.
 
+    Parameters
+    ----------
+    document : mapping
+        Of :meth:`ReferenceTask.to_json`.
+
     Returns
     -------
     dict

@@ -104,7 +104,17 @@ class VirtualTest:
 def usual_generator(
     design: Design, *, truth_name: str = "yeoh", blocks: int | None = None
 ) -> Generator:
-    """Numbers that suit a design: an indentation is measured with a smaller load cell."""
+    """Numbers that suit a design: an indentation is measured with a smaller load cell.
+
+    Parameters
+    ----------
+    design : Design
+        Its seed is that of the generator.
+    truth_name : {"yeoh", "ogden", "humphrey"}
+        Material of the specimens, see :mod:`study.runner.virtual.truth`.
+    blocks : int, optional
+        Number of batches; 6 by default.
+    """
     usual = Generator(seed=design.seed, truth=truth_name)
     if any(Setup.of(c).kind.takes_indenter for _, c in _sources(design)):
         usual = replace(
@@ -122,6 +132,8 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
         Gives specimen, test and ``[measurements]``.
     out : Path
         Data root: the files get their names below it.
+    generator : Generator, optional
+        By default that of :func:`usual_generator`.
 
     Returns
     -------
@@ -211,9 +223,22 @@ def generate(
 ) -> Iterator[VirtualTest]:
     """Generate every test of every specimen, in a fixed order.
 
-    ``noise`` numbers one of several tests of the same specimens: its noise then is a random
-    stream of its own, so that every test meets the same factors. ``weighs`` says that the
-    reference is that of a specimen with a weight.
+    Parameters
+    ----------
+    reference : Curve
+        Force of a specimen with all factors 1, and its derivatives by the constants; a direction of
+        scatter whose derivatives it lacks moves nothing. Tests end where it ends.
+    generator : Generator
+        Numbers of batches and repeats, scatter, noise, material and seed.
+    spec : MeasurementSpec
+        Says which groups specimens and repeats have; without a column for blocks there is one
+        batch.
+    noise : int, optional
+        Number of one of several tests of the same specimens, from 0: its noise then is a random
+        stream of its own, so that every test meets the same factors.
+    weighs : bool
+        Whether the reference is that of a specimen with a weight; it then needs its derivatives by
+        all moduli.
 
     Examples
     --------

@@ -73,6 +73,11 @@ TRUTHS: Mapping[str, Truth] = {"yeoh": _yeoh(), "ogden": _ogden(), "humphrey": _
 def truth(name: str) -> Truth:
     """Find a truth by its name.
 
+    Parameters
+    ----------
+    name : {"yeoh", "ogden", "humphrey"}
+        Key of :data:`TRUTHS`.
+
     Raises
     ------
     InputError
