@@ -89,7 +89,18 @@ class LeftOut:
 
 
 def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
-    """List the tests of a study: its different specimens, tests and measurements."""
+    """List the tests of a study: its different specimens, tests and measurements.
+
+    Parameters
+    ----------
+    configs : sequence of mapping
+        Resolved tables of the cells; tests that differ in their load steps alone count as one.
+
+    Returns
+    -------
+    tuple of mapping
+        ``specimen``, ``test`` and ``measurements`` of each test.
+    """
     found = {_name(config): _sections(config) for config in configs}
     return tuple(found.values())
 
@@ -101,6 +112,17 @@ def left_out(kind: str, case: Case, scored: Measurements, data: DataCache) -> li
     ----------
     kind : {"specimen", "test"}
         What is left out.
+    case : Case
+        Its block is the specimen that is scored.
+    scored : Measurements
+        Those that the case is scored on.
+    data : DataCache
+        Measurements of the tests of the study, and of one that only the calibration uses.
+
+    Returns
+    -------
+    list of LeftOut
+        One; two with ``"specimen"`` where fit and score also change places.
 
     Raises
     ------

@@ -14,7 +14,24 @@ from study.runner.calibration.measured_tests import FitCurve
 
 
 def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
-    """Status of a converged fit by its initial shear modulus."""
+    """Status of a converged fit by its initial shear modulus.
+
+    Parameters
+    ----------
+    material : Material
+        With the constants found.
+    message : str
+        How the fit ended; returned where nothing speaks against the constants.
+
+    Returns
+    -------
+    status : {"converged", "implausible", "unstable"}
+        ``"unstable"`` also where a user could not give such constants.
+    message : str
+        Why, where it is not ``"converged"``.
+    cautions : list of str
+        Always empty.
+    """
     if not material.mu0 > 0:
         rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
         return "unstable", rule, []
@@ -30,7 +47,25 @@ def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
 def range_stability(
     tests: Sequence[CalibratedTest], curves: Sequence[FitCurve], material: Material
 ) -> tuple[bool, str]:
-    """Drucker's criterion over the compressions that were fitted, else over the usual range."""
+    """Drucker's criterion over the compressions that were measured, else over the usual range.
+
+    Parameters
+    ----------
+    tests : sequence of CalibratedTest
+        All of the calibration.
+    curves : sequence of FitCurve
+        Measured ones; the largest compressive strain among them, held-out ones included, bounds
+        the range.
+    material : Material
+        With the constants found.
+
+    Returns
+    -------
+    is_stable : bool
+        In uniaxial, equibiaxial and planar loading.
+    sentence : str
+        The same in words.
+    """
     strains = [
         float(c.measured.curve.displacement_mm.max()) / height
         for c in curves

@@ -74,7 +74,21 @@ class FitCurve:
 def read_tests(
     tests: Sequence[CalibratedTest], root: Path
 ) -> tuple[list[FitCurve], tuple[str, ...]]:
-    """Read the curves of every test; notes say what was done to the rows.
+    """Read the curves of every test.
+
+    Parameters
+    ----------
+    tests : sequence of CalibratedTest
+        In the order of the file.
+    root : Path
+        Data root.
+
+    Returns
+    -------
+    curves : list of FitCurve
+        One for each specimen of each test, repeats averaged; held-out ones included.
+    notes : tuple of str
+        What was done to the rows, each once.
 
     Raises
     ------
@@ -126,7 +140,20 @@ def problem_of(tables: Tables) -> FitProblem:
 
 
 def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[Part]:
-    """Parts of a fit to the given curves, one for each test that has any."""
+    """Parts of a fit to the given curves, one for each test that has any.
+
+    Parameters
+    ----------
+    tests : sequence of CalibratedTest
+        All of the calibration, so that a curve's ``test`` is its test's place.
+    curves : sequence of FitCurve
+        All of them are fitted, whatever their role.
+
+    Returns
+    -------
+    list of Part
+        In the order of the tests.
+    """
     parts = []
     for number, test in enumerate(tests):
         own = [c for c in curves if c.test == number]
@@ -141,12 +168,30 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
 
 
 def in_order(curves: Sequence[FitCurve]) -> list[FitCurve]:
-    """Fitted curves in the order in which :func:`parts_of` gives them to the fit."""
+    """Fitted curves in the order in which :func:`parts_of` gives them to the fit.
+
+    Parameters
+    ----------
+    curves : sequence of FitCurve
+        Of any role; those held out are dropped.
+    """
     return sorted((c for c in curves if c.role == "fit"), key=lambda c: c.test)
 
 
 def left_out(curves: Sequence[FitCurve], kind: str) -> list[tuple[str, list[FitCurve]]]:
-    """Every way to leave one specimen or one test out: its label, and all curves with roles.
+    """Every way to leave one specimen or one test out.
+
+    Parameters
+    ----------
+    curves : sequence of FitCurve
+        Of any role; those that the calibration itself holds out are dropped.
+    kind : {"specimen", "test"}
+        What is left out.
+
+    Returns
+    -------
+    list of (str, list of FitCurve)
+        Label of what is left out, and all fitted curves, its own with the role ``held-out``.
 
     Raises
     ------
@@ -173,13 +218,35 @@ def left_out(curves: Sequence[FitCurve], kind: str) -> list[tuple[str, list[FitC
 
 
 def of_specimens(curves: Sequence[FitCurve]) -> dict[str, list[FitCurve]]:
-    """Fitted curves of every specimen."""
+    """Fitted curves of every specimen.
+
+    Parameters
+    ----------
+    curves : sequence of FitCurve
+        Of any role; those that are held out or have no label of a specimen are dropped.
+
+    Returns
+    -------
+    dict of str to list of FitCurve
+        By label, in the order of the curves.
+    """
     labels = dict.fromkeys(c.specimen for c in curves if c.role == "fit" and c.specimen is not None)
     return {s: [c for c in curves if c.specimen == s and c.role == "fit"] for s in labels if s}
 
 
 def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
-    """Say where equal weights hide a test."""
+    """Say where equal weights hide a test.
+
+    Parameters
+    ----------
+    curves : sequence of FitCurve
+        Of any role; those that are fitted are compared by their largest weighted force.
+
+    Returns
+    -------
+    list of str
+        One warning at most; none where a curve is weighted by its scatter.
+    """
     peaks = {
         c.label: float(np.max(np.abs(c.weight * c.measured.curve.force_N)))
         for c in curves

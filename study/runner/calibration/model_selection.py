@@ -114,6 +114,13 @@ def choose(
         The calibration; its material gives the compressibility.
     root : Path
         Data root.
+    progress : callable, optional
+        Gets every accepted iteration of every fit.
+
+    Returns
+    -------
+    EnergyChoice
+        An energy whose fit did not converge, or was refused, is among its ``failures``.
     """
     found: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}

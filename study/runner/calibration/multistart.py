@@ -100,7 +100,13 @@ def scattered(
 
 
 def best(found: Sequence[Staged]) -> Staged:
-    """Fit with the least sum of squares among those that converged, else the first."""
+    """Fit with the least sum of squares among those that converged, else the first.
+
+    Parameters
+    ----------
+    found : sequence of Staged
+        One at least, all of the same data and weights.
+    """
     usable = [one for one in found if one.fit.converged]
     return min(usable, key=lambda one: one.fit.rss) if usable else found[0]
 
@@ -134,7 +140,17 @@ def _with_moduli(
 
 
 def excluded(name: str, value: float, bounds: tuple[float, float]) -> Fault:
-    """Fault of a start that lies outside the bounds of its constant, both in MPa."""
+    """Fault of a start that lies outside the bounds of its constant.
+
+    Parameters
+    ----------
+    name : str
+        Of the constant.
+    value : float
+        Its start, MPa (exponents plain).
+    bounds : (float, float)
+        Its least and largest value in the same unit.
+    """
     return Fault(
         f"calibration.bounds.{name}",
         f"{bounds[0]:g} to {bounds[1]:g} excludes the start {value:.6g} (MPa; exponents plain)",

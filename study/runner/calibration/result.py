@@ -265,7 +265,13 @@ def _moduli(material: Material | None) -> dict[str, object]:
 
 
 def parameters(fit: Fit) -> dict[str, ParameterDocument]:
-    """Constants with errors and intervals: kPa, exponents plain."""
+    """Constants with errors and intervals by name: kPa, exponents plain.
+
+    Parameters
+    ----------
+    fit : Fit
+        Constants in MPa; errors and intervals are NaN where it did not converge.
+    """
     return {
         name: {
             "value": scale_of(name) * float(fit.values[i]),
@@ -311,7 +317,14 @@ def _in_kpa(name: str, one: Direction) -> float:
 
 
 def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
-    """Nuisance parameters with errors, intervals and shares, in the units of the file."""
+    """Nuisance parameters by name, with errors, intervals and shares: mm, mm^2, N, kPa, deg, plain.
+
+    Parameters
+    ----------
+    fit : Fit
+        One without nuisance parameters gives an empty mapping. Shares are of the variance of each
+        constant.
+    """
     return {one.name: _nuisance(one) for one in fit.nuisance}
 
 

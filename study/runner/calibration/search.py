@@ -124,7 +124,24 @@ def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[flo
 def from_all_starts(
     setting: Setting, curves: Sequence[FitCurve], own: Staged
 ) -> tuple[Staged, Starts | None]:
-    """Fit from the other starts that were asked for; the least sum of squares is the answer."""
+    """Fit from the other starts that were asked for; the least sum of squares is the answer.
+
+    Parameters
+    ----------
+    setting : Setting
+        Its calibration gives the number of starts and the seed of the draws.
+    curves : sequence of FitCurve
+        Measured ones; those held out take no part.
+    own : Staged
+        Fit from the calibration's own start.
+
+    Returns
+    -------
+    answer : Staged
+        Its ``fruitless`` counts the evaluations of all other fits too.
+    starts : Starts or None
+        Sums of squares of all starts; None where one start alone was asked for.
+    """
     count, seed = setting.config.asked.starts, setting.config.asked.seed
     if count == 1:
         return own, None

@@ -87,7 +87,15 @@ class InverseExternal:
 
 
 def predicted_of(solved: Solved, external: External) -> Predicted:
-    """Prediction of an external forward model, for the record."""
+    """Prediction of an external forward model, for the record.
+
+    Parameters
+    ----------
+    solved : Solved
+        Its answer; gradients by the constants are left out.
+    external : External
+        The model that answered; names the solver where the program does not say its version.
+    """
     answer = solved.answer
     solver: SolverDocument = {"name": _name(solved, external)}
     if solved.program is not None:
@@ -110,10 +118,26 @@ def external_curve(
 ) -> Predicted:
     """Curve of a case by its external forward model.
 
+    Parameters
+    ----------
+    tables : mapping
+        Resolved tables of the case, with ``forward``.
+    constants : mapping of str to float, optional
+        In MPa (exponents plain); None where the tables give them.
+    displacement_mm : ndarray, shape (n,)
+        Where the force is wanted, in mm, rising.
+
+    Returns
+    -------
+    Predicted
+        With tangents of a spline where the answer has none.
+
     Raises
     ------
     NoAnswer
         If it gives none.
+    ValueError
+        If the tables name no external forward model.
     """
     external = External.of(tables)
     if external is None:

@@ -50,6 +50,22 @@ def with_external(
 
     Nothing is run: a program is known by the content of its file.
 
+    Parameters
+    ----------
+    config : mapping
+        Resolved tables of a case.
+    places : sequence of Path
+        Folders in which ``forward.files`` are looked for; the first that has a file counts.
+    function : PythonFunction or None
+        What ``model = "python"`` stands for; None where no function was given.
+
+    Returns
+    -------
+    dict
+        Its ``forward`` has ``function`` and ``function_version``, where a function was given, or
+        ``programs`` (sha256 by word, empty where a program is missing) and ``contents`` (text by
+        file name). Without an external forward model nothing is added.
+
     Raises
     ------
     InputError
@@ -100,18 +116,41 @@ def _text(name: str, places: Sequence[Path]) -> str:
 
 
 def externals(configs: Iterable[Tables]) -> list[External]:
-    """Forward models of some configurations that are not ours, each once."""
+    """Forward models of some configurations that are not ours, each once.
+
+    Parameters
+    ----------
+    configs : iterable of mapping
+        Resolved tables of cases; models of equal content count as one.
+    """
     found = {one.digest: one for config in configs if (one := External.of(config)) is not None}
     return list(found.values())
 
 
 def identity(tables: Tables) -> list[str]:
-    """Name of the external forward model of a case; empty where there is none."""
+    """Name of the external forward model of a case; empty where there is none.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved tables of the case.
+
+    Returns
+    -------
+    list of str
+        At most one digest, of 12 hex digits.
+    """
     external = External.of(tables)
     return [] if external is None else [external.digest]
 
 
 def named(tables: Tables) -> Mapping[str, object]:
-    """Tables for a key, in which the forward model is its name: a pickled function is none."""
+    """Tables for a key, in which the forward model is its name: a pickled function is none.
+
+    Parameters
+    ----------
+    tables : mapping
+        Tables of a problem; returned as they are where our own model predicts.
+    """
     external = External.of(tables)
     return tables if external is None else {**tables, "forward": external.digest}

@@ -66,6 +66,18 @@ class FitProblem:
 def fit_problem(tables: Tables) -> FitProblem:
     """Calibration of the resolved tables of a case.
 
+    Parameters
+    ----------
+    tables : mapping
+        In internal units. ``calibration`` may be left out; ``specimen`` and ``test`` of
+        ``calibration.problem`` replace those of the case.
+
+    Returns
+    -------
+    FitProblem
+        Of a closed form without ``model`` and ``forward``, and with those keys of ``test`` alone
+        that enter its constants.
+
     Raises
     ------
     InputError
@@ -91,7 +103,21 @@ def fit_problem(tables: Tables) -> FitProblem:
 
 
 def together(tables: Tables, tests: Sequence[Tables]) -> FitProblem:
-    """One fit to several tests, with the material and model of a case."""
+    """One fit to several tests, with the material and model of a case.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved tables of the case; its calibration gives the method asked of every test.
+    tests : sequence of mapping
+        Tables that replace those of the case, such as ``specimen`` and ``test``, one mapping for
+        each test.
+
+    Returns
+    -------
+    FitProblem
+        Of method ``"together"``, with ``tests`` in the order given.
+    """
     asked = {"method": CalibrationTable.of(tables).method}
     parts = []
     for test in tests:
@@ -127,8 +153,15 @@ def fit_key(problem: FitProblem, measured: Sequence[Curve]) -> str:
 
     Parameters
     ----------
+    problem : FitProblem
+        Its method and tables count; an external forward model counts by its digest.
     measured : sequence of Curve
         The averaged curves that are fitted.
+
+    Returns
+    -------
+    str
+        32 hex digits.
     """
     data = [curve.name for curve in measured]
     return digest([problem.method, named(problem.tables), data, code_version()], 32)
@@ -138,9 +171,18 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     """Fit of the same test whose constants start this one: neo-Hookean, or one order lower.
 
     A third-order polynomial that starts from the neo-Hookean constant alone walks into
-    constants that soften without end. None where there is nothing to wait for: the fit is
-    neo-Hookean or linear itself, has a closed form, or its start is given. Start values are
-    thus a function of the case alone.
+    constants that soften without end. Start values are thus a function of the case alone.
+
+    Parameters
+    ----------
+    problem : FitProblem
+        The fit to be started.
+
+    Returns
+    -------
+    FitProblem or None
+        None where there is nothing to wait for: the fit is neo-Hookean or linear itself, no test of
+        it is simulated by our own elements, or its start is given.
     """
     own = problem.material
     simulated = any(method == "inverse-fem" for method, _ in problem.tests)

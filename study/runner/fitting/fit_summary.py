@@ -30,6 +30,15 @@ def status_of(found: Fit) -> FitStatus:
 
     ``at-edge`` and ``at-kink`` are ends with constants that describe the data as well as the
     model can, and without standard errors.
+
+    Parameters
+    ----------
+    found : Fit
+        Also one that failed.
+
+    Returns
+    -------
+    {"converged", "at-edge", "at-kink", "not-converged"}
     """
     if found.status is Status.at_edge:
         return "at-edge"
@@ -112,10 +121,17 @@ def described(found: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocum
 
     Parameters
     ----------
+    found : Fit
+        Constants in MPa; numbers that are not finite become None.
     tables : mapping
         Of the fitted test.
     measured : sequence of Curve
         Curves whose range decides whether the constants are stable enough.
+
+    Returns
+    -------
+    FitDocument
+        With mu0 (MPa) and stability where the fit has constants.
 
     Raises
     ------

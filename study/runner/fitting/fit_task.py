@@ -89,6 +89,11 @@ class FitTask:
 def perform(document: Received) -> dict[str, object]:
     """Fit the constants of one material to measured curves: a task for a worker.
 
+    Parameters
+    ----------
+    document : mapping
+        Of :meth:`FitTask.to_json`.
+
     Returns
     -------
     dict
@@ -98,7 +103,18 @@ def perform(document: Received) -> dict[str, object]:
 
 
 def fitted(task: FitTask) -> FitResult:
-    """Fit the constants of one material to measured curves."""
+    """Fit the constants of one material to measured curves.
+
+    Parameters
+    ----------
+    task : FitTask
+        Its ``start``, where there is one, gives the start values.
+
+    Returns
+    -------
+    FitResult
+        With the status of ``start`` and no constants where that fit found none.
+    """
     began = time.perf_counter()
     start = task.start
     if start is not None and not start.converged:  # it cannot be fitted alone
@@ -129,7 +145,13 @@ def fitted(task: FitTask) -> FitResult:
 
 
 def parts_of(task: FitTask) -> list[Part]:
-    """Parts of a fit, each with the measured curves that belong to it."""
+    """Parts of a fit, each with the measured curves that belong to it.
+
+    Parameters
+    ----------
+    task : FitTask
+        Of one test, which all curves belong to, or of several, each with one curve in their order.
+    """
     tests = task.problem.tests
     data = [
         MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
@@ -143,10 +165,26 @@ def parts_of(task: FitTask) -> list[Part]:
 def start_values(
     tables: Tables, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
 ) -> tuple[tuple[str, ...], Array]:
-    """Names of the constants and where the fit starts, in MPa.
+    """Names of the constants and where the fit starts.
 
     Higher constants start at zero: those of the closed form soften so much that a bonded
     specimen cannot be solved with them.
+
+    Parameters
+    ----------
+    tables : mapping
+        Of the fitted test; constants of its ``material`` are the start where there are any.
+    measured : sequence of Curve
+        The first one gives ``C10`` where nothing else does; may be empty otherwise.
+    neo_hookean : mapping of str to float or None
+        Constants of a simpler fit in MPa, with ``C10``; None to take ``C10`` from the closed form.
+
+    Returns
+    -------
+    names : tuple of str
+        Those of the energy, then shares and times of the relaxation that are fitted.
+    start : ndarray, shape (p,)
+        In MPa; exponents and shares plain, times in s.
     """
     known = MaterialSection.of(tables)
     names, fading = known.calibrated_names, known.starts_of_relaxation()
@@ -162,7 +200,25 @@ def start_values(
 
 
 def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
-    """Model of one test, for the optimizer."""
+    """Model of one test, for the optimizer.
+
+    Parameters
+    ----------
+    method : {"closed-form", "inverse-fem", "external"}
+        How the test is predicted.
+    tables : mapping
+        Of the fitted test; constants of its material are replaced.
+    measured : sequence of Curve
+        Predicted at their displacements (mm), in a closed form also at their times (s).
+    names : sequence of str
+        Constants, in the order in which the optimizer varies them.
+
+    Returns
+    -------
+    callable
+        Constants (p,) in MPa (exponents plain) -> one curve for every measured one, with its
+        gradient by all names; raises :class:`EvaluationFailed` where there is no answer.
+    """
     if method == "external":
         return InverseExternal(tables, measured, names)
     make = closed_form_model if method == "closed-form" else InverseFem
@@ -170,7 +226,18 @@ def model(method: str, tables: Tables, measured: Sequence[Curve], names: Sequenc
 
 
 def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
-    """Model of a homogeneous test, for the optimizer."""
+    """Model of a homogeneous test, for the optimizer.
+
+    Parameters
+    ----------
+    tables, measured, names
+        As for :func:`model`.
+
+    Returns
+    -------
+    callable
+        As for :func:`model`.
+    """
     setup, section = Setup.of(tables), MaterialSection.of(tables)
 
     def predict(values: Array) -> list[Curve]:

@@ -67,7 +67,22 @@ def predicted_markers(
 
 
 def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantity]:
-    """Errors of the markers, with the plate that the study asks for, mm."""
+    """Errors of the markers, with the plate that the study asks for, mm.
+
+    Parameters
+    ----------
+    tables : mapping
+        Resolved tables, whose ``markers.plate`` says which motion of the plate counts.
+    found : MarkerDocument
+        Of :func:`predicted_markers`.
+
+    Returns
+    -------
+    dict of str to Quantity
+        Root mean square errors: ``marker_error`` of all markers, and ``predicted_marker_error`` of
+        those outside the layers that alone told the motion. The latter's value is None where no
+        layers are named, or the plate is ``"nominal"``.
+    """
     plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
     fits = [fit for fit in found["fits"] if fit["plate"] == plate]
     every = [fit["error_mm"] for fit in fits if not fit["fitted"].startswith("layers")]

@@ -61,6 +61,10 @@ def residuals_of(measured: Curve, predicted_N: Array, share: float) -> Residuals
 
     Parameters
     ----------
+    measured : Curve
+        The curve that was fitted.
+    predicted_N : ndarray, shape (n,)
+        Force of the fit at the measured points, N.
     share : float
         Points over degrees of freedom: the mean square of the residuals of n points and p
         constants is smaller than the noise by (n - p) / n.
@@ -78,6 +82,13 @@ def block_length(lag1: float, n: int) -> int:
     Politis and White (2004, Econometric Reviews 23, 53), eq. 6 for circular blocks, with the
     autocovariances of a first-order autoregression, and their upper bound.
 
+    Parameters
+    ----------
+    lag1 : float
+        Correlation of neighboring residuals; up to two standard errors, 2 / sqrt(n), count as none.
+    n : int
+        Points; fewer than 8 are never drawn in blocks.
+
     Examples
     --------
     >>> block_length(0.0, 200), block_length(0.5, 200), block_length(0.9, 200)
@@ -91,7 +102,15 @@ def block_length(lag1: float, n: int) -> int:
 
 
 def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
-    """Force of the fit with its residuals drawn anew, N, shape (n,)."""
+    """Force of the fit with its residuals drawn anew, N, shape (n,).
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of one curve; the blocks are laid on a circle.
+    random : numpy.random.Generator
+        Where the draws come from.
+    """
     n, block = residuals.noise_N.size, residuals.block
     starts = random.integers(0, n, math.ceil(n / block))
     drawn = ((starts[:, None] + np.arange(block)) % n).ravel()[:n]
@@ -100,6 +119,11 @@ def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
 
 def perform(document: Received) -> dict[str, object]:
     """Fit the constants again to resampled curves: a task for a worker.
+
+    Parameters
+    ----------
+    document : mapping
+        Of :meth:`study.runner.fitting.fit_task.FitTask.to_json`, with ``start`` and ``noise``.
 
     Returns
     -------
@@ -112,6 +136,16 @@ def perform(document: Received) -> dict[str, object]:
 
 def refitted(task: FitTask) -> FitResult:
     """Fit the constants again to resampled curves.
+
+    Parameters
+    ----------
+    task : FitTask
+        Its ``start`` is the fit whose residuals are drawn, its ``noise`` the seed and the number.
+
+    Returns
+    -------
+    FitResult
+        With the status of ``start`` and no constants where that fit found none.
 
     Raises
     ------

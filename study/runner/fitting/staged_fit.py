@@ -186,7 +186,24 @@ def begun_stage(
     progress: Progress | None,
     checkpoint: Checkpoint,
 ) -> Staged:
-    """Fit from the first start that leads anywhere; from the last one if none does."""
+    """Fit from the first start that leads anywhere; from the last one if none does.
+
+    Parameters
+    ----------
+    stage : str
+        Name in progress and checkpoint; a later start adds a comma and its words.
+    parts, names, make, bounds, progress
+        As for :func:`staged_fit`.
+    starts : sequence of Start
+        One at least, the wanted one first.
+    checkpoint : Checkpoint
+        Says which start an interrupted fit was at, and keeps accepted iterations.
+
+    Returns
+    -------
+    Staged
+        ``fruitless`` and ``notes`` tell of the starts that were given up.
+    """
     labels = [stage, *(f"{stage}, {one.words}" for one in starts[1:])]
     # an interrupted fit goes on from the start that it was at; those before it failed at once
     number = max((k for k, one in enumerate(labels) if checkpoint.last(one)), default=0)
@@ -227,8 +244,15 @@ def single_stage(
 ) -> Staged:
     """Fit on the given meshes from one start.
 
-    The name of the stage is that of its progress and checkpoint; one that begins with
-    ``FIRST`` is only as exact as a start needs to be.
+    Parameters
+    ----------
+    stage : str
+        Name of its progress and checkpoint; a simulated stage whose name begins with ``FIRST`` is
+        only as exact as a start needs to be.
+    parts, names, start, make, bounds, progress
+        As for :func:`staged_fit`.
+    checkpoint : Checkpoint
+        Its last iteration of this stage, if any, is gone on from; accepted ones are kept.
     """
     models = [make(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
 
@@ -263,7 +287,13 @@ def single_stage(
 
 
 def cheaper(part: Part) -> Part | None:
-    """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
+    """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper.
+
+    Parameters
+    ----------
+    part : Part
+        Nothing is cheaper where no elements of ours predict it.
+    """
     if part.method != "inverse-fem":
         return None
     setup = Setup.of(part.tables)

@@ -145,7 +145,22 @@ def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
 
 
 def moved(test: Tables, key: str, amount: float) -> Tables:
-    """Copy of the tables of a test with one input changed."""
+    """Copy of the tables of a test with one input changed.
+
+    Parameters
+    ----------
+    test : mapping
+        Resolved tables of the test.
+    key : str
+        Dotted key of the input as the file has it, such as ``"specimen.height"``.
+    amount : float
+        Added to its value, in the unit of the tables: mm, mm^2, MPa, deg or plain.
+
+    Raises
+    ------
+    InputError
+        If the test has no such input.
+    """
     table, name = _located(test, key)
     *path, _ = key.split(".")
     changed: Mapping[str, object] = {**table, name: float(cast(float, table[name])) + amount}

@@ -78,7 +78,15 @@ class _Simulated(fit_task.InverseFem):
 
 
 def reach_of(one: NuisanceParameter, depth_mm: float) -> float:
-    """How far an offset may go from its expected value, mm."""
+    """How far an offset may go from its expected value, mm.
+
+    Parameters
+    ----------
+    one : NuisanceParameter
+        A displacement offset; it may go four standard uncertainties.
+    depth_mm : float
+        Largest measured displacement; an offset of unknown uncertainty may go 5 % of it.
+    """
     return _FAR * depth_mm if one.uncertainty is None else REACH * one.uncertainty
 
 

@@ -143,7 +143,23 @@ def predicted(
     names: Sequence[str],
     values: Array,
 ) -> list[Curve]:
-    """Curves of a fit for constants and fitted nuisance parameters, shape (p + k,)."""
+    """Curves of a fit for constants and fitted nuisance parameters.
+
+    Parameters
+    ----------
+    parts, tests, curves
+        As for :func:`with_nuisance`.
+    names : sequence of str
+        Constants.
+    values : ndarray, shape (p + k,)
+        Constants in MPa (exponents plain), then the fitted parameters in mm, N, MPa, deg or plain,
+        in the order of :func:`parameters_of`. Propagated ones have their expected values.
+
+    Returns
+    -------
+    list of Curve
+        In the order of the parts, each with the unloaded origin and its gradient by all ``values``.
+    """
     parameters = parameters_of(tests, curves)
     own = [tests[number] for number in sorted({c.test for c in curves})]
     asked = [one for one in parameters if one.is_fitted]
