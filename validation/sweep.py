@@ -168,7 +168,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
 
 def _sizes(problem: Problem, series: Sequence[Found]) -> list[float]:
     """Sizes by which a study judges a series."""
-    from study.runner.numerical.judgement import series_sizes
+    from study.runner.numerical.sizes import series_sizes
 
     pressed = problem.test.indenter
     indenter = {

@@ -12,6 +12,7 @@ from study.design.load import loads_problem
 from study.runner.numerical import judgement
 from study.runner.numerical.formal_order import edge_rules, formal_order
 from study.runner.numerical.refinement import refine, solving
+from study.runner.numerical.sizes import series_sizes
 from study.runner.numerical.solver import in_process
 from study.setup.geometry import Cylinder, Flat, Sphere
 from study.setup.setup import Model, Setup, problem_of
@@ -103,9 +104,9 @@ def test_only_an_edge_that_every_mesh_shows_alike_rules_the_size() -> None:
         replace(setup, test=Test("compression", 1.0)),
     ):
         assert not edge_rules(other)
-    assert judgement.series_sizes([2.0, 1.0], [100, 300], setup) == [2.0, 1.0]
-    assert judgement.series_sizes([2.0, 1.0], [100, 800], solid) == pytest.approx([2.0, 1.0])
-    assert judgement.series_sizes([2.0, 1.0], [100, 300], solid)[0] < 1.5
+    assert series_sizes([2.0, 1.0], [100, 300], setup) == [2.0, 1.0]
+    assert series_sizes([2.0, 1.0], [100, 800], solid) == pytest.approx([2.0, 1.0])
+    assert series_sizes([2.0, 1.0], [100, 300], solid)[0] < 1.5
 
 
 @pytest.mark.slow

@@ -32,7 +32,7 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
     assert {job.case.case_id for job in chosen} == {job.case.case_id for job in bonded}
     finer = study_refinement.refinement_work(work)
     sizes = [job.case.config["model"]["mesh_size_mm"] for job in finer.jobs]
-    base = formal_order.base_size_mm(chosen[0].case)
+    base = formal_order.base_size_mm(chosen[0])
     assert sizes == pytest.approx([base / 1.5, base / 1.5**2] * len(chosen))
     monkeypatch.setattr(study_refinement, "ALL_CELLS_S", 0.0)
     few = study_refinement.chosen(work)

@@ -139,7 +139,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     np.testing.assert_allclose(row["u_input_N"], force * 2 * 0.1 / 25, rtol=5e-3)
     # two equal repeats: no scatter, so the load cell's uncertainty alone
     np.testing.assert_allclose(row["u_data_N"], 0.02, rtol=1e-6)
-    h = formal_order.base_size_mm(study_refinement.chosen(work)[0].case)
+    h = formal_order.base_size_mm(study_refinement.chosen(work)[0])
     share = np.array(row["u_num_N"]) / force
     assert (share > ERROR * h / (1 + ERROR * h)).all()
     squares = sum(np.square(row[k]) for k in ("u_num_N", "u_input_N", "u_data_N"))
@@ -168,7 +168,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
         run_batch(part, store, jobs=2, executor=fake(2))
     rows = validation.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
-    sizes = {j.case.case_id: formal_order.base_size_mm(j.case) for j in work.jobs}
+    sizes = {j.case.case_id: formal_order.base_size_mm(j) for j in work.jobs}
     for row in rows:
         share = np.array(row["u_num_N"]) / np.array(row["simulated_N"])
         if row["levels"]["plates"] == "frictionless":

@@ -57,7 +57,7 @@ def test_columns_go_from_coarse_to_fine_under_one_block(work: Work) -> None:
     for jobs in (one.jobs for one in series):
         assert {job.case.block for job in jobs} == {work.blocks[0]}
         assert len({job.case.levels["material"] for job in jobs}) == 1
-        sizes = [base_size_mm(job.case) for job in jobs]
+        sizes = [base_size_mm(job) for job in jobs]
         assert sizes == sorted(sizes, reverse=True)
 
 

@@ -25,14 +25,7 @@ from study.record.record import Record
 from study.runner.job import CaseJob
 from study.runner.numerical.curve_quantities import QUANTITIES
 from study.runner.numerical.formal_order import FormalOrder, base_size_mm, formal_of_case
-from study.runner.numerical.judgement import (
-    SeriesJudgement,
-    Values,
-    combined,
-    inconclusive,
-    judged,
-    series_sizes,
-)
+from study.runner.numerical.judgement import SeriesJudgement, Values, combined, inconclusive, judged
 from study.runner.numerical.refinement import FEWEST
 from study.runner.numerical.retry import has_other_mesh
 from study.runner.numerical.series_uncertainty import (
@@ -41,6 +34,7 @@ from study.runner.numerical.series_uncertainty import (
     series_uncertainty,
     two_mesh_uncertainty,
 )
+from study.runner.numerical.sizes import series_sizes
 
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
 TOLERANCE = 1e-6
@@ -109,7 +103,7 @@ class CaseSeries:
 
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
-        asked = {job.case.case_id: job.case for job in self.jobs}
+        asked = {job.case.case_id: job for job in self.jobs}
         # another program does not say what its mesh is: it was asked for this one
         sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
                  for r in records]  # fmt: skip
@@ -209,7 +203,7 @@ class CaseSeries:
             return facts.warned(*said)
         qoi = spec.qoi if spec.qoi in values else next(iter(values))
         elements = [int(record.mesh.get("elements", 0)) for record in records]
-        asked = [base_size_mm(job.case) for job, _ in self.good]
+        asked = [base_size_mm(job) for job, _ in self.good]
         sizes = series_sizes(asked, elements, self.base.case.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
         return combined(facts, qoi, results, spec.tolerance, said)
@@ -220,9 +214,9 @@ class CaseSeries:
             record = self.records.get(job.case.case_id)
             if record is None or not record.converged:
                 why = "it was not computed" if record is None else record.message
-                yield f"the mesh of {base_size_mm(job.case):.4g} mm gave no answer: {why}"
+                yield f"the mesh of {base_size_mm(job):.4g} mm gave no answer: {why}"
             elif has_other_mesh(record):
-                size = f"{base_size_mm(job.case):.4g} mm"
+                size = f"{base_size_mm(job):.4g} mm"
                 yield f"the mesh of {size} gave no answer: only a finer one did, on a second try"
 
 

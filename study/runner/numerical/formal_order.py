@@ -16,7 +16,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.design.spec import Case
 from study.material.material import Material
 from study.runner.tables import with_placeholder
 from study.setup.geometry import Cylinder, Enclosed, Flat
@@ -73,8 +72,7 @@ def formal_of_case(job: CaseJob) -> FormalOrder:
         Where its tables give no displacement, the largest measured one counts, or 1 mm without
         directions.
     """
-    depth = job.depth_mm if job.directions else 1.0
-    return formal_order(with_placeholder(job.case.config, depth))
+    return formal_order(_in_mind(job))
 
 
 def _limits(problem: Problem) -> list[tuple[float, str]]:
@@ -195,19 +193,20 @@ def poisson_ratio(material: Material) -> float:
     return 0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu))
 
 
-def base_size_mm(case: Case) -> float:
+def base_size_mm(job: CaseJob) -> float:
     """Element size of a case, named or given, in mm.
 
     Parameters
     ----------
-    case : Case
-        Its test has a displacement; the file of a surface is read.
-
-    Raises
-    ------
-    InputError
-        If its tables leave the displacement to the measurements.
+    job : CaseJob
+        Where its tables give no displacement, the largest measured one counts, or 1 mm without
+        directions; the file of a surface is read.
     """
     from study.fem.mesh.mesher import mesh_size
 
-    return float(mesh_size(with_placeholder(case.config).setup))
+    return float(mesh_size(_in_mind(job).setup))
+
+
+def _in_mind(job: CaseJob) -> Problem:
+    """Problem of a case whose constants are not known yet."""
+    return with_placeholder(job.case.config, job.depth_mm if job.directions else 1.0)

@@ -11,8 +11,9 @@ from study.canonical import plain
 from study.design.study_file import Converge
 from study.runner.numerical.curve_quantities import curve_values, quantity
 from study.runner.numerical.error_sources import ErrorSource, one_table, other_sources, remarks
-from study.runner.numerical.formal_order import FormalOrder, edge_rules
+from study.runner.numerical.formal_order import FormalOrder
 from study.runner.numerical.refinement import FEWEST, Budget, Level, Outlook, Series
+from study.runner.numerical.sizes import representative_sizes, usable
 from study.runner.numerical.solve_task import Solver
 from study.setup.setup import Setup, Tables, problem_of
 
@@ -23,67 +24,6 @@ SOLVER_TOLERANCE = 1e-7
 
 #: a value of this part of the largest of its kind is nothing to be settled
 _NOTHING = 1e-9
-
-
-def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
-    """Meshes with an answer and with elements of their own, and what is wrong with the others."""
-    kept: list[Level] = []
-    said = [
-        f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
-        for level in levels
-        if not level.converged
-    ]
-    for level in levels:
-        if not level.converged:
-            continue
-        same = [k for k in kept if k.elements == level.elements and level.elements > 0]
-        if same:
-            said.append(
-                f"the meshes of {same[0].mesh_size_mm:.4g} mm and {level.mesh_size_mm:.4g} mm "
-                f"have the same {level.elements} elements: the coarser is left out; a larger "
-                "ratio or a smaller mesh_size would refine"
-            )
-            kept.remove(same[0])
-        kept.append(level)
-    return kept, said
-
-
-def representative_sizes(levels: Sequence[Level], setup: Setup) -> list[float]:
-    """Sizes of solved meshes, scaled to the finest mesh's own size."""
-    sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.elements for level in levels], setup)
-
-
-def series_sizes(
-    sizes: Sequence[float],
-    elements: Sequence[int],
-    setup: Setup,
-    *,
-    anchor: int = -1,
-) -> list[float]:
-    """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
-    if edge_rules(setup):
-        return list(sizes)
-    return by_elements(sizes, elements, setup.model.space, anchor=anchor)
-
-
-def by_elements(
-    sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
-) -> list[float]:
-    """Sizes h = (V / N)^(1/d) of meshes with N elements, scaled to the size of one of them.
-
-    What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
-    whole numbers of cells never give exactly the ratio that was asked for.
-
-    Examples
-    --------
-    >>> by_elements([2.0, 1.0], [100, 441], "axisymmetric")
-    [2.1, 1.0]
-    """
-    if min(elements) <= 0 or len(set(elements)) < len(elements):
-        return list(sizes)
-    power = 1 / (3 if space == "3d" else 2)
-    return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]
 
 
 def judged(

@@ -148,7 +148,7 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
         if change == SMALLER_STEPS:
             tables, what = _with_steps(tables)
         elif change == FINER_MESH:
-            old = base_size_mm(job.case)
+            old = base_size_mm(job)
             size = old / work.design.converge.ratio
             tables = on_mesh(tables, mesh=None, mesh_size_mm=size)
             what = f"elements of {size:.4g} mm instead of {old:.4g} mm"

@@ -121,7 +121,7 @@ def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:
     material = job.case.material
-    return len(material.calibrated_names), material.model, base_size_mm(job.case)
+    return len(material.calibrated_names), material.model, base_size_mm(job)
 
 
 def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
@@ -129,7 +129,7 @@ def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
     changed = {**job.case.config, "specimen": _equivalent_cylinder(job.case.setup)}
     changed = with_table(changed, "material", constants=dict(constants))
     changed = with_table(changed, "test", displacement_mm=job.depth_mm if depth is None else depth)
-    return SolveTask.of(changed, base_size_mm(job.case))
+    return SolveTask.of(changed, base_size_mm(job))
 
 
 def _constants(record: Record | None) -> dict[str, float]:

@@ -81,7 +81,7 @@ def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]
     """
     costs = Costs()
     return [
-        refined_series(work, base, _refinements(work, base.case, costs), records)
+        refined_series(work, base, _refinements(work, base, costs), records)
         for base in chosen(work)
     ]
 
@@ -117,7 +117,7 @@ def refined_series(
     records : mapping of str to Record
         By case id, of the cell and of the refined cases, where they are known; else empty.
     """
-    size, ratio = base_size_mm(base.case), work.design.converge.ratio
+    size, ratio = base_size_mm(base), work.design.converge.ratio
     finer = [
         case_job(
             refined(base.case, size / ratio**level),
@@ -167,7 +167,7 @@ def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
         return []
     series = []
     for jobs in found.values():
-        ordered = sorted(jobs, key=lambda job: -base_size_mm(job.case))
+        ordered = sorted(jobs, key=lambda job: -base_size_mm(job))
         own = _series(tuple(ordered), work.design.converge.ratio, records)
         own.own = "finest"
         series.append(own)
@@ -198,7 +198,7 @@ def chosen(work: Work) -> list[CaseJob]:
     for jobs in groups.values():
         ordered = sorted(jobs, key=lambda job: len(job.case.material.calibrated_names))
         priced = _spread(ordered, PRICED_CELLS)
-        finest = [costs.solve_seconds(_twice(work, job.case).config) for job in priced]
+        finest = [costs.solve_seconds(_twice(work, job).config) for job in priced]
         cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
         found += jobs if cheap else _spread(ordered, FEW_CELLS)
     return found
@@ -231,13 +231,13 @@ def meshed_cells(work: Work) -> list[CaseJob]:
     return [job for job in every_cell(work) if not job.case.setup.is_homogeneous]
 
 
-def _refinements(work: Work, case: Case, costs: Costs) -> int:
+def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
     """Count the refinements: two where the second is cheap, one elsewhere."""
-    return 2 if costs.solve_seconds(_twice(work, case).config) < CHEAP_S else 1
+    return 2 if costs.solve_seconds(_twice(work, job).config) < CHEAP_S else 1
 
 
-def _twice(work: Work, case: Case) -> Case:
-    return refined(case, base_size_mm(case) / work.design.converge.ratio**2)
+def _twice(work: Work, job: CaseJob) -> Case:
+    return refined(job.case, base_size_mm(job) / work.design.converge.ratio**2)
 
 
 def refined(case: Case, size_mm: float) -> Case:
