@@ -57,6 +57,13 @@ def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[st
 
     A series without an order has no GCI; it settles where thrice the range of its finest three
     meshes is small enough (Eca and Hoekstra 2014 for series that are noise).
+
+    Parameters
+    ----------
+    results : mapping of str to ConvergenceResult
+        By quantity.
+    accuracy : float
+        Fraction of the value on the finest mesh.
     """
     return {name: _bound(r) <= accuracy * abs(r.value[0]) + _NOTHING for name, r in results.items()}
 
@@ -266,7 +273,21 @@ def combined(
     accuracy: float | None,
     said: Sequence[str],
 ) -> SeriesJudgement:
-    """Judgement of several judged quantities, all of which must settle."""
+    """Judgement of several judged quantities, all of which must settle.
+
+    Parameters
+    ----------
+    facts : SeriesJudgement
+        What is known of the series so far.
+    qoi : str
+        Main quantity, a key of ``results``.
+    results : mapping of str to ConvergenceResult
+        By quantity.
+    accuracy : float or None
+        Wanted uncertainty over the value.
+    said : sequence of str
+        Warnings so far.
+    """
     main = results[qoi]
     found = replace(
         facts,
@@ -281,7 +302,13 @@ def combined(
 
 
 def given_mesh(result: ConvergenceResult) -> GivenMesh:
-    """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
+    """Value and uncertainty on the problem's own mesh, the coarsest of its series.
+
+    Parameters
+    ----------
+    result : ConvergenceResult
+        Of the main quantity; its last value is that of the problem's own mesh.
+    """
     value, u = result.value[-1], None
     if (bound := result.bound_of(value)) is not None:
         u = bound
@@ -332,7 +359,15 @@ def inconclusive(
 
 
 def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
-    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used."""
+    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used.
+
+    Parameters
+    ----------
+    result : ConvergenceResult
+        Of one quantity.
+    accuracy : float
+        Fraction of the value.
+    """
     if result.order_used is None or not result.u_num or result.extrapolated in (None, 0.0):
         return None
     allowed = accuracy * abs(result.extrapolated)

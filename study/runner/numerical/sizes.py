@@ -10,7 +10,13 @@ from study.setup.setup import Setup
 
 
 def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
-    """Meshes with an answer and with elements of their own, and what is wrong with the others."""
+    """Meshes with an answer and with elements of their own, and what is wrong with the others.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        From coarse to fine, those without an answer too.
+    """
     kept: list[Level] = []
     said = [
         f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
@@ -33,7 +39,13 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
 
 
 def representative_sizes(levels: Sequence[Level], setup: Setup) -> list[float]:
-    """Sizes of solved meshes, scaled to the finest mesh's own size."""
+    """Sizes of solved meshes, scaled to the finest mesh's own size.
+
+    Parameters
+    ----------
+    levels, setup : sequence of Level, Setup
+        Meshes with an answer, from coarse to fine, and what is refined.
+    """
     sizes = [level.mesh_size_mm for level in levels]
     return series_sizes(sizes, [level.elements for level in levels], setup)
 
@@ -45,7 +57,17 @@ def series_sizes(
     *,
     anchor: int = -1,
 ) -> list[float]:
-    """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
+    """Sizes by which a series is judged: by its elements, or those at a sharp edge.
+
+    Parameters
+    ----------
+    sizes, elements : sequence of float, sequence of int
+        Sizes asked for (mm), and elements of the meshes.
+    setup : Setup
+        What is refined.
+    anchor : int
+        Place of the mesh whose size stays.
+    """
     if edge_rules(setup):
         return list(sizes)
     return by_elements(sizes, elements, setup.model.space, anchor=anchor)
@@ -58,6 +80,15 @@ def by_elements(
 
     What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
     whole numbers of cells never give exactly the ratio that was asked for.
+
+    Parameters
+    ----------
+    sizes, elements : sequence of float, sequence of int
+        Sizes asked for (mm), and elements of the meshes; 0 where they are not known.
+    space : {"axisymmetric", "3d"}
+        Of the elements.
+    anchor : int
+        Place of the mesh whose size stays.
 
     Examples
     --------
