@@ -131,6 +131,10 @@ def run_batch(
 
     Parameters
     ----------
+    work : Work
+        The cases, and what may be used to compute them.
+    store : Store
+        Where records and fits are kept; it is locked meanwhile.
     jobs : int, optional
         Number of workers; by default one a core. Results do not depend on it.
     progress : callable, optional
@@ -196,10 +200,8 @@ def computing(
 
     Parameters
     ----------
-    work : Work
-        Study that the cases belong to.
-    store, jobs, progress, timeout_s, executor
-        As of :func:`run_batch`.
+    work, store, jobs, progress, timeout_s, executor
+        As of :func:`run_batch`; the cases of ``work`` itself are not computed.
     """
 
     def compute(cases: Sequence[CaseJob]) -> list[Record | None]:

@@ -47,6 +47,11 @@ class Stopped(Exception):
 def perform(document: Received) -> dict[str, object]:
     """Execute one case: a task for a worker.
 
+    Parameters
+    ----------
+    document : mapping
+        Of :meth:`CaseTask.to_json`.
+
     Returns
     -------
     dict
@@ -57,7 +62,13 @@ def perform(document: Received) -> dict[str, object]:
 
 
 def executed(task: CaseTask) -> Record:
-    """Execute one case; what has no answer is a status of its record."""
+    """Execute one case; what has no answer is a status of its record.
+
+    Parameters
+    ----------
+    task : CaseTask
+        The case, its fits done; one of a fit not converged or unstable is not predicted.
+    """
     began = time.perf_counter()
     try:
         for direction in task.directions:

@@ -117,6 +117,11 @@ def fit_calls(problem: FitProblem) -> int:
     """Count the calls of another program in a fit: each evaluation and one for every constant.
 
     A program that writes its gradients takes fewer; nobody knows before it has run.
+
+    Parameters
+    ----------
+    problem : FitProblem
+        A calibration; one of a method other than ``"external"`` counts 0 calls.
     """
     if problem.method != "external":
         return 0
@@ -125,7 +130,15 @@ def fit_calls(problem: FitProblem) -> int:
 
 
 def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
-    """Count the calls of other programs in some fits and cases."""
+    """Count the calls of other programs in some fits and cases.
+
+    Parameters
+    ----------
+    fits : iterable of FitJob
+        Calibrations to be made, counted as :func:`fit_calls` does.
+    cases : iterable of CaseJob
+        Cases to be computed: one call for each direction of those whose forward is ``"external"``.
+    """
     predicted = sum(len(one.directions) for one in cases if one.forward == "external")
     return predicted + sum(fit_calls(one.problem) for one in fits)
 
@@ -144,7 +157,18 @@ def _from_anchor(config: Tables) -> float:
 
 
 def same_model(config: Tables) -> str:
-    """Name of all that differ in their material alone."""
+    """Name of all that differ in their material alone.
+
+    Parameters
+    ----------
+    config : mapping
+        Document of a case or of a fit; its ``specimen``, ``test`` and ``model`` make the name.
+
+    Returns
+    -------
+    str
+        Hash of 64 hex digits.
+    """
     return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
 
 

@@ -72,6 +72,8 @@ def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
 
     Parameters
     ----------
+    design : Design
+        The study; its replicates, of meshes and of noise, have cases too.
     blocks : sequence of str
         Labels of the blocks, as the measurements have them.
     """
@@ -86,10 +88,12 @@ def relabeled(
 ) -> tuple[Record, ...]:
     """Give records the levels of their cases: a level of another name is computed no more.
 
-    A record of no known case keeps its levels; one whose levels are none of the design is left out.
-
     Parameters
     ----------
+    records : iterable of Record
+        One of no known case keeps its levels, and is left out where these are none of the design.
+    design : Design
+        The study, with its factors and their levels as they are named now.
     known : mapping of str to Case
         Cases of the design by their ids.
     """
@@ -144,7 +148,13 @@ class Computed:
 
 
 def units_asked(design: Design) -> dict[str, str]:
-    """List every response that the records of a design hold, with its unit."""
+    """List every response that the records of a design hold, with its unit.
+
+    Parameters
+    ----------
+    design : Design
+        The study; where it has measurements, the responses that compare two curves are held too.
+    """
     return units_of((response.name for response in design.responses), design.is_measured)
 
 
@@ -196,8 +206,10 @@ def case_job(
 
     Parameters
     ----------
-    design : Design
-        Says which responses its record holds.
+    case : Case
+        Cell in its block, with its files found unless ``computed`` is given.
+    data, design
+        The measurements, and the study, which says which responses its record holds.
     origin : Origin, optional
         Why it is computed besides the cells of the design.
     computed : Computed, optional
@@ -337,6 +349,8 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
 
     Parameters
     ----------
+    problem, measured
+        The calibration, and the averaged curves that it is fitted to.
     label : str
         The case that asks for it, for progress lines.
     """

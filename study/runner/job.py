@@ -297,7 +297,13 @@ class Work:
 
 
 def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
-    """Every fit that some cases need, by its key, with those that give start values first."""
+    """Every fit that some cases need, by its key, with those that give start values first.
+
+    Parameters
+    ----------
+    jobs : iterable of CaseJob
+        Cases; the fits of their anchors and the start of each fit count too.
+    """
     found: dict[str, FitJob] = {}
     for job in jobs:
         for fit in job.fits:
@@ -308,12 +314,32 @@ def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
 
 
 def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:
-    """Copy a case that repeats it in some way; its name is made of the case's and of the way."""
+    """Copy a case that repeats it in some way; its name is made of the case's and of the way.
+
+    Parameters
+    ----------
+    case : Case
+        What is repeated.
+    way : sequence
+        Plain values for the name, such as ``["noise", 1]``.
+    tables : mapping, optional
+        Document that is computed; by default that of the case. It does not enter the name.
+    """
     config = case.config if tables is None else dict(tables)
     return replace(case, config=config, case_id=case_id([case.case_id, *way]))
 
 
 def varied(case: Case, tables: Tables, purpose: str) -> Case:
-    """Copy a case with other tables; its name is made of them and of the purpose."""
+    """Copy a case with other tables; its name is made of them and of the purpose.
+
+    Parameters
+    ----------
+    case : Case
+        Where the copy has its treatment and its block from.
+    tables : mapping
+        Document that is computed.
+    purpose : {"refinement", "input"}
+        As of :class:`study.runner.case_task.Origin`.
+    """
     name = case_id({**tables, "block": case.block, "purpose": purpose})
     return replace(case, config=dict(tables), case_id=name)

@@ -184,7 +184,15 @@ _USUAL_DEPTH = 0.1
 
 
 def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
-    """Where a surface may be: the data root first, as measurements; then beside the design."""
+    """Where a surface may be: the data root first, as measurements; then beside the design.
+
+    Parameters
+    ----------
+    source : str or Path
+        File of the design; a name that is no file, such as ``"<string>"``, adds no folder.
+    data_root : Path
+        Folder of the measurements; it need not exist.
+    """
     home = Path(source).resolve().parent if Path(source).is_file() else None
     found = [data_root, *([home] if home is not None else [])]
     return tuple(dict.fromkeys(folder.resolve() for folder in found))
@@ -268,6 +276,13 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
 def find(name: str, places: Sequence[Path]) -> Path:
     """Path of a surface file in or below one of some folders.
 
+    Parameters
+    ----------
+    name : str
+        Path as written in the file, relative to any of the folders.
+    places : sequence of Path
+        Folders in the order of the search; the first that holds the file counts.
+
     Raises
     ------
     InputError
@@ -301,7 +316,13 @@ def _check_use(config: Tables) -> None:
 
 
 def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
-    """List what was mended in the surfaces of some configurations, each once."""
+    """List what was mended in the surfaces of some configurations, each once.
+
+    Parameters
+    ----------
+    configs : sequence of mapping
+        Documents of problems that were :func:`located`; only ``specimen`` is looked at.
+    """
     return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
 
 
@@ -316,7 +337,19 @@ def _notes(config: Tables) -> Iterator[str]:
 
 
 def fingerprints(config: Tables) -> list[str]:
-    """Hashes of the surfaces that a configuration uses."""
+    """Hashes of the surfaces that a configuration uses.
+
+    Parameters
+    ----------
+    config : mapping
+        Document of a case whose files were found.
+
+    Returns
+    -------
+    list of str
+        The sha256 of the files of its specimen, its markers and the specimen of
+        ``calibration.problem``, in this order, as far as there are any.
+    """
     own = CalibrationTable.of(config).problem or {}
     sections = [table_of(config, name) for name in ("specimen", "markers")]
     sections.append(table_of(own, "specimen"))
@@ -324,7 +357,13 @@ def fingerprints(config: Tables) -> list[str]:
 
 
 def surface_files(config: object) -> set[Path]:
-    """Files of the surfaces in a configuration that was :func:`located`."""
+    """Files of the surfaces in a configuration that was :func:`located`.
+
+    Parameters
+    ----------
+    config : object
+        Document of a problem, or any value within one; lists and tables are searched through.
+    """
     if _is_surface(config):
         return {Path(str(config["path"]))} if config.get("path") else set()
     values: Sequence[object] = ()

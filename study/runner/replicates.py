@@ -21,6 +21,13 @@ def mesh_seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Orig
     Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
     every block, and those of two cells have nothing to do with each other.
 
+    Parameters
+    ----------
+    found : sequence of Case
+        Cases whose names differ.
+    design : Design
+        Gives the seed of the study and the number of meshes, ``replicates.mesh_seeds``.
+
     Raises
     ------
     InputError
@@ -58,6 +65,13 @@ def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
     The fit itself stays a case of its own: it is what the study is about, and replicates
     tell how far to trust it.
 
+    Parameters
+    ----------
+    jobs : sequence of CaseJob
+        Cases whose fits see the curves as measured.
+    design : Design
+        Gives the seed of the study and the number of copies of each case, ``replicates.noise``.
+
     Raises
     ------
     InputError
@@ -69,7 +83,15 @@ def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
 
 
 def refitted(case: Case, number: int) -> Case:
-    """Copy a case whose fits see resampled noise."""
+    """Copy a case whose fits see resampled noise.
+
+    Parameters
+    ----------
+    case : Case
+        The case whose fits see the curves as measured.
+    number : int
+        Which of its copies this is, from 1; it enters the name.
+    """
     return repeated(case, ["noise", number])
 
 

@@ -267,7 +267,13 @@ def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
 
 
 def scale_of(constant: str) -> float:
-    """Factor from MPa to the unit in which a constant is reported; 1 for an exponent."""
+    """Factor from MPa to the unit in which a constant is reported; 1 for an exponent.
+
+    Parameters
+    ----------
+    constant : str
+        Name, such as ``"C10"``; a share or time of relaxation has the factor 1 too.
+    """
     return 1.0 if is_dimensionless(constant) else KPA
 
 
@@ -289,12 +295,24 @@ def score(found: Scored, asked: Iterable[str] = ()) -> dict[str, Quantity]:
 
 
 def of_prediction(asked: Iterable[str]) -> list[SimulatedResponse]:
-    """Those responses asked for that a predicted curve alone gives."""
+    """Those responses asked for that a predicted curve alone gives.
+
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of responses; others are passed over, as is ``dofs``, which the mesh gives.
+    """
     return [SimulatedResponse(name) for name in asked if is_simulated(name) and name != "dofs"]
 
 
 def constants_of(found: Scored) -> dict[str, Quantity]:
-    """List the initial shear modulus, where it is known, and every constant, with its unit."""
+    """List the initial shear modulus, where it is known, and every constant, with its unit.
+
+    Parameters
+    ----------
+    found : Scored
+        Its constants in MPa are listed in kPa, plain numbers and times as they are.
+    """
     known: list[Response] = [] if found.mu0 is None else [InitialShearModulus()]
     known += [ConstantResponse(name) for name in found.constants]
     return computed(known, found)
@@ -306,7 +324,13 @@ def computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity
 
 
 def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
-    """Mean over the directions (fit and score changed places), with units."""
+    """Mean over the directions (fit and score changed places), with units.
+
+    Parameters
+    ----------
+    scores : sequence of mapping of str to Quantity
+        One a direction; the first says which responses. A mean that is not finite becomes None.
+    """
     out: dict[str, Quantity] = {}
     for name, first in scores[0].items():
         numbers = [score[name]["value"] for score in scores if name in score]
@@ -320,6 +344,11 @@ def splined_uncertainty(predicted: Curve, asked: Iterable[str]) -> dict[str, flo
 
     Another program solves with load steps of its own, which are not ours to halve; what lies
     between the displacements that it was asked for is. Nothing where too few points are left.
+
+    Parameters
+    ----------
+    predicted, asked
+        A curve with tangents, and names of responses; the change is in the unit of each.
     """
     rough = replace(predicted.every_other_point(), stiffness_N_per_mm=None, work_Nmm=None)
     rough = rough.with_tangents()
@@ -337,6 +366,12 @@ def step_uncertainty(
     the response itself is a part of this change, since the interpolation between two steps gets
     better by more than twice when they are halved. Zero where the force is known everywhere
     (closed form), and nothing where one step is all there is.
+
+    Parameters
+    ----------
+    predicted, measured, asked
+        The curve, the measured one that it is compared with (None where there is none), and the
+        names of the responses asked for. The change is in the unit of each response.
     """
     own = of_prediction(asked)
     compared = CURVE_RESPONSES if measured is not None else {}
@@ -355,5 +390,11 @@ def step_uncertainty(
 
 
 def residual_N(predicted: Curve, measured: Curve) -> Array:  # noqa: N802
-    """Predicted less measured force at the measured points, N, shape (n,)."""
+    """Predicted less measured force at the measured points, N, shape (n,).
+
+    Parameters
+    ----------
+    predicted, measured : Curve
+        The predicted one has to reach as far as the measured one, which has the n points.
+    """
     return predicted.force_at(measured.displacement_mm) - measured.force_N

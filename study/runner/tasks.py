@@ -35,7 +35,18 @@ KINDS: dict[str, Perform] = {
 
 
 def perform(task: dict[str, object]) -> Document:
-    """Do one task, named by its ``kind``."""
+    """Do one task, named by its ``kind``.
+
+    Parameters
+    ----------
+    task : dict
+        Plain data with a key of :data:`KINDS` under ``kind``, and what its function reads.
+
+    Returns
+    -------
+    mapping
+        Plain data with the ``status`` of the task.
+    """
     return KINDS[str(task["kind"])](task)
 
 
@@ -71,6 +82,11 @@ def free_memory_MB() -> float | None:  # noqa: N802
 
 def memory_of(text: str) -> float:
     """Read an amount of memory in MB.
+
+    Parameters
+    ----------
+    text : str
+        Number with a unit: MB, GB, MiB or GiB.
 
     Raises
     ------
@@ -129,7 +145,13 @@ def _is_scheduler(engine: Engine) -> TypeGuard[str | Path | Client]:
 
 
 def limit_of(place: Executor) -> float | None:
-    """Wall-clock limit of one task of an executor in seconds; None where there is none."""
+    """Wall-clock limit of one task of an executor in seconds; None where there is none.
+
+    Parameters
+    ----------
+    place : Executor
+        Processes of this machine or a cluster; the limit of any other is not known, so None.
+    """
     return place.limit_s if isinstance(place, Loky | Cluster) else None
 
 
