@@ -41,11 +41,11 @@ from study.record.store import Store
 from study.reporting.figure.style import load_libraries
 from study.reporting.output import provenance
 from study.reporting.output.write import checked_formats, main_file, write
-from study.runner.batch import default_jobs, run_batch
+from study.runner.batch import run_batch
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import Allowed, externals
 from study.runner.provenance import surface_files, versions
-from study.runner.tasks import computing_on, memory_of, processes
+from study.runner.tasks import computing_on, default_jobs, memory_of, processes
 from study.runner.virtual.specimens import write_virtual
 from study.study_result.study_result import StudyResult
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import signal
 import threading
 import time
@@ -30,7 +29,7 @@ from study.runner.fitting.fit_task import FitTask
 from study.runner.job import CaseJob, FitJob, Work, fits_of
 from study.runner.numerical.retry import RETRIES, attempts
 from study.runner.tables import PROBLEM
-from study.runner.tasks import adapted, limit_of, processes
+from study.runner.tasks import adapted, default_jobs, limit_of, processes
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
@@ -108,13 +107,6 @@ class Summary:
             seconds=self.seconds + other.seconds,
             compute_seconds=spent,
         )
-
-
-def default_jobs() -> int:
-    """One worker for each core that this process may use."""
-    with contextlib.suppress(AttributeError):
-        return max(1, len(os.sched_getaffinity(0)))
-    return os.cpu_count() or 1
 
 
 def run_batch(
@@ -214,19 +206,26 @@ def computing(
 
 
 def missing(work: Work, store: Store) -> list[CaseJob]:
-    """Cases without a usable record of this very input."""
+    """Cases without a usable record of this very input.
+
+    Parameters
+    ----------
+    work, store : Work, Store
+        The study, and where its records are.
+    """
     done = store.done_ids(work.input_hashes, RETRIED)
     return [job for job in work.jobs if job.case.case_id not in done]
 
 
-def needed_fits(todo: Sequence[CaseJob]) -> list[FitJob]:
-    """Fits that the cases need, with the fits that start them, starts first."""
-    return list(fits_of(todo).values())
-
-
 def open_fits(todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
-    """Fits that the cases need and that are not stored yet."""
-    return [job for job in needed_fits(todo) if store.read_fit(job.key) is None]
+    """Fits that the cases need and that are not stored yet.
+
+    Parameters
+    ----------
+    todo, store : sequence of CaseJob, Store
+        Cases to be computed, and where fits are kept.
+    """
+    return [job for job in fits_of(todo).values() if store.read_fit(job.key) is None]
 
 
 class _Batch:
@@ -242,7 +241,7 @@ class _Batch:
         self.cases = {f"case-{job.case.case_id}": job for job in todo}
         self.fits: dict[str, FitJob] = {}
         self.known: dict[str, Document] = {}
-        for job in needed_fits(todo):
+        for job in fits_of(todo).values():
             stored = store.read_fit(job.key)
             if stored is None:
                 self.fits[job.key] = job
@@ -284,7 +283,7 @@ class _Batch:
         tasks = [
             Task(
                 job.key,
-                partial(fit_document, job),
+                partial(_fit_document, job),
                 (job.start.key,) if job.start else (),
                 seconds=costs.fit_seconds(job.problem),
                 memory_MB=costs.fit_memory_MB(job.problem),
@@ -294,7 +293,7 @@ class _Batch:
         tasks += [
             Task(
                 key,
-                partial(case_document, self.work, job),
+                partial(_case_document, self.work, job),
                 job.needs,
                 job.group,
                 costs.case_seconds(job),
@@ -333,7 +332,7 @@ class _Batch:
         text = outcome.result.get("record")
         if isinstance(text, str):
             return Record.from_json(text, f"worker, {self._label(outcome.key)}")
-        return case_frame(self.work, self.cases[outcome.key]).record(
+        return _case_frame(self.work, self.cases[outcome.key]).record(
             outcome.status,
             outcome.message,
             seconds=outcome.seconds,
@@ -341,13 +340,13 @@ class _Batch:
         )
 
 
-def fit_document(job: FitJob, results: Results) -> Document:
+def _fit_document(job: FitJob, results: Results) -> Document:
     """Make what a worker gets of a fit, once the fit that starts it is known."""
     start = None if job.start is None else FitResult.from_json(results[job.start.key])
     return FitTask(job.problem, job.measured, start, job.noise).to_json()
 
 
-def case_frame(work: Work, job: CaseJob) -> CaseFrame:
+def _case_frame(work: Work, job: CaseJob) -> CaseFrame:
     """Everything of a record that is known before the case is computed."""
     case = job.case
     return CaseFrame(
@@ -356,7 +355,7 @@ def case_frame(work: Work, job: CaseJob) -> CaseFrame:
     )  # fmt: skip
 
 
-def case_document(work: Work, job: CaseJob, results: Results) -> Document:
+def _case_document(work: Work, job: CaseJob, results: Results) -> Document:
     """Make what a worker gets of a case, once its fits are known."""
     fits = {key: FitResult.from_json(results[key]) for key in job.needs}
     directions = tuple(
@@ -369,7 +368,7 @@ def case_document(work: Work, job: CaseJob, results: Results) -> Document:
     )  # fmt: skip
     known = job.case.config
     tables = plain({name: known[name] for name in (*PROBLEM, "markers") if name in known})
-    frame = case_frame(work, job)
+    frame = _case_frame(work, job)
     return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
 
 

@@ -50,19 +50,19 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """
     cells = design.treatments
     data = DataCache(data_root, distinct_tests([cell.config for cell in cells]))
-    blocks = common_blocks(cells, data)
+    blocks = _common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
-    planned = mesh_seeded(distinct(cases(design, blocks)), design)
+    planned = mesh_seeded(_distinct(cases(design, blocks)), design)
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(located(case, places, allowed), design)
+            shared[place] = Computed.of(_located(case, places, allowed), design)
         return case_job(case, data, design, origin, shared[place])
 
-    jobs = anchored(job(case, origin) for case, origin in planned)
+    jobs = _anchored(job(case, origin) for case, origin in planned)
     every = (*jobs, *resampled(jobs, design))
     return Work(design, every, units_asked(design), blocks, data, allowed)
 
@@ -77,7 +77,7 @@ def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
     blocks : sequence of str
         Labels of the blocks, as the measurements have them.
     """
-    planned = [case for case, _ in mesh_seeded(distinct(cases(design, blocks)), design)]
+    planned = [case for case, _ in mesh_seeded(_distinct(cases(design, blocks)), design)]
     numbers = range(1, design.replicates.noise + 1)
     again = [refitted(case, number) for case in planned for number in numbers]
     return {case.case_id: case for case in (*planned, *again)}
@@ -144,7 +144,7 @@ class Computed:
         problem = fit_problem(case.config)
         names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
         asked = sorted(units_asked(design))
-        return cls(case.config, problem, forward_of(case, problem), (asked, *names))
+        return cls(case.config, problem, _forward_of(case, problem), (asked, *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -158,7 +158,7 @@ def units_asked(design: Design) -> dict[str, str]:
     return units_of((response.name for response in design.responses), design.is_measured)
 
 
-def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
+def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
     """Labels of the blocks, the same in the measurements of every treatment.
 
     Raises
@@ -178,7 +178,7 @@ def common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...
     return found or ()
 
 
-def distinct(found: Sequence[Case]) -> tuple[Case, ...]:
+def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
     """Give cells of equal content names of their own, so that none hides the other's record."""
     seen: set[str] = set()
     out = []
@@ -189,7 +189,7 @@ def distinct(found: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
+def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     found = provenance.with_markers(provenance.located(case.config, places), places)
     return replace(case, config=with_external(found, places, allowed.function))
@@ -217,12 +217,12 @@ def case_job(
     """
     shared = computed or Computed.of(case, design)
     placed = case if computed is None else replace(case, config=shared.config)
-    pairs = tuple(score_pairs(placed, shared.problem, data, design))
+    pairs = tuple(_score_pairs(placed, shared.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *shared.names]
     return CaseJob(placed, pairs, digest(content), shared.forward, origin or Origin())
 
 
-def forward_of(case: Case, problem: FitProblem) -> Forward:
+def _forward_of(case: Case, problem: FitProblem) -> Forward:
     """Where the predicted curves of a case come from."""
     if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
         return "fit"
@@ -233,7 +233,7 @@ def forward_of(case: Case, problem: FitProblem) -> Forward:
     return "closed-form" if asked or case.setup.has_no_elements else "simulation"
 
 
-def score_pairs(
+def _score_pairs(
     case: Case, problem: FitProblem, data: DataCache, design: Design
 ) -> list[ScorePair]:
     """Say what is fitted and what is scored in a case.
@@ -363,7 +363,7 @@ def _block_in(found: Measurements, block: str | None) -> str | None:
     return block if found.block is not None else None
 
 
-def anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
+def _anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give the cases of each cell their anchor: the fit of the first case's first direction.
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.

@@ -193,7 +193,7 @@ class SimulatedResponse:
             return float(ordinate(place))
         if name == "peak_force":
             return float(curve.force_N.max())
-        return work_of(curve)
+        return _work_of(curve)
 
 
 #: points between which the work of a curve is summed: the trapezoidal rule is then off by a
@@ -201,7 +201,7 @@ class SimulatedResponse:
 _POINTS = 400
 
 
-def work_of(curve: Curve) -> float:
+def _work_of(curve: Curve) -> float:
     """Work done on the specimen from the unloaded state, N mm."""
     if curve.work_Nmm is not None:
         return float(curve.work_Nmm[-1])
@@ -291,7 +291,7 @@ def score(found: Scored, asked: Iterable[str] = ()) -> dict[str, Quantity]:
     if found.predicted is not None:
         every += of_prediction(asked)
         every += [] if found.measured is None else list(CURVE_RESPONSES.values())
-    return computed(every, found) | constants_of(found)
+    return _computed(every, found) | constants_of(found)
 
 
 def of_prediction(asked: Iterable[str]) -> list[SimulatedResponse]:
@@ -315,10 +315,10 @@ def constants_of(found: Scored) -> dict[str, Quantity]:
     """
     known: list[Response] = [] if found.mu0 is None else [InitialShearModulus()]
     known += [ConstantResponse(name) for name in found.constants]
-    return computed(known, found)
+    return _computed(known, found)
 
 
-def computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity]:
+def _computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity]:
     """Values of some responses, by name."""
     return {one.name: {"value": one.compute(found), "unit": one.unit} for one in responses}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -75,7 +76,7 @@ def free_memory_MB() -> float | None:  # noqa: N802
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         found = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
-        return float(found["MemAvailable"].split()[0]) / 1024
+        return float(found["MemAvailable"].split()[0]) * 1.024e-3  # of 1,024 bytes each
     except (OSError, KeyError, ValueError, IndexError):
         return None
 
@@ -172,3 +173,10 @@ def adapted(place: Executor, longer: float = 1.0, alone: bool = False) -> Execut
     limit = None if place.limit_s is None else longer * place.limit_s
     longest = replace(place, limit_s=limit)
     return replace(longest, jobs=1) if alone else longest
+
+
+def default_jobs() -> int:
+    """One worker for each core that this process may use."""
+    with contextlib.suppress(AttributeError):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1

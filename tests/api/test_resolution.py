@@ -13,7 +13,7 @@ from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
 from study.analysis.result import AnalysisResult
 from study.api.statistics.records import analyze_records
-from study.api.uncertainty.numerical import largest_u_num, numerical_bound
+from study.api.uncertainty.numerical import numerical_bound
 from study.design.load import loads
 from study.design.spec import Design, Practical, Response
 from study.record.record import Record
@@ -104,7 +104,7 @@ def test_an_error_that_the_materials_share_is_none_of_their_difference(design: D
     """The columns are off by percentage points, the difference of the materials by nothing."""
     records = records_of(design, lambda levels: 2.0)
     result, numerical = analyzed(design, records)
-    assert (largest_u_num(numerical, records, NAME, "none") or 0) > 2.0
+    assert max(row.u_num or 0 for row in numerical) > 2.0
     # a tenth of the sum of the columns' own bounds, 1.25 x 2.0 on either side, is never fallen
     # below; the difference's own series would leave 0.02 (scatter between cells of 0.003)
     assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)

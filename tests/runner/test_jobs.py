@@ -12,7 +12,7 @@ from study.curve import Curve
 from study.design.load import loads
 from study.design.spec import Design
 from study.forward.finite_element import Anchor
-from study.runner.batch import case_frame
+from study.runner.batch import _case_frame
 from study.runner.case_task import CaseTask, Origin, ScoreTask
 from study.runner.expansion import expand
 from study.runner.fitting.fit_problem import fit_problem
@@ -56,7 +56,7 @@ def test_a_case_task_comes_back_as_it_went(design: Design, one_mix: Path) -> Non
     )
     tables = {name: job.case.config[name] for name in PROBLEM if name in job.case.config}
     task = CaseTask(
-        case_frame(work, job), tables, job.forward, (direction,), Anchor("cell", {"C10": 0.1})
+        _case_frame(work, job), tables, job.forward, (direction,), Anchor("cell", {"C10": 0.1})
     )
     back = CaseTask.from_json(through_json(task.to_json()))
     assert back.to_json() == task.to_json()

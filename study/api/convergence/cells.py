@@ -27,7 +27,7 @@ from study.record.folder import own_folder
 from study.record.store import Store
 from study.runner import provenance
 from study.runner.batch import Progress as RunProgress
-from study.runner.batch import computing, default_jobs
+from study.runner.batch import computing
 from study.runner.expansion import expand
 from study.runner.numerical import curve_quantities, study_refinement
 from study.runner.numerical.curve_quantities import QUANTITIES
@@ -35,6 +35,7 @@ from study.runner.numerical.formal_order import formal_order
 from study.runner.numerical.judgement import SeriesJudgement, judge, series_of, with_sources
 from study.runner.numerical.refinement import Series, budget_of, refine, solving
 from study.runner.numerical.solver import by_workers, kept, store_of
+from study.runner.tasks import default_jobs
 from study.setup.setup import Tables, problem_of
 
 if TYPE_CHECKING:

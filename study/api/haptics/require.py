@@ -9,7 +9,7 @@ from pathlib import Path
 from study.api.folders import REPORTS, data_root
 from study.reporting.output.requirement_page import warnings, write_requirement
 from study.runner import provenance
-from study.runner.batch import default_jobs
+from study.runner.tasks import default_jobs
 from study.sensors.load import load_requirement
 from study.sensors.requirement import SensorRequirement, document, sensor_requirement
 

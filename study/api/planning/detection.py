@@ -20,9 +20,9 @@ from study.canonical import plain
 from study.design.load import load
 from study.design.spec import Design, Response
 from study.errors import Fault, InputError, MissingDataError, StudyError
-from study.runner.batch import default_jobs
 from study.runner.cost import Costs
 from study.runner.expansion import expand
+from study.runner.tasks import default_jobs
 
 if TYPE_CHECKING:
     from study.analysis.result import AnalysisResult

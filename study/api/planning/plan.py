@@ -25,10 +25,11 @@ from study.forward.external import common_digest
 from study.record.document import ManifestDocument
 from study.record.store import Store
 from study.record.survey import Survey
-from study.runner.batch import default_jobs, missing, open_fits
+from study.runner.batch import missing, open_fits
 from study.runner.cost import Costs, program_calls
 from study.runner.expansion import expand
 from study.runner.fitting.external_model import externals
+from study.runner.tasks import default_jobs
 
 if TYPE_CHECKING:
     from study.runner.job import Work

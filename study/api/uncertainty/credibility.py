@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 from study.analysis.convergence.grid_convergence import NumericalUncertainty
 from study.reporting.numbers import percent
 from study.reporting.text import listing
-from study.runner.batch import Progress, computing, default_jobs
+from study.runner.batch import Progress, computing
 from study.runner.cost import Costs
 from study.runner.numerical import refinement, space_comparison, study_refinement
 from study.runner.numerical.case_series import COSTS, CaseSeries
 from study.runner.numerical.solve_task import SolveResult, SolveTask
 from study.runner.numerical.solver import by_workers, is_kept, kept
+from study.runner.tasks import default_jobs
 from study.study_result.report_data import Check
 
 if TYPE_CHECKING:
