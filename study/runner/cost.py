@@ -47,22 +47,26 @@ class Costs:
 
     def fit_seconds(self, problem: FitProblem) -> float:
         """Seconds of one calibration."""
-        external = External.of(problem.tables)
-        if problem.method == "external" and external is not None:
-            return _OVERHEAD_S + fit_calls(problem) * external.section.seconds_s
-        if problem.method != "inverse-fem":
-            return _OVERHEAD_S
-        names = MaterialSection.of(problem.tables).calibrated_names
+        names = problem.material.calibrated_names
+        return _OVERHEAD_S + sum(self._test_seconds(*test, names) for test in problem.tests)
+
+    def _test_seconds(self, method: str, tables: Tables, names: Sequence[str]) -> float:
+        """Seconds that one test of a fit takes: nothing where it has a closed form."""
+        external = External.of(tables)
+        if method == "external" and external is not None:
+            return _evaluations(names) * external.section.seconds_s
+        if method != "inverse-fem":
+            return 0.0
         solves = (
             _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
-        return _OVERHEAD_S + solves * self.solve_seconds(problem.tables)
+        return solves * self.solve_seconds(tables)
 
     def case_seconds(self, job: CaseJob) -> float:
         """Seconds of one case without its fits."""
         config, external = job.case.config, External.of(job.case.config)
         if external is not None and job.origin.predicts and job.forward == "external":
-            return _OVERHEAD_S + len(job.directions) * external.section.seconds_s
+            return _OVERHEAD_S + job.predictions * external.section.seconds_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
@@ -98,7 +102,8 @@ class Costs:
 
     def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
         """Peak memory of one calibration."""
-        return self.memory_MB(problem.tables) if problem.method == "inverse-fem" else 0.0
+        simulated = [tables for method, tables in problem.tests if method == "inverse-fem"]
+        return max(map(self.memory_MB, simulated), default=0.0)
 
     def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
         """Peak memory of one case; none worth counting without a simulation of its own."""
@@ -121,11 +126,14 @@ def fit_calls(problem: FitProblem) -> int:
     Parameters
     ----------
     problem : FitProblem
-        A calibration; one of a method other than ``"external"`` counts 0 calls.
+        A calibration; only its tests that another program predicts count.
     """
-    if problem.method != "external":
-        return 0
-    names = MaterialSection.of(problem.tables).calibrated_names
+    external = sum(method == "external" for method, _ in problem.tests)
+    return external * _evaluations(problem.material.calibrated_names)
+
+
+def _evaluations(names: Sequence[str]) -> int:
+    """Count the calls for one test: each evaluation, and one more for every constant."""
     return USUAL_EVALUATIONS * (1 + len(names))
 
 
@@ -137,9 +145,10 @@ def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
     fits : iterable of FitJob
         Calibrations to be made, counted as :func:`fit_calls` does.
     cases : iterable of CaseJob
-        Cases to be computed: one call for each direction of those whose forward is ``"external"``.
+        Cases to be computed: one call for each curve that another program predicts.
     """
-    predicted = sum(len(one.directions) for one in cases if one.forward == "external")
+    asked = (one for one in cases if one.forward == "external" and one.origin.predicts)
+    predicted = sum(one.predictions for one in asked)
     return predicted + sum(fit_calls(one.problem) for one in fits)
 
 

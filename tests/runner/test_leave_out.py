@@ -11,7 +11,9 @@ from study.design import load
 from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
+from study.runner.cost import Costs
 from study.runner.expansion import expand
+from study.runner.fitting.fit_problem import fit_problem, together
 from study.runner.fitting.fit_summary import FitResult
 from study.runner.fitting.fit_task import FitTask, fitted
 from study.runner.job import Work
@@ -127,6 +129,26 @@ def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) 
     assert found.converged
     # one force for two heights: 20 % of each, so that the constants lie between both
     assert 7e-3 < found.constants["C10"] < 7e-3 * 5 / 3
+
+
+def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
+    """It was expected to take no time and no memory, so that as many ran at once as would fit."""
+    cylinder = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0}
+    test = {"kind": "compression", "interface": "bonded", "displacement_mm": 2.0, "steps": 5}
+    shared: dict[str, object] = {
+        "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
+        "model": {"space": "axisymmetric", "mesh_size_mm": 0.5},
+    }
+    tests = [
+        {"specimen": cylinder, "test": {**test, "displacement_mm": depth}} for depth in (1.0, 2.0)
+    ]
+    both = together(shared, [*tests, {**tests[0], "test": {**test, "interface": "frictionless"}}])
+    assert [method for method, _ in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
+    alone, costs = [fit_problem({**shared, **one}) for one in tests], Costs()
+    apart = [costs.fit_seconds(one) for one in alone]
+    assert costs.fit_seconds(both) == pytest.approx(sum(apart), rel=0.1)
+    assert costs.fit_seconds(both) > 1.5 * max(apart)
+    assert costs.fit_memory_MB(both) == max(costs.fit_memory_MB(one) for one in alone) > 0
 
 
 @pytest.mark.parametrize(("kind", "block"), [("specimen", ""), ("specimen", BLOCK), ("test", "")])
