@@ -261,6 +261,10 @@ def _key_meant(path: str) -> str:
     return path
 
 
+#: times of a relaxation: its terms vary as a whole, so that no key of theirs is declared above
+_TIMES = tuple(f"material.relaxation.{key}" for key in ("time", "from", "to"))
+
+
 def _measured(key: str, value: object, path: str) -> object:
     """Value of a key with the unit that bare numbers have inside the program."""
     if isinstance(value, Mapping):
@@ -268,6 +272,6 @@ def _measured(key: str, value: object, path: str) -> object:
     if isinstance(value, (list, tuple)):
         return [_measured(key, one, path) for one in value]
     value = getattr(value, "item", lambda: value)()  # a number of numpy becomes one of Python
-    unit = INTERNAL.get(dimension(key) or "")
+    unit = INTERNAL.get("time" if key in _TIMES else dimension(key) or "")
     is_bare = isinstance(value, (int, float)) and not isinstance(value, bool)
     return f"{value!r} {unit}" if unit and is_bare else value

@@ -101,6 +101,22 @@ def test_presets_have_units_too() -> None:
     assert (soft.test.displacement_mm, stiff.test.displacement_mm) == (1.0, 2.0)
 
 
+@pytest.mark.parametrize(
+    "relaxation", [[{"share": 0.3, "time": 2}], [{"share": 0.3, "time": "2 s"}]]
+)
+def test_times_of_a_relaxation_are_in_seconds(relaxation: list[dict[str, object]]) -> None:
+    """A held strip: after 20 times the time, the share has gone."""
+    gauge = {"shape": "homogeneous", "area": 100, "length": 10}
+    test = {"kind": "tension", "displacement": 1, "speed": "1e3 mm/s", "hold": 40, "steps": 4}
+    material = {"model": "neo-hookean", "C10": 0.01, "incompressible": True}
+    held = study.solve(
+        {"specimen": gauge, "test": test, "material": {**material, "relaxation": relaxation}}
+    )
+    stretch = 1.1
+    at_once = 2 * 0.01 * 100 * (stretch - stretch**-2)  # N, of the instantaneous moduli
+    assert held.curve.force_N[-1] == pytest.approx(0.7 * at_once, rel=1e-3)
+
+
 def test_a_solution_is_shown(home: Path) -> None:
     found = study.solve("problem.toml")
     frame = found.to_frame()
