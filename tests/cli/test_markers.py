@@ -111,6 +111,24 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_a_plate_that_moves_as_said_predicts_too(virtual: Path, tmp_path: Path) -> None:
+    """Both errors are known where nothing is fitted: the plate can be a factor."""
+    kept = ["--results", tmp_path / "results", "--reports", tmp_path / "reports"]
+    found = study("run", virtual / "design.toml", "--data", virtual, "--jobs", 1, *kept,
+                  "-s", 'markers.plate="nominal"', "--json",
+                  "--no-refine")  # fmt: skip
+    assert found.code == 0, found.err
+    for record in documents(tmp_path):
+        every, *_, others = record["extra"]["markers"][0]["fits"]
+        answers = record["responses"]
+        assert answers["marker_error"]["value"] == every["error_mm"]
+        assert answers["predicted_marker_error"]["value"] == others["error_mm"]
+        # what is left of the sum of squares belongs to the layers
+        squares = every["markers"] * every["error_mm"] ** 2 - 75 * others["error_mm"] ** 2
+        assert others["markers"] == 75
+        assert squares > 0
+
+
 def test_the_plate_is_recovered_within_its_stated_error(virtual: Path) -> None:
     true, other = (
         next(

@@ -80,14 +80,13 @@ def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantit
     -------
     dict of str to Quantity
         Root mean square errors: ``marker_error`` of all markers, and ``predicted_marker_error`` of
-        those outside the layers that alone told the motion. The latter's value is None where no
-        layers are named, or the plate is ``"nominal"``.
+        those outside the layers that alone told the motion, or that are left out where the plate
+        moves as was said. The latter's value is None where no layers are named.
     """
     plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
-    fits = [fit for fit in found["fits"] if fit["plate"] == plate]
-    every = [fit["error_mm"] for fit in fits if not fit["fitted"].startswith("layers")]
-    others = [fit["error_mm"] for fit in fits if fit["fitted"].startswith("layers")]
+    # of all markers first; then, where layers are named, of those outside them
+    errors = [fit["error_mm"] for fit in found["fits"] if fit["plate"] == plate]
     return {
-        "marker_error": {"value": every[0], "unit": "mm"},
-        "predicted_marker_error": {"value": others[0] if others else None, "unit": "mm"},
+        "marker_error": {"value": errors[0], "unit": "mm"},
+        "predicted_marker_error": {"value": errors[1] if len(errors) > 1 else None, "unit": "mm"},
     }
