@@ -337,7 +337,7 @@ def _notes(config: Tables) -> Iterator[str]:
 
 
 def fingerprints(config: Tables) -> list[str]:
-    """Hashes of the surfaces that a configuration uses.
+    """Hashes of the files of surfaces and markers that a configuration uses.
 
     Parameters
     ----------

@@ -267,7 +267,7 @@ def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
 
 
 def scale_of(constant: str) -> float:
-    """Factor from MPa to the unit in which a constant is reported; 1 for an exponent.
+    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus.
 
     Parameters
     ----------

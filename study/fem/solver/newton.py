@@ -39,7 +39,7 @@ class NewtonSettings:
     ----------
     tolerance : float
         On the residual of the free unknowns over the reaction.
-    gap_mm : float
+    gap : float
         Largest |gap| of an active contact point, in multiples of the specimen's height.
     pull : float
         Largest tension of a held contact point over the largest contact pressure.

@@ -225,7 +225,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
     cautions: list[str] = []
     if found.status.usable:
         material = section.material(found.constants())
-        judged_as, message, cautions = plausible(material, message)
+        judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))

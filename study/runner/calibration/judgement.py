@@ -13,7 +13,7 @@ from study.material.stability import check, stability
 from study.runner.calibration.measured_tests import FitCurve
 
 
-def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
+def plausible(material: Material, message: str) -> tuple[str, str]:
     """Status of a converged fit by its initial shear modulus.
 
     Parameters
@@ -29,19 +29,17 @@ def plausible(material: Material, message: str) -> tuple[str, str, list[str]]:
         ``"unstable"`` also where a user could not give such constants.
     message : str
         Why, where it is not ``"converged"``.
-    cautions : list of str
-        Always empty.
     """
     if not material.mu0 > 0:
         rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
-        return "unstable", rule, []
+        return "unstable", rule
     try:
         found = list(check(material))
     except InputError as error:
-        return "unstable", str(error), []
+        return "unstable", str(error)
     if found:
-        return "implausible", found[0], []
-    return "converged", message, []
+        return "implausible", found[0]
+    return "converged", message
 
 
 def range_stability(

@@ -127,7 +127,7 @@ class CalibrationResult:
     material : Material or None
         With the constants found; None where they make no material.
     stable : bool
-        Drucker's criterion over the range of the fitted tests.
+        Drucker's criterion over the range of the measured tests, those held out too.
     stability : str
         The same in words.
     curves : tuple of CurveFit

@@ -74,7 +74,7 @@ class Part:
     Parameters
     ----------
     method : str
-        ``"closed-form"`` or ``"inverse-fem"``.
+        ``"closed-form"``, ``"inverse-fem"`` or ``"external"``.
     tables : mapping
         Those that enter.
     measured : tuple of MeasuredCurve
