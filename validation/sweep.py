@@ -170,17 +170,9 @@ def _sizes(problem: Problem, series: Sequence[Found]) -> list[float]:
     """Sizes by which a study judges a series."""
     from study.runner.numerical.sizes import series_sizes
 
-    pressed = problem.test.indenter
-    indenter = {
-        "shape": type(pressed).__name__.lower(),
-        "edge_radius_mm": getattr(pressed, "edge_radius_mm", None),
-    }
-    config = {
-        "test": {"kind": problem.test.kind, "indenter": indenter},
-        "model": {"space": problem.model.space},
-    }
     return series_sizes(
-        [each["mesh_size_mm"] for each in series], [each["elements"] for each in series], config,
+        [each["mesh_size_mm"] for each in series], [each["elements"] for each in series],
+        problem.setup,
         anchor=0,
     )  # fmt: skip
 

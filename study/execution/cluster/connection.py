@@ -58,6 +58,10 @@ class Client(Protocol):
         ...
 
 
+#: loggers that tell the loss of a scheduler with a traceback each; our error tells it once
+_LOGS = ("distributed.client", "distributed.batched")
+
+
 @contextlib.contextmanager
 def connected(scheduler: str | Path | Client) -> Iterator[Client]:
     """Client of a scheduler, closed again unless it was given.
@@ -82,9 +86,8 @@ def connected(scheduler: str | Path | Client) -> Iterator[Client]:
         raise InputError(Fault("scheduler", "needs the package distributed", mend)) from error
     where = _place(str(scheduler))
     client = DaskClient.__new__(DaskClient)
-    log = logging.getLogger("distributed.client")
-    told = log.level
-    log.setLevel(logging.CRITICAL)  # our error says the loss of a scheduler, once
+    levels = {name: logging.getLogger(name).level for name in _LOGS}
+    _set_levels(dict.fromkeys(_LOGS, logging.CRITICAL))
     try:
         client.__init__(**where, timeout=PATIENCE_S, set_as_default=False)
     except Exception as error:  # whatever it is, there is no way in
@@ -94,14 +97,18 @@ def connected(scheduler: str | Path | Client) -> Iterator[Client]:
             "    certificates those of the cluster?"
         )
         rule = f"{scheduler} cannot be reached: {first_line(error)}"
-        log.setLevel(told)
         raise InputError(Fault("scheduler", rule, mend)) from error
     try:
         yield client
     finally:
         with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
             client.close()
-        log.setLevel(told)
+    _set_levels(levels)  # after a loss they stay quiet: threads of the client still complain
+
+
+def _set_levels(levels: Mapping[str, int]) -> None:
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
 
 
 def _place(scheduler: str) -> dict[str, str]:
