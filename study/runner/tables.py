@@ -124,6 +124,33 @@ def with_placeholder(
     return Setup.of(tables).problem(section.material({"C10": C10_MPa}), depth_mm)
 
 
+#: ends of keys in a document, which say the unit that a file leaves to its value
+_SUFFIXES = ("", "_mm", "_mm2", "_MPa", "_deg", "_N", "_s", "_mm_per_s", "_kg_m3")
+
+
+def value_named(table: Mapping[str, object], key: str) -> tuple[str, float] | None:
+    """Return the number that a file has under a key, and its name in a document.
+
+    Parameters
+    ----------
+    table : mapping
+        Of a document, such as ``specimen``.
+    key : str
+        As in a file, without its table; the ``length`` of a gauge section is its height.
+
+    Examples
+    --------
+    >>> value_named({"area_mm2": 100.0, "height_mm": 10.0}, "area")
+    ('area_mm2', 100.0)
+    """
+    for name in (key, "height" if key == "length" else key):
+        for suffix in _SUFFIXES:
+            value = table.get(name + suffix)
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                return name + suffix, float(value)
+    return None
+
+
 def measurements_of(tables: Tables) -> MeasurementSpec | None:
     """Where the measured curves of a problem are.
 

@@ -24,7 +24,7 @@ from study.runner.expansion import case_job
 from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import force_at_places
 from study.runner.numerical.study_refinement import every_cell
-from study.runner.tables import CalibrationTable, measurements_of, with_table
+from study.runner.tables import CalibrationTable, measurements_of, value_named, with_table
 from study.setup.section import table_of
 from study.setup.setup import Tables, known_height_mm
 
@@ -32,8 +32,6 @@ from study.setup.setup import Tables, known_height_mm
 Physics = tuple[tuple[str, str], ...]
 
 PURPOSE: Final = "input"
-
-_SUFFIXES = ("", "_mm", "_MPa", "_deg", "_N", "_s")
 
 
 def input_work(work: Work) -> Work:
@@ -164,11 +162,9 @@ def _shifted(section: Tables, path: Sequence[str], amount: float, key: str) -> T
     constants = section.get("constants")
     if isinstance(constants, Mapping) and path[-1] in constants:
         return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
-    for suffix in _SUFFIXES:
-        name = path[-1] + suffix
-        value = section.get(name)
-        if isinstance(value, (int, float)):
-            return {**section, name: float(value) + amount}
+    found = value_named(section, path[-1])
+    if found is not None:
+        return {**section, found[0]: found[1] + amount}
     rule = "has no value in the design that could be uncertain"
     raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
 

@@ -9,6 +9,7 @@ from typing import cast
 from study.design.sections.calibration_design import CalibratedTest
 from study.errors import Fault, InputError
 from study.runner.calibration.measured_tests import FitCurve
+from study.runner.tables import value_named
 from study.setup.section import table_of
 from study.setup.setup import Tables
 
@@ -18,9 +19,6 @@ FRICTION = "friction"
 
 #: change of an input without an uncertainty from which its influence is taken, over its value
 _STEP = 0.01
-
-#: suffixes of keys in internal units
-_SUFFIXES = ("_mm", "_MPa", "_deg", "_mm2", "")
 
 
 @dataclass(frozen=True)
@@ -135,11 +133,9 @@ def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
     table: Mapping[str, object] = test
     for part in path:
         table = table_of(table, part)
-    last = "height" if key == "specimen.length" else last
-    for suffix in _SUFFIXES:
-        value = table.get(last + suffix)
-        if isinstance(value, (int, float)) and not isinstance(value, bool):
-            return table, last + suffix
+    found = value_named(table, last)
+    if found is not None:
+        return table, found[0]
     mend = "declare it in the [[tests]] that have it: nuisance = { ... }"
     raise InputError(Fault(f"nuisance.{key}", "is no input of this test", mend))
 
