@@ -213,8 +213,9 @@ def next_tests(
     Returns
     -------
     NextTests or None
-        None where the fit left no residuals to tell the noise of a test from, or the material
-        relaxes: the closed forms are those of elastic tests.
+        None where the fit left no residuals to tell the noise of a test from, its constants are
+        not those of the material alone, no test has an answer, or the material relaxes: the
+        closed forms are those of elastic tests.
     """
     if material.relaxation or not found.curves or not set(found.names) <= set(material.names):
         return None

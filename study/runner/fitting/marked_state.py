@@ -41,6 +41,8 @@ def predicted_markers(
     ------
     NoAnswer
         If the problem, or a motion that fits, has no equilibrium.
+    InputError
+        If the specimen is no block.
     """
     from study.fem.solver.prescribed_motion import NoEquilibrium
 

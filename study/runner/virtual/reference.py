@@ -43,7 +43,7 @@ def reference_curve(
     as_designed : bool
         Whether the test is that of the tables; otherwise the plates are bonded.
     virtual : Virtual, optional
-        How it is solved.
+        How it is solved; as without a table ``[virtual]`` by default.
 
     Raises
     ------
